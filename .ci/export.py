@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from hyst_control.benchmarks.exported import COMPARED, compared, differences
+from evaluation.benchmarks.exported import COMPARED, compared, differences
 from hyst_control.errors import InputError
 
 

@@ -97,7 +97,7 @@ def imported(file: Path) -> set[str]:
             found |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             found.add(node.module.split(".")[0])
-    return found - {"hyst_control", "hyst_plant_sim"} - set(sys.stdlib_module_names)
+    return found - {"hyst_control", "hyst_plant_sim", "evaluation"} - set(sys.stdlib_module_names)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Plugins: stages, effects, estimators and controllers of other distributions, found through their entry points.
+"""Plugins: stages, effects, estimators, controllers and subcommands of other distributions, found through their entry points.
 
-A distribution names them in its metadata, under `hyst_control.stages`, `hyst_control.effects`, `hyst_control.estimators` or
-`hyst_control.controllers`; the entry point's name is the name in model files, in reports and on the command line. One that cannot be
-imported, or is something else, is reported in one line, and the others load.
+A distribution names them in its metadata, under `hyst_control.stages`, `.effects`, `.estimators`, `.controllers` or `.commands`; the
+entry point's name is the name in model files, in reports and on the command line. One that cannot be imported, or is something else, is
+reported in one line, and the others load.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TypeVar, cast
 
 from hyst_control.errors import InputError
 
-GROUPS = ("stages", "effects", "estimators", "controllers")
+GROUPS = ("stages", "effects", "estimators", "controllers", "commands")
 
 Item = TypeVar("Item")
 

@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = {
     path.relative_to(ROOT).as_posix(): path
-    for package in ("hyst_control", "hyst_plant_sim")
+    for package in ("hyst_control", "hyst_plant_sim", "evaluation")
     for path in sorted((ROOT / package).rglob("*.py"))
 }
 QUESTIONS = ("What", "Where", "How", "Whether", "Which", "When", "Who", "Why")

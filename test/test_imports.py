@@ -7,17 +7,15 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = sorted(path for package in ("hyst_control", "hyst_plant_sim") for path in (ROOT / package).rglob("*.py"))
+SOURCES = sorted(path for package in ("hyst_control", "hyst_plant_sim", "evaluation") for path in (ROOT / package).rglob("*.py"))
 ROS = {"rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces"}
 ROOMS = (  # from the top of the house down: a room imports from itself and from those below it
     "cli",
     "hardware",
     "nodes",
     "dashboard",
-    "benchmarks",
+    "demo",
     "fleet",
-    "blind_test",
-    "reproduction",
     "export",
     "diagnose",
     "control",
@@ -90,6 +88,13 @@ def test_every_module_is_in_a_room():
 def test_ros_only_in_nodes():
     outside = [path for path in SOURCES if room(module_name(path)) != "nodes"]
     assert not [f"{module_name(path)} imports {name}" for path in outside for name in imported(path) if name.split(".")[0] in ROS]
+
+
+def test_the_package_works_without_the_evaluation():
+    inside = [path for path in SOURCES if not module_name(path).startswith("evaluation")]
+    assert not [
+        f"{module_name(path)} imports {name}" for path in inside for name in imported(path) if name.startswith("evaluation")
+    ]
 
 
 def test_physics_shares_nothing_with_the_models():

@@ -14,10 +14,7 @@ from hyst_control.effects import EFFECTS
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hyst_control"
-MAY_NAME = ("reproduction", "blind_test", "benchmarks")
-"""Rooms that are about certain things: papers, cases, speeds."""
-
-SOURCES = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts[0] not in MAY_NAME]
+SOURCES = [path for path in sorted(PACKAGE.rglob("*.py")) if path.relative_to(PACKAGE).parts[0] != "demo"]
 NAMES = {*STAGES, *EFFECTS}
 PARAMETERS = {name for stage in STAGES.values() for name in declared(stage)}
 WORDS = {"gain", "offset", "delay", "saturation", "quantization", "resonance", "vibration", "creep", "parallel", "slew_limit"}

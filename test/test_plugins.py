@@ -24,16 +24,16 @@ from typing import ClassVar
 import numpy as np
 
 from hyst_control.chain import Chain
-from hyst_control.chain.c_code import each_axis
+from hyst_control.chain.c_code.c_code import each_axis
 from hyst_control.chain.memoryless import Gain, StaticFilter
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, per_axis_scalars, register
 from hyst_control.control.feedforward import Compensator
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.identify import Estimator, Fit, Options, option
-from hyst_control.identify.dataset import check_records
-from hyst_control.identify.fit_report import record_rows
-from hyst_control.identify.options import NUMBER
+from hyst_control.identify.data.dataset import check_records
+from hyst_control.identify.assess.fit_report import record_rows
+from hyst_control.identify.families.options import NUMBER
 from hyst_control.model_file import Model
 
 

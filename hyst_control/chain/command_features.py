@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_control.chain.c_code import Member, reals
+from hyst_control.chain.c_code.c_code import Member, reals
 
 Array = NDArray[np.float64]
 

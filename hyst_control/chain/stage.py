@@ -28,7 +28,7 @@ from hyst_control.chain.axis_values import per_axis_scalar as per_axis_scalar
 from hyst_control.chain.axis_values import per_axis_scalars as per_axis_scalars
 from hyst_control.chain.axis_values import scaled as scaled
 from hyst_control.chain.axis_values import thawed as thawed
-from hyst_control.chain.c_code import CCode, each_axis
+from hyst_control.chain.c_code.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array as Array
 from hyst_control.chain.parameter import Coordinate, Parameter, declared, undeclared
 from hyst_control.errors import InputError

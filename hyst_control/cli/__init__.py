@@ -1,5 +1,7 @@
 """Command line `hyst`: every module of this package is a subcommand, which only parses arguments and calls the library.
 
+Other distributions add theirs by the entry points `hyst_control.commands`, as `evaluation` does in a checkout.
+
 A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and where it has
 such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people,
 `document()` for programs and, where it is not 0, an `exit_status`; or an exit status when it has printed everything itself. Imports
@@ -21,7 +23,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
 
-from hyst_control import progress
+from hyst_control import plugins, progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_outputs, check_writable, write_json
 
@@ -57,8 +59,9 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action="version", version=f"hyst_control {installed_version()}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND")
-    for module in sorted(iter_modules(__path__), key=lambda found: found.name):
-        command = import_module(f"{__name__}.{module.name}")
+    found = {module.NAME: module for module in (import_module(f"{__name__}.{each.name}") for each in iter_modules(__path__))}
+    plugins.load("commands", found.setdefault)
+    for _, command in sorted(found.items()):
         sub = commands.add_parser(
             command.NAME, help=command.HELP, description=command.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
         )

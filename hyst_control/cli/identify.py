@@ -88,8 +88,8 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     """
     from textwrap import fill
 
-    from hyst_control.identify.estimator import described, estimators, every_option
-    from hyst_control.identify.options import TRUTH
+    from hyst_control.identify.families.estimator import described, estimators, every_option
+    from hyst_control.identify.families.options import TRUTH
 
     families = "\n".join(fill(f"{name}: {each.sentence}", 78, subsequent_indent="  ") for name, each in estimators().items())
     group = parser.add_argument_group(
@@ -108,7 +108,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
 
 def run(arguments: argparse.Namespace) -> Result:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control.identify.estimator import every_option
+    from hyst_control.identify.families.estimator import every_option
     from hyst_control.identify.workflow import identify_bags
 
     given = {name: getattr(arguments, name) for name in every_option()}

@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
-from hyst_control.chain.c_code import CCode
-from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
-from hyst_control.chain.linear import Delay, LinearStage
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.c_code.c_code import CCode
+from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
+from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.chain.memoryless import Gain, Offset, Saturation
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
-from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import Array, per_axis_scalar
 from hyst_control.control.inverse_dynamics import invert_dynamics, zero_phase_low_pass
 from hyst_control.control.mhl_inverse import (

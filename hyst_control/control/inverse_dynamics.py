@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
 
-from hyst_control.chain.linear import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
+from hyst_control.chain.linear.linear_stages import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
+from hyst_control.chain.linear.symmetric_filter import flat_weights, weighted_sum
 from hyst_control.chain.stage import Array, Sampling, Stage
-from hyst_control.chain.symmetric_filter import flat_weights, weighted_sum
 from hyst_control.errors import InputError
 
 METHODS = ("zpetc", "zmetc", "npz_ignore")

@@ -28,7 +28,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearised, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.errors import InputError
-from hyst_control.identify.frequency_response import excited_lines, local_polynomial
+from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]

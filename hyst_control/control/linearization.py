@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
-from hyst_control.chain.linear import (
+from hyst_control.chain.linear.linear_stages import (
     LinearFilter,
     LinearStage,
     LinearSystem,

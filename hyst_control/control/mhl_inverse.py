@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.chain import Parallel, Sampling, Stage
-from hyst_control.chain.linear import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
+from hyst_control.chain.linear.symmetric_filter import smooth_weights, weighted_sum
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalar
-from hyst_control.chain.symmetric_filter import smooth_weights, weighted_sum
 from hyst_control.control.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
 from hyst_control.errors import InputError
 

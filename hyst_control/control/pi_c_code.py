@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hyst_control.chain.c_code import LARGER, MAXIMUM, MINIMUM, SMALLER, Member, integers, reals
+from hyst_control.chain.c_code.c_code import LARGER, MAXIMUM, MINIMUM, SMALLER, Member, integers, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.control.pi import RunningPI
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.madelung import Madelung
-from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import SLOW, Array
 from hyst_control.control.feedforward import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.mhl_inverse import constant_removed, inverted, rate_dependent_parts

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain.c_code import CCode, each_axis
+from hyst_control.chain.c_code.c_code import CCode, each_axis
 
 Array = NDArray[np.float64]
 

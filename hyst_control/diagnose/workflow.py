@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.diagnose.attribution import attribute
-from hyst_control.diagnose.augmented_model import augmented as augmented_model
-from hyst_control.diagnose.block_replay import replay
-from hyst_control.diagnose.diagnosis import Diagnosis, diagnose
-from hyst_control.diagnose.foreseen_reduction import foresee
-from hyst_control.diagnose.gap_report import gap_report, in_words
-from hyst_control.diagnose.invalid_records import invalid_report, write_invalid_page
-from hyst_control.diagnose.unknown_remainder import remainder_of, with_learned_residual
+from hyst_control.diagnose.report.attribution import attribute
+from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
+from hyst_control.diagnose.report.block_replay import replay
+from hyst_control.diagnose.report.document import gap_report, in_words
+from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
+from hyst_control.diagnose.report.predicted_reduction import foresee
+from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
+from hyst_control.diagnose.run.diagnosis import Diagnosis, diagnose
 from hyst_control.effects import EFFECTS
 from hyst_control.errors import InputError
 from hyst_control.files import write_json
@@ -120,7 +120,7 @@ def diagnose_bags(
     if json is not None:
         write_json(json, document)
     if report is not None:
-        from hyst_control.diagnose.gap_page import write_page
+        from hyst_control.diagnose.report.page import write_page
 
         origins = provenance(
             [

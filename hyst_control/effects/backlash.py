@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayFilter, PlayOperator
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
-from hyst_control.chain.prandtl_ishlinskii import PlayFilter, PlayOperator
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 

@@ -7,8 +7,8 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from hyst_control.chain.linear import LinearStage
-from hyst_control.chain.linear_system import LinearSystem, block_diagonal, stacked
+from hyst_control.chain.linear.linear_stages import LinearStage
+from hyst_control.chain.linear.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
 from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.modifiers import Changed

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.linear import LinearStage, LinearSystem
+from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.chain.linear import CrossCoupling
+from hyst_control.chain.linear.linear_stages import CrossCoupling
 from hyst_control.chain.stage import Stage
 from hyst_control.effects.coupled_modes import CoupledModes
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hyst_control.chain.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyst_control.chain.linear import Delay
+from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 

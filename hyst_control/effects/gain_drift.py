@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.c_code import CCode, each_axis
+from hyst_control.chain.c_code.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.command_features import (
     FEATURES,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hyst_control.chain.c_code import CCode
+from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import LinearStage, TransferFunction
+from hyst_control.chain.linear.linear_stages import LinearStage, TransferFunction
 from hyst_control.chain.stage import Stage
 from hyst_control.effects.effect import PLACES
 

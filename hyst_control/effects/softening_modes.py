@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.c_code import COMPLEX, LARGER, CCode, integers, reals
+from hyst_control.chain.c_code.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import LinearStage, LinearSystem, TransferFunction
+from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values

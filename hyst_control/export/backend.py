@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.chain.c_code import CCode
+from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
 from hyst_control.control import pi_c_code
 from hyst_control.control.pi import PI, RunningPI

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.chain.c_code import CCode, Member
+from hyst_control.chain.c_code.c_code import CCode, Member
 from hyst_control.errors import InputError
 
 REALS = ("double", "float")

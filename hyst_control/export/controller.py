@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from hyst_control.chain import Filter
-from hyst_control.chain.c_code import CCode, Member, integers, reals
+from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.control import pi_c_code
 from hyst_control.control.pi import PI, RunningPI

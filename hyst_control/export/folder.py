@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control.chain.c_code import CCode
+from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, header, source

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from hyst_control.chain import Filter, Sampling
-from hyst_control.chain.c_code import CCode, reals
+from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.control.feedforward import RATE_FILTER, Compensator, build_compensator
 from hyst_control.control.pi import PI

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_control.chain import Filter
-from hyst_control.chain.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.command_features import (
     CREEPS,
     FEATURES,
@@ -31,7 +31,7 @@ from hyst_control.chain.command_features import (
 )
 from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy
+from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
 

@@ -147,8 +147,8 @@ def _validate(job: RecordJob) -> dict[str, Any]:
 
 def _screened(job: RecordJob, verdict: bool) -> dict[str, Any] | None:
     """Results of a record without trying any effect; None for one that shows something else than the plant's answer."""
-    from hyst_control.diagnose.invalid_records import invalid_report
-    from hyst_control.diagnose.screening import screen
+    from hyst_control.diagnose.live.screening import screen
+    from hyst_control.diagnose.report.invalid_records import invalid_report
     from hyst_control.records.bag_reader import read_bag
 
     entry = job.entry

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from hyst_control import progress
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset, Fit, Report, check_records
-from hyst_control.identify.estimator import Estimator, estimator_of, estimators, register
-from hyst_control.identify.fit_report import record_rows
-from hyst_control.identify.initial_memory import beginning_rows, with_beginning
-from hyst_control.identify.options import Options, option
-from hyst_control.identify.record_drift import without_drift
+from hyst_control.identify.assess.fit_report import record_rows
+from hyst_control.identify.data.dataset import Dataset, Fit, Report, check_records
+from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
+from hyst_control.identify.data.record_drift import without_drift
+from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
+from hyst_control.identify.families.options import Options, option
 
 LEAST = 32
 """Samples from which on the beginning and the drift of a record are looked for."""

@@ -11,10 +11,10 @@ import numpy as np
 from hyst_control import progress
 from hyst_control.chain.parameter import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.fit_report import residual
-from hyst_control.identify.initial_memory import with_beginning
-from hyst_control.identify.record_segmentation import stretches_between_rests
+from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.data.initial_memory import with_beginning
+from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bag_reader import read_bag

@@ -11,13 +11,13 @@ from hyst_control import progress
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
-from hyst_control.identify.dataset import Dataset, Fit, Report
-from hyst_control.identify.explained_share import DISAGREE, EXPLAINS, INVALID, NOTHING, explained_shares, sentence, useless
-from hyst_control.identify.fit_report import residual
-from hyst_control.identify.initial_memory import with_beginning
-from hyst_control.identify.learned_discrepancy import discrepancy_of
-from hyst_control.identify.model_choice import best_family, choice_lines
-from hyst_control.identify.record_consistency import disagreements
+from hyst_control.identify.assess.explained_share import DISAGREE, EXPLAINS, INVALID, NOTHING, explained_shares, sentence, useless
+from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.assess.model_choice import best_family, choice_lines
+from hyst_control.identify.assess.record_consistency import disagreements
+from hyst_control.identify.data.dataset import Dataset, Fit, Report
+from hyst_control.identify.data.initial_memory import with_beginning
+from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
@@ -192,7 +192,7 @@ def identify_bags(
     if json_path is not None:
         write_json(json_path, fit.report)
     if figure is not None:
-        from hyst_control.identify.choice_figure import write_choice  # takes a second
+        from hyst_control.identify.assess.choice_figure import write_choice  # takes a second
 
         write_choice(figure, fit.report["tried"])
     return Result(fit, Path(output) if keep else None, strict)

@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.diagnose.baseline import error_on
-from hyst_control.diagnose.live_twin import GapAlarm, LiveTwin, Window
+from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, Window
+from hyst_control.diagnose.model_error.baseline import error_on
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.base import SignalNode
@@ -381,7 +381,7 @@ class Job:
         ]
         if baseline:
             arguments += ["--baseline", *map(str, baseline)]
-        if find_spec("hyst_control.diagnose.gap_page"):
+        if find_spec("hyst_control.diagnose.report.page"):
             arguments += ["--report", str(folder / "gap.html")]
         with open(folder / "gap.txt", "wb") as words:
             # A session of its own: a Ctrl-C for the node does not reach it, and all its processes can be ended together.

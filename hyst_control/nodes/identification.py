@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.identify.estimator import described, every_option
-from hyst_control.identify.options import Option
+from hyst_control.identify.families.estimator import described, every_option
+from hyst_control.identify.families.options import Option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.nodes.ending_node import EndingNode
 from hyst_control.nodes.parameters import Setting, declare

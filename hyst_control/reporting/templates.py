@@ -1,14 +1,15 @@
 """Pages and drawings from templates, so that Python code has no markup.
 
-A template lies in the folder `templates` of its room: `reporting/templates/page.html`. In `.html` and `.svg` every value is escaped,
-unless it is `markupsafe.Markup`; in `.md` none is.
+A template lies in the folder `templates` of its room: `reporting/templates/page.html`; those of `evaluation` are found likewise. In
+`.html` and `.svg` every value is escaped, unless it is `markupsafe.Markup`; in `.md` none is.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from importlib.util import find_spec
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
 
@@ -51,7 +52,7 @@ def render_markup(template: str, **values: object) -> Markup:
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("hyst_control", ""),
+        loader=ChoiceLoader([PackageLoader(name, "") for name in ("hyst_control", "evaluation") if find_spec(name)]),
         autoescape=select_autoescape(("html", "svg"), default=False),
         undefined=StrictUndefined,
         trim_blocks=True,

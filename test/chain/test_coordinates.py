@@ -7,8 +7,8 @@ import pytest
 from scipy import signal
 
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
-from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
-from hyst_control.chain.rational_factors import factors, rational
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
+from hyst_control.chain.linear.rational_factors import factors, rational
 from hyst_control.config_files import config_path
 from hyst_control.model_file import load_model, simulate
 

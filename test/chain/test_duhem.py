@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hyst_control.chain import Chain, Sampling, Stage
-from hyst_control.chain.creep_operators import CreepOperators
-from hyst_control.chain.duhem import Duhem
+from hyst_control.chain.hysteresis.creep_operators import CreepOperators
+from hyst_control.chain.hysteresis.duhem import Duhem
 from hyst_control.errors import InputError
 
 STAGE = Duhem(

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.command_features import FEATURES
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.prandtl_ishlinskii import PlayOperator, PrandtlIshlinskii
 
 SAMPLE_TIME = 1e-4
 RISING, FALLING = [0.2, 0.5, 0.3], [-0.3, -0.2, 1.5]

@@ -10,7 +10,10 @@ from scipy.signal import lsim
 
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.chain import arrange
-from hyst_control.chain.linear import (
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator
+from hyst_control.chain.linear.linear_kernels import advance_linear
+from hyst_control.chain.linear.linear_stages import (
     CrossCoupling,
     Delay,
     Discretised,
@@ -19,10 +22,7 @@ from hyst_control.chain.linear import (
     StateSpace,
     TransferFunction,
 )
-from hyst_control.chain.linear_kernels import advance_linear
-from hyst_control.chain.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.prandtl_ishlinskii import PlayOperator
 from hyst_control.effects.sensor_lowpass import SensorLowpass
 from hyst_control.errors import InputError
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
-from hyst_control.chain.linear_kernels import FEW, quads_of
+from hyst_control.chain.linear.linear_kernels import FEW, quads_of
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.stage import frozen
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.chain.discretization import Discretised
-from hyst_control.chain.linear_lanes import GROUPS, TOGETHER, LinearLanes
+from hyst_control.chain.linear.discretization import Discretised
+from hyst_control.chain.linear.linear_lanes import GROUPS, TOGETHER, LinearLanes
 
 
 def drawn(rng: np.random.Generator, states: int) -> Discretised:

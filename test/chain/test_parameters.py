@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import STAGES, Chain, Sampling
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import Kind, Parameter, Scattering, declared, flag, scalar, vector
 from hyst_control.chain.reference import stages_reference
 from hyst_control.chain.stage import Stage, register

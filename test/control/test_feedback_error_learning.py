@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.learning import run_learning_loop

@@ -9,20 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.inverse_multiplicative import InverseMultiplicative, slope_range
-from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
-from hyst_control.chain.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator, split
 from hyst_control.control.loop import feedforward_rows
 from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
 from hyst_control.control.reachable_stroke import check_reachable
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.mhl_axis import MhlOptions
-from hyst_control.identify.paper_mhl import inverse_model
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.mhl.mhl_axis import MhlOptions
+from hyst_control.identify.mhl.paper_mhl import inverse_model
 from hyst_control.model_file import Model, Simulator, load_model, simulate
 from hyst_control.records.excitation import build
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.control.inverse_dynamics import (
     METHODS,
     invert_dynamics,

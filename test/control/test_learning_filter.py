@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.control.iterative_learning import IterativeLearning
 from hyst_control.control.learning import run_learning_loop

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
 from hyst_control.control.loop import run_loop

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import CrossCoupling, Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import CrossCoupling, Delay, TransferFunction
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.loop import feedforward_rows
 from hyst_control.control.whole_inverse import lifted_inverse

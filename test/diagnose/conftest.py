@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.plant_setups import scatter
+from evaluation.blind_test.plant_setups import scatter
 from hyst_control.config_files import config_path
-from hyst_control.diagnose.diagnosis import Diagnosis
+from hyst_control.diagnose.run.diagnosis import Diagnosis
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model

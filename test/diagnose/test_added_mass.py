@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import chirp, lsim
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal

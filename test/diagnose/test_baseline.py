@@ -12,16 +12,16 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.diagnose.carried_noise import without_noise
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.gap_report import sentence
-from hyst_control.diagnose.predictability import predictable_share
-from hyst_control.diagnose.problem import Piece
-from hyst_control.diagnose.same_command import matching
-from hyst_control.diagnose.session import CarriedError, SessionZero
+from hyst_control.diagnose.model_error.same_command import matching
+from hyst_control.diagnose.noise.denoised_error import without_noise
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, SessionZero
+from hyst_control.diagnose.problem.problem import Piece
+from hyst_control.diagnose.report.document import sentence
+from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.errors import InputError
 from hyst_control.model_file import Model

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.case import Case
-from hyst_control.blind_test.case_records import record_of, run_case
-from hyst_control.blind_test.nominal_models import nominal
-from hyst_control.diagnose.diagnosis import problem_of
-from hyst_control.diagnose.hypothesis import Candidate
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.problem import split
+from evaluation.blind_test.case import Case
+from evaluation.blind_test.case_records import record_of, run_case
+from evaluation.blind_test.nominal_models import nominal
+from hyst_control.diagnose.problem.problem import split
+from hyst_control.diagnose.run.diagnosis import problem_of
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
 
 
 @pytest.mark.parametrize("names", [("vibration",), ("mains_hum",), ("vibration", "gain"), ("cross_coupling", "vibration")])

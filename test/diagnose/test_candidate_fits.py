@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.plant_setups import scatter
-from hyst_control.diagnose import candidate_fits
-from hyst_control.diagnose.candidate_fits import begin
+from evaluation.blind_test.plant_setups import scatter
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import with_clean
-from hyst_control.diagnose.hypothesis import Candidate
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import fit
-from hyst_control.diagnose.hypothesis_search import search
-from hyst_control.diagnose.prepared_axis import prepare
+from hyst_control.diagnose.run.diagnosis import with_clean
+from hyst_control.diagnose.run.prepare import prepare
+from hyst_control.diagnose.search import starts as candidate_fits
+from hyst_control.diagnose.search.beam_search import search
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import fit
+from hyst_control.diagnose.search.starts import begin
 from test.diagnose.conftest import nominal, record_of
 
 
@@ -56,7 +56,7 @@ def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
     def stopped(linearised, begun, rival):
         return [(one.candidate, fit(linearised, one.candidate.unknowns(), 0.7 * one.ends[0].x, rounds=0)) for one in begun]
 
-    monkeypatch.setattr("hyst_control.diagnose.hypothesis_search.finish", stopped)
+    monkeypatch.setattr("hyst_control.diagnose.search.beam_search.finish", stopped)
     best = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves).singles[0]
     assert best.names == ("delay",)
     assert best.candidate.members[0].values(best.solution.x)["tau"] == pytest.approx(1e-4, rel=0.02)

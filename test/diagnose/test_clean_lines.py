@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.diagnose.clean_lines import beyond_clean
 from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
 
 STEP, TIME = 1e-3, 1e-3 * np.arange(3000)
 NOISE = np.random.default_rng(0).standard_normal((2, 3000))

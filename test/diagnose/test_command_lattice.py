@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hyst_control.diagnose.spectral_lines import command_lattice
+from hyst_control.diagnose.record_checks.spectral_lines import command_lattice
 
 RESPONSE = 0.3 * 0.7 ** np.arange(60)  # of a first-order lag
 COUNT = 6000

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.command_roughness import as_recorded, roughness_evidence, with_commands
-from hyst_control.diagnose.command_smoothing import smoothed
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.decide.record_findings import detected, not_received
 from hyst_control.diagnose.evidence import RecordEvidence
-from hyst_control.diagnose.prepared_axis import _beside_usual
-from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.record_findings import detected, not_received
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
+from hyst_control.diagnose.record_checks.command_smoothing import smoothed
+from hyst_control.diagnose.run.prepare import _beside_usual
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
 

@@ -8,8 +8,8 @@ from scipy.linalg import block_diag
 from scipy.signal import cont2discrete
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import StateSpace
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
+from hyst_control.chain.linear.linear_stages import StateSpace
+from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate

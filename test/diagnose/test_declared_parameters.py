@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.chain.linear import CrossCoupling, TransferFunction
+from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.config_files import config_path
-from hyst_control.diagnose.hypothesis_fit import Linearised
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.problem import Piece, Problem, split
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem, split
+from hyst_control.diagnose.search.fit import Linearised
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.resonance import Resonance
 from hyst_control.model_file import load_model, model_from_document, model_to_document, simulate

@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.hypothesis_search import temper_of
-from hyst_control.diagnose.parameter_uncertainty import pinned, scatter_of
-from hyst_control.diagnose.prepared_axis import _floor
-from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.identify.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.run.prepare import _floor
+from hyst_control.diagnose.search.beam_search import temper_of
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 
 STEP, ROWS, NOISE = 0.005, 1200, 0.05

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.hypothesis import Candidate
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearised, fit
 from hyst_control.model_file import Model
 
 STEP, NOISE, AMPLITUDE = 5e-3, 0.05, 0.5

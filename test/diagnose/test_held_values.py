@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.held_values import level_crossings, repeated_samples, stuck_stretches
-from hyst_control.diagnose.record_checks import (
+from hyst_control.diagnose.record_checks.repeated_values import level_crossings, repeated_samples, stuck_stretches
+from hyst_control.diagnose.record_checks.summary import (
     lattice_of,
 )
 

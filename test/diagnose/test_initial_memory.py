@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.diagnose.baseline import with_baseline
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import diagnose
-from hyst_control.diagnose.gap_reduction import held_out
-from hyst_control.diagnose.initial_memory import has_whole_loop, is_new_ground, left_of_memory
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.model_error.baseline import with_baseline
+from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, is_new_ground, left_of_memory
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.run.diagnosis import diagnose
+from hyst_control.diagnose.validate.cross_validation import held_out
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal

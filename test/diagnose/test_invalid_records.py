@@ -8,7 +8,7 @@ import pytest
 from hyst_control.cli import main
 from hyst_control.config_files import config_path
 from hyst_control.diagnose import workflow
-from hyst_control.diagnose.invalid_records import invalid_report
+from hyst_control.diagnose.report.invalid_records import invalid_report
 from hyst_control.identify import workflow as identification
 from hyst_control.model_file import load_model, model_from_document, save_model, simulate
 from hyst_control.records.excitation import build

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.diagnose.attribution import Named, _joined, _rank
+from hyst_control.diagnose.report.attribution import Named, _joined, _rank
 
 
 def axis(value, half, name="tau", unit="s"):

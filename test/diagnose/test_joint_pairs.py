@@ -7,15 +7,15 @@ import pytest
 
 from hyst_control import parallel
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.hypothesis_search import Scored
-from hyst_control.diagnose.joint_pairs import joint_pairs
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.passed_error import passed_error
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.pair_screening import joint_pairs
+from hyst_control.diagnose.validate.error_gain import passed_error
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-3, 0.01, 2000

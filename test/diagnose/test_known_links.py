@@ -6,12 +6,12 @@ import numpy as np
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.linear_filter import LinearFilter
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayFilter, PlayOperator
+from hyst_control.chain.linear.linear_filter import LinearFilter
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.prandtl_ishlinskii import PlayFilter, PlayOperator
-from hyst_control.diagnose.known_links import KnownLinks
-from hyst_control.diagnose.session import ErrorBasis, LearnedError
+from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
+from hyst_control.diagnose.problem.simulation_cache import KnownLinks
 
 COMMAND = 3.0 * np.cumsum(np.random.default_rng(1).standard_normal((400, 1)), axis=0)
 SLOW, FAST = TransferFunction((2.0,), (0.01, 1.0)), TransferFunction((1.0,), (1e-7, 1e-4, 1.0))

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.identify.dataset import Dataset
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal

@@ -9,14 +9,14 @@ import pytest
 from scipy.optimize import least_squares
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.candidate_fits import Begun, begin, finish
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.hypothesis import Candidate
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import TAIL, Linearised, fit
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import TAIL, Linearised, fit
+from hyst_control.diagnose.search.starts import Begun, begin, finish
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-4, 0.002, 4000

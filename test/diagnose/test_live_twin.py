@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from hyst_control.config_files import config_path
-from hyst_control.diagnose.live_twin import GapAlarm, LiveTwin, energy_quantile
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, energy_quantile
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.model_file import load_model, simulate
 
 STEP = 5e-5

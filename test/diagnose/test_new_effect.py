@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-import hyst_control.diagnose.hypothesis as candidates
+import hyst_control.diagnose.search.candidate as candidates
 from hyst_control.chain import stage as stages
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS

@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.diagnosis import problem_of
-from hyst_control.diagnose.noise_floor import noise_between_periods
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.diagnose.noise.white import noise_between_periods
+from hyst_control.diagnose.run.diagnosis import problem_of
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 
@@ -66,8 +66,8 @@ def test_copies_and_commands_that_do_not_repeat_say_nothing():
 
 def test_beside_a_carried_record_the_noise_of_both_counts():
     from hyst_control.diagnose.configuration import CONFIGURATION
-    from hyst_control.diagnose.diagnosis import _beside
-    from hyst_control.diagnose.prepared_axis import nominal_residuals, with_noise
+    from hyst_control.diagnose.run.diagnosis import _beside
+    from hyst_control.diagnose.run.prepare import nominal_residuals, with_noise
 
     command = periodic(4)
     random = np.random.default_rng(7)

@@ -10,15 +10,15 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose import null_distribution
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.hypothesis import Candidate, Member
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.null_distribution import cache_key, threshold
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search import null_distribution
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.null_distribution import cache_key, threshold
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model
 

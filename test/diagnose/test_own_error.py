@@ -10,19 +10,19 @@ from scipy import stats
 
 from hyst_control.chain import Chain
 from hyst_control.chain.command_features import CommandFeatures
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.diagnose.attribution import _repetition, deviations
-from hyst_control.diagnose.baseline import with_discrepancy
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.evidence_collection import _has_holes
-from hyst_control.diagnose.hypothesis import Candidate
-from hyst_control.diagnose.hypothesis_catalogue import catalogue
-from hyst_control.diagnose.hypothesis_fit import Linearised, fit
-from hyst_control.diagnose.parameter_uncertainty import scatter_of, within_own_error
-from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.session import ErrorBasis, LearnedError
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy
+from hyst_control.diagnose.model_error.baseline import with_discrepancy
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of, within_own_error
+from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.report.attribution import _repetition, deviations
+from hyst_control.diagnose.run.collect import _has_holes
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
 STEP = 1e-3

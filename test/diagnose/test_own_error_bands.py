@@ -9,8 +9,8 @@ import pytest
 
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
-from hyst_control.diagnose.own_error_bands import beyond_own_error
-from hyst_control.diagnose.problem import Piece, Problem
+from hyst_control.diagnose.model_error.excess_over_error import beyond_own_error
+from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.model_file import Model
 
 COUNT = 4096

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hyst_control.config_files import config_path
-from hyst_control.diagnose.block_replay import replay
-from hyst_control.diagnose.gap_reduction import shrink
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.report.block_replay import replay
+from hyst_control.diagnose.validate.cross_validation import shrink
 from hyst_control.model_file import load_model
 from hyst_control.records.record import Record, Signal
 

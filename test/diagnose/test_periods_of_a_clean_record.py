@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.fft import dct
 
-from hyst_control.diagnose.baseline import Baseline
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import with_clean
+from hyst_control.diagnose.model_error.baseline import Baseline
+from hyst_control.diagnose.run.diagnosis import with_clean
 from test.diagnose.test_baseline import MODEL, RATE, record
 
 PERIOD, PERIODS, NOISE, SLIP = 250, 8, 0.002, 4e-5

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hyst_control.diagnose.policy import contenders, decide
+from hyst_control.diagnose.decide.policy import contenders, decide
 from hyst_control.diagnose.verdict import Reason, Verdict
 from test.diagnose.made_evidence import BEFORE, LIMITS, coefficients, effect, evidence, none
 from test.diagnose.policy_rows import V

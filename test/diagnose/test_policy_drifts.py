@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from hyst_control.diagnose.decide.policy import contenders, decide
 from hyst_control.diagnose.evidence import DistortionEvidence, Evidence
-from hyst_control.diagnose.policy import contenders, decide
 from hyst_control.diagnose.verdict import Verdict
 from test.diagnose.made_evidence import (
     LIMITS,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.diagnose.policy import join, practical_floor, strained
-from hyst_control.diagnose.record_findings import detected
+from hyst_control.diagnose.decide.policy import join, practical_floor, strained
+from hyst_control.diagnose.decide.record_findings import detected
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 from test.diagnose.made_evidence import ALL, LIMITS, PLAIN
 from test.diagnose.policy_rows import C

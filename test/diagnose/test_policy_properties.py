@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.diagnose.decide.policy import contenders, decide, join
 from hyst_control.diagnose.evidence import Evidence, ResidualEvidence
-from hyst_control.diagnose.policy import contenders, decide, join
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects.effect import RecordCheck
 from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, SAMPLES, coefficients, effect, evidence, flicker, none

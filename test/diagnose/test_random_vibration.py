@@ -9,14 +9,14 @@ import pytest
 from scipy.signal import lfilter
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import Array
-from hyst_control.diagnose.attribution import attribute
-from hyst_control.diagnose.augmented_model import augmented
-from hyst_control.diagnose.diagnosis import diagnose
+from hyst_control.diagnose.decide.policy import decide
 from hyst_control.diagnose.evidence import HumpEvidence
-from hyst_control.diagnose.policy import decide
-from hyst_control.diagnose.random_vibration import random_vibration
+from hyst_control.diagnose.noise.narrowband import random_vibration
+from hyst_control.diagnose.report.attribution import attribute
+from hyst_control.diagnose.report.augmented_model import augmented
+from hyst_control.diagnose.run.diagnosis import diagnose
 from hyst_control.diagnose.verdict import Reason, Verdict
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model, simulate

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import StateSpace
-from hyst_control.diagnose.flicker_estimation import flicker
-from hyst_control.diagnose.gap_report import sentence
-from hyst_control.diagnose.record_checks import (
+from hyst_control.chain.linear.linear_stages import StateSpace
+from hyst_control.diagnose.noise.flicker import flicker
+from hyst_control.diagnose.record_checks.summary import (
     outliers,
 )
+from hyst_control.diagnose.report.document import sentence
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, simulate

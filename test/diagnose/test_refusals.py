@@ -9,7 +9,7 @@ import pytest
 
 from hyst_control.cli import main as hyst
 from hyst_control.config_files import config_path
-from hyst_control.diagnose.diagnosis import diagnose
+from hyst_control.diagnose.run.diagnosis import diagnose
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.records.importing import write_bag

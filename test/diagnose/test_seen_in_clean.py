@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import StateSpace, lsim
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model

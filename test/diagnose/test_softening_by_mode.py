@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.signal import cont2discrete
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import StateSpace
+from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.softening_modes import SofteningModes

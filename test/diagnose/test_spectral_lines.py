@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.diagnose.problem import Piece, Problem
-from hyst_control.diagnose.spectral_lines import background, lines
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.record_checks.spectral_lines import background, lines
 from hyst_control.model_file import Model
 
 STEP = 5e-3

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.blind_test.nominal_models import nominal
-from hyst_control.blind_test.plant_setups import SETUPS, scatter
+from evaluation.blind_test.nominal_models import nominal
+from evaluation.blind_test.plant_setups import SETUPS, scatter
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import problem_of
-from hyst_control.diagnose.hypothesis_fit import Linearised
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
-from hyst_control.diagnose.prepared_axis import without_truncation
-from hyst_control.diagnose.record_checks import lattice_of, record_evidence
-from hyst_control.diagnose.record_findings import detected
+from hyst_control.diagnose.decide.record_findings import detected
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.record_checks.summary import lattice_of, record_evidence
+from hyst_control.diagnose.run.diagnosis import problem_of
+from hyst_control.diagnose.run.prepare import without_truncation
+from hyst_control.diagnose.search.fit import Linearised
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.records.excitation import build
 from hyst_control.records.record import Record, Signal

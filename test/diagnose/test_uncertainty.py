@@ -10,11 +10,11 @@ import pytest
 
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.diagnosis import problem_of
-from hyst_control.diagnose.hypothesis_fit import Linearised
-from hyst_control.diagnose.hypothesis_search import inflated
-from hyst_control.diagnose.parameter_uncertainty import idle_tolerances, scatter_of
-from hyst_control.diagnose.problem import Piece, Problem, split
+from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances, scatter_of
+from hyst_control.diagnose.problem.problem import Piece, Problem, split
+from hyst_control.diagnose.run.diagnosis import problem_of
+from hyst_control.diagnose.search.beam_search import inflated
+from hyst_control.diagnose.search.fit import Linearised
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model, model_from_document, model_to_document, save_model, simulate
 from hyst_control.records.record import Record, Signal

@@ -11,11 +11,18 @@ import pytest
 from scipy.signal import welch
 
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.linear import CrossCoupling, Delay, RateCorrection, StateSpace, TransferFunction, linear_filter
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.hysteresis.softening_modal import SofteningModal
+from hyst_control.chain.linear.linear_stages import (
+    CrossCoupling,
+    Delay,
+    RateCorrection,
+    StateSpace,
+    TransferFunction,
+    linear_filter,
+)
 from hyst_control.chain.memoryless import Gain, Quantization
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
-from hyst_control.chain.softening_modal import SofteningModal
 from hyst_control.chain.stage import STAGES
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.added_mass import AddedMass

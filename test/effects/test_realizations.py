@@ -10,9 +10,9 @@ from scipy import signal
 from scipy.integrate import solve_ivp
 
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain, Saturation
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.added_mass import AddedMass
 from hyst_control.effects.amplifier_lowpass import AmplifierLowpass

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from evaluation.reproduction import fsm_cubespec_records as records
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import TransferFunction
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.control.whole_inverse import lifted_inverse
 from hyst_control.effects import insert
 from hyst_control.effects.softening_modes import SofteningModes
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.reproduction import fsm_cubespec_records as records
 
 ROOT = Path(__file__).resolve().parents[2]
 STEP = 1e-5

@@ -16,7 +16,7 @@ from hyst_control.errors import InputError
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.programs import stated_error
 from hyst_control.export.stated_error import StatedError
-from hyst_control.identify.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
+from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of
 from hyst_control.model_file import load_model, save_model
 
 SAMPLE_TIME = 1e-3

@@ -96,7 +96,7 @@ MODULES: dict[str, Module] = {
     "hyst_control/records/sqlite_bag.py": Module(BAGS),
     "hyst_control/records/decompression.py": Module(BAGS),
     "hyst_control/records/record_validity.py": Module(VALIDITY, "every"),
-    "hyst_control/diagnose/invalid_records.py": Module(VALIDITY, "every"),
+    "hyst_control/diagnose/report/invalid_records.py": Module(VALIDITY, "every"),
 }
 """Modules in which foreign numbers and files enter, or are judged."""
 

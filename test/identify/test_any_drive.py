@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hyst_control.benchmarks.round_trips import MIDDLE, PLANTS, SWING, fresh, identified, taught
+from evaluation.benchmarks.round_trips import MIDDLE, PLANTS, SWING, fresh, identified, taught
 from hyst_control.identify import Dataset, Fit, estimators, identify
-from hyst_control.identify.fit_report import record_rows
-from hyst_control.identify.initial_memory import (
+from hyst_control.identify.assess.fit_report import record_rows
+from hyst_control.identify.data.initial_memory import (
     ESTIMATED,
     FILLED,
     PERIODIC,

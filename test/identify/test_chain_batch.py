@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.linear import Delay, RateCorrection, TransferFunction
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.identify.chain_batch import Bundle
+from hyst_control.identify.solve.chain_batch import Bundle
 
 SLOW, FAST = TransferFunction([1.0], [1e-3, 1.0]), TransferFunction([2.0], [1e-8, 1e-4, 1.0])
 

@@ -11,10 +11,11 @@ import pytest
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.errors import InputError
-from hyst_control.identify import Dataset, Estimator, Fit, Options, estimator, estimators, identify, option, register
-from hyst_control.identify.estimator import every_option
-from hyst_control.identify.option_table import with_present_tables
-from hyst_control.identify.options import INTEGER, NUMBER, TEXT, TRUTH, declared
+from hyst_control.identify import Dataset, Estimator, Fit, Options, estimators, identify, option, register
+from hyst_control.identify.families import estimator
+from hyst_control.identify.families.estimator import every_option
+from hyst_control.identify.families.option_table import with_present_tables
+from hyst_control.identify.families.options import INTEGER, NUMBER, TEXT, TRUTH, declared
 from hyst_control.model_file import Model
 
 
@@ -89,7 +90,7 @@ def test_values_are_converted_and_kept_in_their_type():
 
 
 def test_the_document_shows_every_family_and_option():
-    """Made anew by `python -m hyst_control.identify.option_table docs/identification.md`."""
+    """Made anew by `python -m hyst_control.identify.families.option_table docs/identification.md`."""
     document = (Path(__file__).parents[2] / "docs/identification.md").read_text(encoding="utf-8")
     assert with_present_tables(document) == document
     for name, families in every_option().items():

@@ -8,9 +8,9 @@ import pytest
 from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.identify import estimators, workflow
-from hyst_control.identify.dataset import Dataset, Fit
-from hyst_control.identify.estimator import every_option
-from hyst_control.identify.explained_share import explained_shares, useless
+from hyst_control.identify.assess.explained_share import explained_shares, useless
+from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.model_file import Model, load_model, model_from_document
 from hyst_control.records.importing import write_bag

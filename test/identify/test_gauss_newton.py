@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from hyst_control.identify.gauss_newton import End, Rules, Trial, minimize, solve_damped
+from hyst_control.identify.solve.gauss_newton import End, Rules, Trial, minimize, solve_damped
 
 RULES = Rules(
     damping=1e-3,

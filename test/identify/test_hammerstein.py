@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import Delay, TransferFunction
-from hyst_control.chain.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import frozen
 from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Fit, identify
-from hyst_control.identify.fit_windows import stretches, whole_records
-from hyst_control.identify.gram_sums import Operators, Window, gram_matrices
-from hyst_control.identify.reversal_points import turning_points
-from hyst_control.identify.stable_dynamics import Structure
+from hyst_control.identify.data.fit_windows import stretches, whole_records
+from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
+from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 SAMPLE_TIME = 5e-5

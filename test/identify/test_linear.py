@@ -8,7 +8,8 @@ import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
 
 from hyst_control.errors import InputError
-from hyst_control.identify import Dataset, identify, linear
+from hyst_control.identify import Dataset, identify
+from hyst_control.identify.modal import linear
 from hyst_control.model_file import simulate
 from hyst_control.records import row_store
 

@@ -5,9 +5,9 @@ import pytest
 
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
-from hyst_control.identify.modal_fit import Problem
-from hyst_control.identify.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal_stages import stages_of
+from hyst_control.identify.modal.modal_fit import Problem
+from hyst_control.identify.modal.modal_model import ModalModel, Spectra
+from hyst_control.identify.modal.modal_stages import stages_of
 
 
 def random_model(hold: str, delay: tuple[float, float], seed: int = 0) -> ModalModel:
@@ -86,7 +86,7 @@ def test_commands_equally_late_give_the_same_equations_line_by_line(hold, late, 
     problem = Problem(data, random_model(hold, (late, late)))
     assert problem.alike
     quick, quick_cost = problem.normal_equations(), problem.cost()
-    monkeypatch.setattr("hyst_control.identify.periodic_gram.LINES", 16)
+    monkeypatch.setattr("hyst_control.identify.modal.periodic_gram.LINES", 16)
     pieces = problem.normal_equations()
     monkeypatch.setattr(Problem, "alike", False)
     for found in (quick, pieces):

@@ -10,17 +10,20 @@ import pytest
 from hyst_control.chain import Chain
 from hyst_control.chain import command_features as features_module
 from hyst_control.chain.command_features import CommandFeatures
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.identify import fit_report, gram_sums, identify, learned_discrepancy
-from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.fit_windows import first_motion, memory_filled, virgin_rows, with_sign
-from hyst_control.identify.gram_sums import Operators, Window
-from hyst_control.identify.learned_discrepancy import discrepancy_of, learn
-from hyst_control.identify.madelung import response_sign
-from hyst_control.identify.simulation_error import driving_signal
-from hyst_control.identify.stable_dynamics import Structure
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.identify import identify
+from hyst_control.identify.assess import fit_report
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.data.fit_windows import first_motion, memory_filled, virgin_rows, with_sign
+from hyst_control.identify.mhl.madelung import response_sign
+from hyst_control.identify.model_error import learned_discrepancy
+from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of, learn
+from hyst_control.identify.solve import gram_sums
+from hyst_control.identify.solve.bounded_least_squares import covariance
+from hyst_control.identify.solve.gram_sums import Operators, Window
+from hyst_control.identify.solve.simulation_error import driving_signal
+from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, simulate
 from hyst_control.records import correlation, quantization_step, row_store
 from hyst_control.records.correlation import correlation_length

@@ -6,7 +6,7 @@ import pytest
 
 from hyst_control.errors import InputError
 from hyst_control.identify import Fit
-from hyst_control.identify.model_choice import POOR, USELESS, best_family
+from hyst_control.identify.assess.model_choice import POOR, USELESS, best_family
 
 
 class Stand:

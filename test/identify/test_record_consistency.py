@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hyst_control.config_files import config_path
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.record_consistency import disagreements
+from hyst_control.identify.assess.record_consistency import disagreements
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import load_model, simulate
 from hyst_control.records.excitation import build
 

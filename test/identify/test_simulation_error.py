@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.optimize import LinearConstraint, minimize
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear import TransferFunction
-from hyst_control.chain.madelung import Madelung
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.prandtl_ishlinskii import PlayOperator
-from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.simulation_error import (
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.simulation_error import (
     Parametrization,
     constrained_minimum,
     gram_matrices,

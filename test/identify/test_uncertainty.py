@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hyst_control.benchmarks import coverage
-from hyst_control.chain.linear import Delay
-from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.identify.bounded_least_squares import covariance
-from hyst_control.identify.excited_band import excited_band
-from hyst_control.identify.gram_sums import Window
-from hyst_control.identify.parameter_covariance import limited_root, uncertainty_of
-from hyst_control.identify.stable_dynamics import Structure
+from evaluation.benchmarks import coverage
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import Delay
+from hyst_control.identify.data.excited_band import excited_band
+from hyst_control.identify.solve.bounded_least_squares import covariance
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.parameter_covariance import limited_root, uncertainty_of
+from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.quantization_step import quantization_step, rounding_weights
 
 

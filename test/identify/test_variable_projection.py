@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from hyst_control.identify import Dataset, hammerstein
-from hyst_control.identify.fit_windows import largest_drift, whole_records
-from hyst_control.identify.stable_dynamics import Structure
-from hyst_control.identify.variable_projection import Problem, solve
+from hyst_control.identify import Dataset
+from hyst_control.identify.data.fit_windows import largest_drift, whole_records
+from hyst_control.identify.play import hammerstein
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.identify.solve.variable_projection import Problem, solve
 from hyst_control.records import excitation
 from hyst_plant_sim.physics import load_plant
 

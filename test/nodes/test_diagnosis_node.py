@@ -11,7 +11,7 @@ from loop_case import MODEL, RATE, parameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from hyst_control.diagnose.parameter_uncertainty import scatter_of
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.diagnosis import DiagnosisNode

@@ -6,7 +6,7 @@ from loop_case import write_record
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from hyst_control.identify.estimator import every_option
+from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.nodes.identification import Identification
 from hyst_control.nodes.run import run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.benchmarks import loops, suite
+from evaluation.benchmarks import loops, suite
 from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.nodes.duration_histogram import Durations

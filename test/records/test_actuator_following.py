@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.diagnose.block_replay import replay as replayed
+from hyst_control.diagnose.report.block_replay import replay as replayed
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of, identify_bags
 from hyst_control.model_file import load_model

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
-from hyst_control.chain.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.errors import InputError
-from hyst_control.identify.dataset import Dataset
-from hyst_control.identify.fit_report import lag_one, record_rows
-from hyst_control.identify.record_segmentation import resting_stretches, stretches_between_rests
-from hyst_control.identify.reversal_points import turning_points
+from hyst_control.identify.assess.fit_report import lag_one, record_rows
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.data.record_segmentation import resting_stretches, stretches_between_rests
+from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
 from hyst_control.records import row_store
 from hyst_control.records.bag_reader import read_bag

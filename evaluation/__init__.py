@@ -1,0 +1,1 @@
+"""Evaluation of the package in a checkout: published experiments, the blind test of the diagnosis, benchmarks."""

@@ -1,0 +1,226 @@
+"""Coverage of an identification's intervals: how often the truth lies within the 90 % interval of an identified model.
+
+Each case is a plant of the family that is fitted, with parameters that are drawn anew for every run, a short record of its own noise,
+and one identification. The interval of a number is value ± 1.645 standard deviations of `uncertainty`. Noise is white, colored (its
+power below a corner, as of drift and vibration, so that neighboring residuals agree), or the rounding of a converter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.linear.rational_factors import rational
+from hyst_control.chain.stage import Array
+from hyst_control.identify import identify
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.model_file import Model, simulate
+from hyst_control.parallel import map_forked
+from hyst_control.reporting.tables import Table
+
+RUNS = 200
+QUANTILE = 1.6449
+"""Of the normal distribution: 90 % lie within it on both sides."""
+RATE = 10e3  # Hz
+THRESHOLDS = (2.0, 6.0, 12.0, 20.0)  # V
+SIGMA = 0.01  # um
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of identification.
+
+    Parameters
+    ----------
+    name
+        Name of the case.
+    family
+        Model family, which is the plant's.
+    dynamics
+        Structure of G(s), as in the option; "" for none.
+    noise
+        Noise (N,) of a generator and a number of samples, um.
+    step
+        Rounding of the measurement, um; 0 for none.
+    """
+
+    name: str
+    family: str
+    dynamics: str
+    noise: Callable[[np.random.Generator, int], Array]
+    step: float = 0.0
+
+
+def white(random: np.random.Generator, count: int) -> Array:
+    """White noise of `SIGMA`.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
+    return random.normal(0.0, SIGMA, count)
+
+
+def colored(random: np.random.Generator, count: int, pole: float = 0.95) -> Array:
+    """Noise of `SIGMA` below a corner, 80 Hz at 10 kHz.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+    pole
+        Correlation of neighboring samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
+    start = random.normal()
+    driven = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], random.normal(size=count), zi=[pole * start])[0]
+    return SIGMA * np.asarray(driven, dtype=float)
+
+
+def faint(random: np.random.Generator, count: int) -> Array:
+    """White noise of a tenth of `SIGMA`.
+
+    Parameters
+    ----------
+    random
+        Generator.
+    count
+        Number of samples.
+
+    Returns
+    -------
+    Array
+        Noise (N,), um.
+    """
+    return 0.1 * white(random, count)
+
+
+CASES = (
+    Case("play operators, white noise", "pi", "", white),
+    Case("play operators, colored noise", "pi", "", colored),
+    Case("play operators, 10-bit rounding", "pi", "", faint, 0.02),
+    Case("with a mode and a delay, white noise", "hapi", "modes=1,delay", white),
+    Case("with a mode and a delay, colored noise", "hapi", "modes=1,delay", colored),
+)
+
+
+def run(table: Table, runs: int = RUNS) -> None:
+    """Measure the coverage of every case.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    runs
+        Identifications in all, spread over the cases.
+    """
+    each = max(runs // len(CASES), 1)
+    inside: list[Array] = []
+    for index, case in enumerate(CASES):
+        hits = coverage(case, index, each)
+        inside.append(np.concatenate(list(hits.values())))
+        table.add("coverage of the 90 % intervals", case.name, case.family, "coverage", "%", _percent(inside[-1]), n=each)
+        for name, values in hits.items():
+            table.add("coverage by number", case.name, name, "coverage", "%", _percent(values), n=each)
+    table.add(
+        "coverage of the 90 % intervals", "all", "all", "coverage", "%", _percent(np.concatenate(inside)), n=each * len(CASES)
+    )
+
+
+def _percent(hits: Array) -> float:
+    return 100.0 * float(np.mean(hits))
+
+
+def coverage(case: Case, seed: int, runs: int) -> dict[str, Array]:
+    """Identify plants of a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    seed
+        Of the plants and their noise.
+    runs
+        Number of identifications.
+
+    Returns
+    -------
+    dict
+        Of every number, 1 for a run whose interval holds the truth, else 0, (runs,).
+    """
+    found = list(map_forked(lambda index: _held(case, np.random.default_rng([seed, index])), runs))
+    return {name: np.array([held[name] for held in found]) for name in found[0]}
+
+
+def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
+    stages = tuple(_plant(random, bool(case.dynamics)))
+    truth = Model("truth", ("x",), {"command": "V", "measurement": "um"}, 1.0 / RATE, Chain(stages))
+    command = excitation(random)[:, None]
+    measured = simulate(truth, command) + case.noise(random, len(command))[:, None]
+    if case.step:
+        measured = case.step * np.rint(measured / case.step)
+    data = Dataset("run", command, measured, 1.0 / RATE, ("x",), "um")
+    options: dict[str, Any] = {"structure": case.dynamics} if case.dynamics else {}
+    fit = identify([data], case.family, thresholds=(0.0, *THRESHOLDS), **options)
+    known = {name: each.value for name, each in chain_coordinates(stages, ("x",)).items()}
+    values = chain_coordinates(fit.model.chain.stages, ("x",))
+    uncertainty = fit.model.uncertainty
+    errors = {name: float(np.linalg.norm(row)) for name, row in zip(uncertainty["parameters"], uncertainty["factor"], strict=True)}
+    return {
+        name: float(abs(values[name].value - known[name]) <= QUANTILE * error) for name, error in errors.items() if name in known
+    }
+
+
+def _plant(random: np.random.Generator, dynamics: bool) -> list[Stage]:
+    def about(value: float) -> float:
+        return value * float(random.uniform(0.8, 1.2))
+
+    stages: list[Stage] = [PrandtlIshlinskii(THRESHOLDS, [about(w) for w in (0.012, 0.010, 0.008, 0.006)], w0=about(0.06))]
+    if dynamics:
+        w = 2 * np.pi * about(700.0)
+        num, den = rational(np.array([w**2]), np.array([1.0, 2 * about(0.1) * w, w**2]), {"gain": 1.0})
+        stages += [Delay(about(1.2e-4)), TransferFunction(num, den)]
+    return stages
+
+
+def excitation(random: np.random.Generator) -> Array:
+    """A step, and loops of several amplitudes at 20 to 90 Hz between rests: a third of a second.
+
+    Parameters
+    ----------
+    random
+        Generator of amplitudes.
+
+    Returns
+    -------
+    Array
+        Command (N,), V.
+    """
+    parts = [np.zeros(50), np.full(300, 10.0), np.zeros(200)]
+    for frequency, peak in ((20.0, 60.0), (40.0, 35.0), (60.0, 50.0), (90.0, 20.0)):
+        count = round(2 * RATE / frequency)
+        height = 0.5 * peak * random.uniform(0.9, 1.1)
+        parts += [height * (1.0 - np.cos(4 * np.pi * np.arange(count) / count)), np.zeros(100)]
+    return np.concatenate(parts)

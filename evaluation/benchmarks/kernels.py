@@ -1,0 +1,280 @@
+"""Speed of the chain's compiled kernels beside the same loops in C (gcc -O3)."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain import Sampling
+from hyst_control.chain.hysteresis.madelung import Madelung, madelung_branches
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
+from hyst_control.chain.linear.linear_kernels import advance_single
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+
+ROWS = 200_000
+REPEATS = 9
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A kernel of this package and the same loop in C.
+
+    Parameters
+    ----------
+    case
+        Name of the kernel in the table.
+    own
+        Runs this package's kernel over `ROWS` samples and returns its output.
+    other
+        Runs the C loop over the same samples.
+    """
+
+    case: str
+    own: Callable[[], Array]
+    other: Callable[[], Array]
+
+
+@dataclass(frozen=True)
+class KernelRate:
+    """Samples per second of one kernel; subject "hyst" or "c"."""
+
+    case: str
+    subject: str
+    rate: float
+
+
+def run() -> list[KernelRate]:
+    """Rates of every kernel and of its C counterpart, the best of several runs each.
+
+    The runs of the two alternate, so that a drifting machine speed meets both. Raises `InputError` without gcc.
+    """
+    rows: list[KernelRate] = []
+    with tempfile.TemporaryDirectory() as folder:
+        library = compiled_library(Path(folder))
+        for pair in (prandtl_ishlinskii(library), linear(library), madelung(library)):
+            if not np.allclose(pair.own(), pair.other(), rtol=1e-9, atol=1e-12):
+                raise AssertionError(f"{pair.case}: the two kernels do not compute the same")
+            times: tuple[list[float], list[float]] = ([], [])
+            for _ in range(REPEATS):
+                for seconds, call in zip(times, (pair.own, pair.other), strict=True):
+                    begin = time.perf_counter()
+                    call()
+                    seconds.append(time.perf_counter() - begin)
+            for subject, seconds in zip(("hyst", "c"), times, strict=True):
+                rows.append(KernelRate(pair.case, subject, ROWS / min(seconds)))
+    return rows
+
+
+def compiled_library(folder: Path) -> ctypes.CDLL:
+    """Compile the C loops with gcc -O3 and load them.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the shared library; it must exist while the library is used.
+
+    Returns
+    -------
+    ctypes.CDLL
+        Library with one function per kernel.
+
+    Raises
+    ------
+    InputError
+        Where gcc is not installed.
+    """
+    if shutil.which("gcc") is None:
+        raise InputError("bench: gcc is not installed, and the kernels are timed beside C: install gcc or choose other benchmarks")
+    target = folder / "kernels.so"
+    source = Path(__file__).with_name("kernels.c")
+    subprocess.run(["gcc", "-O3", "-shared", "-fPIC", "-o", str(target), str(source)], check=True)
+    library = ctypes.CDLL(str(target))
+    library.advance_single.restype = ctypes.c_long
+    return library
+
+
+def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
+    """Set up HAMPI's modified Prandtl-Ishlinskii model with ten operators on one axis.
+
+    Parameters
+    ----------
+    library : ctypes.CDLL
+        C loops, from `compiled_library`.
+
+    Returns
+    -------
+    Pair
+        The kernel and the C loop.
+    """
+    stage = ModifiedPrandtlIshlinskii(
+        np.linspace(0.5, 49.0, 10), np.linspace(0.5, 0.1, 10), m1=7.7e-7, m2=2.5e-7, k=-6.4e-4, b=0.025
+    )
+    running = stage.filter(Sampling(5e-5, 1))
+    command = np.ascontiguousarray(25.0 * (1.0 - np.cos(0.01 * np.arange(ROWS)))).reshape(-1, 1)
+    output = np.empty_like(command)
+    w0, m1, m2, k, b = running.coefficients
+
+    def own() -> Array:
+        running.settle(command[0])
+        dynamic_prandtl_ishlinskii(
+            command,
+            running.previous,
+            running.rate_factor,
+            running.thresholds,
+            running.release,
+            running.weights,
+            w0,
+            m1,
+            m2,
+            k,
+            b,
+            running.state,
+            output,
+        )
+        return output.copy()
+
+    def other() -> Array:
+        running.settle(command[0])
+        library.dynamic_prandtl_ishlinskii(
+            _long(ROWS),
+            _long(1),
+            _long(10),
+            _at(command),
+            _at(running.previous),
+            ctypes.c_double(running.rate_factor),
+            _at(running.thresholds),
+            _at(running.release),
+            _at(running.weights),
+            _at(w0),
+            _at(m1),
+            _at(m2),
+            _at(k),
+            _at(b),
+            _at(running.state),
+            _at(output),
+        )
+        return output.copy()
+
+    return Pair("modified_prandtl_ishlinskii", own, other)
+
+
+def linear(library: ctypes.CDLL) -> Pair:
+    """Set up HAMPI's third-order G(s) (HAMPI paper Eq. 1).
+
+    Parameters
+    ----------
+    library : ctypes.CDLL
+        C loops, from `compiled_library`.
+
+    Returns
+    -------
+    Pair
+        The kernel and the C loop.
+    """
+    running = TransferFunction([-340.5, 4.249e6, 3.461e7], [1.0, 8610.0, 5.989e7, 4.751e8]).filter(Sampling(5e-5, 1))
+    block = np.ascontiguousarray(np.sin(0.01 * np.arange(ROWS))).reshape(-1, 1)
+    output = np.empty_like(block)
+    arrays = (
+        running.a,
+        running.b,
+        running.c,
+        running.d,
+        running.bias,
+        running.whole,
+        running.state,
+        running.scratch,
+        running.history,
+    )
+
+    def own() -> Array:
+        running.settle(block[0])
+        advance_single(block, running.a, running.reach, running.b, running.late, *arrays[2:], 0, output)
+        return output.copy()
+
+    def other() -> Array:
+        running.settle(block[0])
+        library.advance_single(
+            _long(ROWS),
+            _long(1),
+            _long(running.a.shape[1]),
+            _long(len(running.history)),
+            _at(block),
+            *(_at(array) for array in arrays),
+            _long(0),
+            _at(output),
+        )
+        return output.copy()
+
+    return Pair("transfer_function", own, other)
+
+
+def madelung(library: ctypes.CDLL) -> Pair:
+    """Set up a Madelung hysteresis with the MHL paper's quintic curves (Table 1, scaled to close).
+
+    Parameters
+    ----------
+    library : ctypes.CDLL
+        C loops, from `compiled_library`.
+
+    Returns
+    -------
+    Pair
+        The kernel and the C loop.
+    """
+    up = np.array([-0.4624, 1.788, -2.398, 2.037, 2.228])
+    down = np.array([0.9457, -3.005, 3.248, -2.083, 4.104])
+    stage = Madelung(up * 3.2 / up.sum(), down * 3.2 / down.sum(), input_scale=1.0, output_scale=1.0)
+    running = stage.filter(Sampling(1e-4, 1))
+    k = np.arange(ROWS)
+    source = 0.5 - 0.45 * np.cos(0.01 * k) * np.cos(0.00037 * k)
+    output = np.empty(ROWS)
+    rising, falling = running.rising[0], running.falling[0]
+    stack, depth, last = np.zeros((4096, 2)), running.stack_depth[0], running.last[0]
+
+    def start() -> None:
+        running.settle(np.zeros(1))
+        stack[:2] = running.stack[0][:2]
+
+    def own() -> Array:
+        start()
+        madelung_branches(source, False, *rising, *falling, running.full[0], running.end_slope[0], stack, depth, last, output, 0)
+        return output.copy()
+
+    def other() -> Array:
+        start()
+        library.madelung_branches(
+            _long(ROWS),
+            _long(5),
+            _at(source),
+            _at(rising[1]),
+            _at(falling[1]),
+            ctypes.c_double(running.full[0]),
+            _at(running.end_slope[0]),
+            _at(stack),
+            _at(depth),
+            _at(last),
+            _at(output),
+        )
+        return output.copy()
+
+    return Pair("madelung", own, other)
+
+
+def _long(value: int) -> ctypes.c_long:
+    return ctypes.c_long(value)
+
+
+def _at(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)

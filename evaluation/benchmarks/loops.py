@@ -1,0 +1,539 @@
+"""Speed, latency, loss and load of the loop through the real nodes, beside the same loop in plain rclpy.
+
+The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case runs in
+separate processes on a separate ROS domain; the figures come from the nodes' diagnostics, from the operating system
+(processor time, memory) and from the bag.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.benchmarks import bare_timer
+from hyst_control import progress
+from hyst_control.config_files import config_path
+from hyst_control.errors import InputError
+from hyst_control.processes.node_processes import Processes
+from hyst_control.processes.ros_domain import own_domain
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.tables import Table
+
+SECONDS = 6.0
+"""Length of one measurement; diagnostics come once a second."""
+LOCKSTEP_RATE, TIMER_RATE = 5000.0, 1000.0  # Hz
+START_TIMEOUT = 90.0  # s; a first start compiles the kernels
+SETTLING = 2.0  # s, of a run before it is measured
+PAGE_LOADING = 5.0  # s
+HYST = "import sys; from hyst_control.cli import main; sys.exit(main())"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+STREAMED = 16
+"""Rows of a message where the reference is streamed: 3 ms of it at 5 kHz."""
+MIB = 2.0**20
+STAGE, PRIORITY = "simulated_stage", 50
+"""Node in place of the plant where the loop is measured with hardware, and its process' priority under SCHED_FIFO."""
+ACTUATORS = ("plant", STAGE)
+SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Figures of one run, between two diagnostics of its plant.
+
+    Parameters
+    ----------
+    rate
+        Rounds (ticks) per second.
+    cpu
+        Processor load of all its processes, % of one core.
+    memory
+        Resident memory at every sample, MiB.
+    values
+        Last diagnostics by node.
+    begin
+        Those at the beginning.
+    """
+
+    rate: float
+    cpu: float
+    memory: list[float]
+    values: Mapping[str, dict[str, str]]
+    begin: Mapping[str, dict[str, str]]
+
+    def microseconds(self, entry: str) -> float:
+        """Return an entry of the plant's diagnostics.
+
+        Parameters
+        ----------
+        entry
+            Name of the entry.
+
+        Returns
+        -------
+        float
+            The value, us; NaN without such an entry.
+        """
+        return float(
+            next((found[entry] for name, found in self.values.items() if name.endswith(ACTUATORS) and entry in found), "nan")
+        )
+
+    def count(self, node: str, entry: str) -> int:
+        """Return how far a counter of a node's diagnostics has gone on in the run; what belongs to its start is not counted.
+
+        Parameters
+        ----------
+        node, entry
+            Names of the node and the entry.
+
+        Returns
+        -------
+        int
+            The count; 0 without such an entry.
+        """
+        begin, end = (int(values.get(node, {}).get(entry, 0)) for values in (self.begin, self.values))
+        return end - begin
+
+
+class Watched(Enum):
+    """Parts of a live page that run beside a measured loop."""
+
+    NOT = "not"
+    BY_NOBODY = "live view without a page"
+    ON_A_PAGE = "live view with a page open in a browser"
+
+
+def run(table: Table, seconds: float = SECONDS) -> None:
+    """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of every run, s.
+    """
+    name = "lockstep, MHL loop of two axes"
+    streamed = f"composed, reference streamed in {STREAMED} rows"
+    table.add(
+        name, streamed, "hyst", "rounds_rate", "rounds/s", measure("composed", "hyst", "lockstep", seconds, block=STREAMED).rate
+    )
+    for case in ("composed", "processes"):
+        for subject in ("hyst", "plain rclpy"):
+            measured = measure(case, subject, "lockstep", seconds)
+            table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
+                table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
+                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", message_loss(Path(folder) / "bag")[0])
+    for case in ("composed", "processes"):
+        for subject in ("hyst", "plain rclpy"):
+            _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
+        if case == "composed":
+            _add_timing(table, f"{case}, backend: c", "hyst", measure(case, "hyst", "timer", seconds, backend="c"))
+        for way in ("", " from outside") if case == "composed" else ("",):
+            with tempfile.TemporaryDirectory() as folder:
+                measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
+                _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
+                loss, count = message_loss(Path(folder) / "bag")
+                table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
+    dashboard(table, seconds)
+
+
+def dashboard(table: Table, seconds: float = SECONDS) -> None:
+    """Measure what a live page costs the composed loop at 1 kHz: without a live view, with one, and with a page open in a browser.
+
+    All three also under real-time priority, with which what else runs on the cores does not delay the loop.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of every run, s.
+    """
+    for priority in (0, PRIORITY):
+        case = f"composed{f', SCHED_FIFO {priority}' if priority else ''}"
+        _add_timing(table, f"{case}, no live view", "hyst", measure("composed", "hyst", "timer", seconds, priority=priority))
+        watched = measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY, priority=priority)
+        _add_view(table, f"{case}, live view", watched)
+        if not _browser()[0] or find_spec("bokeh") is None:
+            progress.step("no chromium or no bokeh: the cost of an open page is not measured")
+        else:
+            shown = measure("composed", "hyst", "timer", seconds, watched=Watched.ON_A_PAGE, priority=priority)
+            _add_view(table, f"{case}, live view, page open", shown)
+
+
+def _add_view(table: Table, case: str, measured: Run) -> None:
+    """Timing of the loop, and the processor time of a poll of its live view, which comes 20 times a second."""
+    _add_timing(table, case, "hyst", measured)
+    for label in ("p50", "p99"):
+        value = float(measured.values["live_view"][f"poll {label} [us]"])
+        table.add("wall clock, 1 kHz", case, "hyst", f"poll_{label}", "us", value)
+
+
+def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
+    name = "wall clock, 1 kHz"
+    for label in ("p50", "p99", "p99.9"):
+        table.add(name, case, subject, f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
+    for label in ("p50", "p99", "p99.9"):
+        table.add(name, case, subject, f"latency_{label}", "us", measured.microseconds(f"loop latency {label} [us]"))
+    table.add(name, case, subject, "rate", "Hz", measured.rate)
+    table.add(name, case, subject, "cpu", "%", measured.cpu)
+
+
+def soak(table: Table, minutes: float) -> None:
+    """Run in lockstep, then a sixth of that on the wall clock, with a plant and with a stage on hardware: rate, loss, growth of memory.
+
+    All are composed and recorded; the stage is simulated, and its process runs under SCHED_FIFO where the system allows it.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    minutes
+        Length of the run in lockstep, min.
+    """
+    soak_lockstep(table, minutes)
+    _soak(table, "timer", "soak, wall clock 1 kHz", minutes / 6.0, "plant")
+    soak_wall_clock(table, minutes / 6.0)
+
+
+def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
+    """Run in lockstep at full speed, composed and recorded: lost rows, repeated messages, processor load, memory.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    minutes
+        Length of the run, min.
+    """
+    _soak(table, "lockstep", "soak, lockstep", minutes, "plant")
+
+
+def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
+    """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory.
+
+    Afterwards a bare loop of the same priority waits for as many ticks: those that it misses are the computer's.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    minutes
+        Length of the run, min.
+    """
+    name = "soak, stage on hardware, 1 kHz"
+    _soak(table, "timer", name, minutes, STAGE)
+    progress.step(f"a bare loop, for comparison: {60.0 * minutes:g} s")
+    wakes = bare_timer.measure(TIMER_RATE, 60.0 * minutes, PRIORITY)
+    case = f"{minutes:g} min, {'no real-time priority' if wakes.refused else f'SCHED_FIFO {PRIORITY}'}"
+    table.add(name, case, "bare loop", "missed_ticks", "", wakes.missed, n=wakes.ticks + wakes.missed)
+    table.add(name, case, "bare loop", "latest_wake", "us", 1e6 * wakes.latest, n=wakes.ticks + wakes.missed)
+
+
+def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        measured = measure("composed", "hyst", schedule, 60.0 * minutes, Path(folder) / "bag", stage=stage)
+        case = f"{minutes:g} min, composed, recorded"
+        quarter = max(len(measured.memory) // 4, 1)
+        begin, end = float(np.mean(measured.memory[:quarter])), float(np.mean(measured.memory[-quarter:]))
+        table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
+        table.add(name, case, "hyst", "cpu", "%", measured.cpu)
+        table.add(name, case, "hyst", "memory", "MiB", end)
+        table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
+        if schedule == "timer":
+            for label in ("p50", "p99", "p99.9"):
+                table.add(name, case, "hyst", f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
+            table.add(name, case, "hyst", "missed_ticks", "", measured.count(stage, "missed ticks"))
+            table.add(name, case, "hyst", "faults", "", measured.count("pi_feedback", "faults"))
+        else:
+            repeated = sum(measured.count("recorder", f"/{topic}: duplicate") for topic in SIGNALS)
+            table.add(name, case, "hyst", "repeated_messages", "", repeated)
+        loss, count = message_loss(Path(folder) / "bag")
+        table.add(name, case, "hyst", "loss", "%", loss, n=count)
+        lost = missing_rows(Path(folder) / "bag")
+        table.add(name, case, "hyst", "lost_rows", "", sum(lost.values()), n=count)
+        for topic, missing in lost.items():
+            table.add(name, f"{case}, {topic}", "hyst", "missing_rows", "", missing)
+
+
+def measure(
+    case: str,
+    subject: str,
+    schedule: str,
+    seconds: float,
+    bag: Path | None = None,
+    block: int = 1,
+    outside: bool = False,
+    backend: str = "python",
+    stage: str = "plant",
+    watched: Watched = Watched.NOT,
+    priority: int = 0,
+) -> Run:
+    """Run the loop once.
+
+    Parameters
+    ----------
+    case
+        "composed" or "processes".
+    subject
+        "hyst" or "plain rclpy".
+    schedule
+        "lockstep" or "timer".
+    seconds
+        Length of the run, s.
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
+    outside
+        Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
+    backend
+        Of the feedforward and the feedback, "python" or "c".
+    stage
+        "plant", or the node of a stage on hardware in its place.
+    watched
+        Parts of a live page; the processor load is that of the loop with its live view, without page and browser.
+    priority
+        Real-time priority of the loop's process, where the system allows one; 0: none, or the stage's own.
+
+    Returns
+    -------
+    Run
+        The figures.
+
+    Raises
+    ------
+    InputError
+        A node fails or the loop does not start.
+    """
+    progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
+    each = settings(schedule, bag, block, backend, stage)
+    if priority:
+        each[stage]["realtime_priority"] = priority
+    if watched is not Watched.NOT:
+        each["live_view"] = {name: each[stage][name] for name in ("schedule", "rate_hz", "axes", "unit")}
+    with ExitStack() as stack:
+        processes, plant = stack.enter_context(_running(case, subject, each, outside, stage))
+        pids = [process.pid for name, process in processes.running.items() if name != "monitor"]
+        log = stack.enter_context(closing(_Diagnostics(processes.log("monitor"))))
+        _until(lambda: int(log.read().get(plant, {}).get("ticks", 0)) > 0, processes, START_TIMEOUT)
+        if watched is Watched.ON_A_PAGE:
+            _open_page(processes)
+        time.sleep(SETTLING)
+        begin = dict(log.read())
+        before, cpu_before, clock = begin[plant], _processor_time(pids), time.monotonic()
+        memory = []
+        while time.monotonic() - clock < seconds:
+            time.sleep(min(0.5, seconds))
+            processes.check()
+            memory.append(_resident(pids))
+        cpu = (_processor_time(pids) - cpu_before) / (time.monotonic() - clock)
+        _until(lambda: log.read()[plant]["stamp"] > before["stamp"], processes, 10.0)
+        after, values = log.read()[plant], log.read()
+        processes.stop()
+        processes.check()
+    rate = (int(after["ticks"]) - int(before["ticks"])) / (float(after["stamp"]) - float(before["stamp"]))
+    return Run(rate, 100.0 * cpu, memory, values, begin)
+
+
+def message_loss(bag: Path) -> tuple[float, int]:
+    """Count the rows that are missing within the topics of a bag.
+
+    Parameters
+    ----------
+    bag
+        The bag.
+
+    Returns
+    -------
+    loss : float
+        Missing rows in % of those expected.
+    expected : int
+        Number of rows expected.
+    """
+    missing = sum(missing_rows(bag).values())
+    expected = missing + sum(len(signal.time) for signal in read_bag(bag, topics=SIGNALS).signals.values())
+    return 100.0 * missing / expected, expected
+
+
+def missing_rows(bag: Path) -> dict[str, int]:
+    """Count the rows that are missing between the first and the last one of each topic of a bag.
+
+    Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
+    publishes the command that it held.
+
+    Parameters
+    ----------
+    bag
+        The bag.
+
+    Returns
+    -------
+    dict of str to int
+        Missing rows by topic.
+    """
+    missing = {}
+    for topic, signal in read_bag(bag, topics=SIGNALS).signals.items():
+        step = float(np.median(np.diff(signal.time)))
+        missing[topic] = round((signal.time[-1] - signal.time[0]) / step) + 1 - len(signal.time)
+    return missing
+
+
+def settings(
+    schedule: str, bag: Path | None, block: int = 1, backend: str = "python", stage: str = "plant"
+) -> dict[str, dict[str, Any]]:
+    """Parameters of the nodes of the MHL loop.
+
+    Parameters
+    ----------
+    schedule
+        "lockstep" or "timer".
+    bag
+        Bag to record to; None: no recorder.
+    block
+        Rows of the reference in one message.
+    backend
+        As for `measure`.
+    stage
+        "plant", or the node of a stage on hardware in its place.
+
+    Returns
+    -------
+    dict[str, dict[str, Any]]
+        Parameters by the node's name.
+    """
+    rate = LOCKSTEP_RATE if schedule == "lockstep" else TIMER_RATE
+    common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
+    model = str(config_path("models/fsm_mhl.yaml"))
+    each: dict[str, dict[str, Any]] = {
+        "reference_generator": {
+            "signal": "sine",
+            "frequency": 20.0,
+            "amplitude": 0.5,
+            "offset": 0.8,
+            "phase": -np.pi / 2,
+            "duration": 0.05,
+            "repeat": True,
+            "block": block,
+            "lead": block + 3,
+        },
+        "mhl_feedforward": {"model": model, "limits": [0.0, 100.0], "backend": backend},
+        "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0, "backend": backend},
+        "plant": {"model": model, "wait_for_recorder": bag is not None},
+    }
+    if stage != "plant":
+        each.pop("plant")
+        each[stage] = {"model": model, "upper": 100.0, "realtime_priority": PRIORITY}
+    if bag is not None:
+        each["recorder"] = {"output": str(bag), "merge": 50}
+    return {name: {**common, **own} for name, own in each.items()}
+
+
+@contextmanager
+def _running(
+    case: str, subject: str, each: dict[str, dict[str, Any]], outside: bool, stage: str
+) -> Iterator[tuple[Processes, str]]:
+    """The processes of a run, and the name of its plant."""
+    with tempfile.TemporaryDirectory() as folder, own_domain() as domain, Processes(Path(folder), domain) as processes:
+        processes.start("monitor", {})
+        if subject == "hyst":
+            if outside:
+                processes.start("recorder", each.pop("recorder"))
+            if case == "composed":
+                processes.compose(each)
+            else:
+                for name, own in each.items():
+                    processes.start(name, own)
+            yield processes, stage
+            return
+        plain = {
+            "schedule": each["plant"]["schedule"],
+            "rate_hz": each["plant"]["rate_hz"],
+            "model": each["plant"]["model"],
+            "kp": 2.0,
+            "ki": 5000.0,
+            "range": [0.3, 1.3],
+            "frequency": 20.0,
+        }
+        file = Path(folder) / "plain.json"
+        file.write_text(json.dumps(plain), encoding="utf-8")
+        names = ("reference", "feedforward", "feedback", "plant")
+        for group in [names] if case == "composed" else [(name,) for name in names]:
+            processes.run("-".join(group), "hyst_control.nodes.plain_loop", *group, str(file))
+        yield processes, "plain_plant"
+
+
+def _open_page(processes: Processes) -> None:
+    """Start the dashboard of the MHL loop and a browser that shows it."""
+    arguments = ("--rate", str(TIMER_RATE), "--axes", "x", "y", "--unit", "mrad", "--folder", str(processes.folder))
+    processes.execute("dashboard", [sys.executable, "-c", HYST, "dashboard", *arguments])
+    log = processes.log("dashboard")
+    _until(lambda: "http://" in log.read_text(encoding="utf-8"), processes, START_TIMEOUT)
+    url = next(word for word in log.read_text(encoding="utf-8").split() if word.startswith("http://"))
+    processes.execute("browser", [*_browser(), f"--user-data-dir={processes.folder / 'browser'}", url])
+    time.sleep(PAGE_LOADING)
+
+
+def _browser() -> list[str]:
+    """Command line of a browser without a window; its address comes last."""
+    path = next((path for name in BROWSERS if (path := shutil.which(name))), "")
+    return [path, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--remote-debugging-port=0"]
+
+
+class _Diagnostics:
+    """Newest entries by node of the monitor's growing log; every line is read once."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = open(path, encoding="utf-8")
+        self._part = ""
+        self._values: dict[str, dict[str, str]] = {}
+
+    def read(self) -> Mapping[str, dict[str, str]]:
+        *lines, self._part = (self._part + self._file.read()).split("\n")
+        for line in lines:
+            if line.startswith("{"):
+                entry = json.loads(line)
+                self._values[entry["node"]] = {**entry["values"], "stamp": repr(entry["stamp"])}
+        return self._values
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _until(condition: Callable[[], bool], processes: Processes, timeout: float) -> None:
+    end = time.monotonic() + timeout
+    while not condition():
+        processes.check()
+        if time.monotonic() > end:
+            raise InputError(f"bench: no diagnostics of the loop within {timeout:g} s: check that DDS may use the loopback network")
+        time.sleep(0.1)
+
+
+def _processor_time(pids: list[int]) -> float:
+    """Seconds of processor time that these processes have used."""
+    total = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        total += int(fields[11]) + int(fields[12])
+    return total / os.sysconf("SC_CLK_TCK")
+
+
+def _resident(pids: list[int]) -> float:
+    """MiB of memory that these processes hold."""
+    return sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids) * os.sysconf("SC_PAGE_SIZE") / MIB

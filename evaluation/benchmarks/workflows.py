@@ -1,0 +1,185 @@
+"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the truth plants."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+
+from evaluation.blind_test.case_drawing import draw
+from evaluation.blind_test.case_records import record_of, run_case
+from evaluation.blind_test.nominal_models import nominal
+from evaluation.blind_test.plant_setups import SETUPS
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.identify import identify
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.parallel import executor
+from hyst_control.records import excitation
+from hyst_control.records.record import Record
+from hyst_control.reporting.tables import Table
+from hyst_plant_sim.physics import load_plant
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+RATE = 20e3  # Hz
+SECONDS = 60.0
+IDENTIFIED: dict[str, tuple[str, tuple[str, ...], str, float, Callable[[float], Array]]] = {
+    "hampi": ("pea", ("x",), "um", 1e-4, excitation.hampi_identification),
+    "mhl": ("fsm", ("x", "y"), "mrad", 1e-6, partial(excitation.mhl_identification, axes=2)),
+}
+"""By family: truth plant, axes, unit, noise, and the excitation of the family's paper."""
+PLANTS = ("pea_published", "fsm_published", "third")
+TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
+REPEATS = 5
+DRIVEN = 1.8
+"""Length of the excitation that is diagnosed, s: with its rests a record of 2 s."""
+SHORT = 0.4
+"""The same of the record that kernels are compiled with, s."""
+TENFOLD = "pea_published"
+"""Plant of which a record of ten times the length is diagnosed as well."""
+
+
+def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
+    """Measure truth plants, identifications, and diagnoses with a new and with a cached threshold.
+
+    Parameters
+    ----------
+    table
+        Table to add to.
+    seconds
+        Length of the record that is identified, s.
+    plants
+        Plants that are diagnosed.
+    """
+    for name in TRUTH:
+        table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
+    for family in IDENTIFIED:
+        elapsed, processor, memory, rows = _alone(identification, family, seconds)
+        case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
+        table.add("identification", case, family, "identify_time", "s", elapsed, n=rows)
+        table.add("identification", case, family, "identify_processor_time", "s", processor, n=rows)
+        table.add("identification", case, family, "identify_memory", "MiB", memory, n=rows)
+    for plant, driven in [*((plant, DRIVEN) for plant in plants), *((TENFOLD, 10.0 * DRIVEN) for _ in plants[:1])]:
+        fresh, cached, rows, seconds_of_record = _alone(diagnosis, plant, driven)
+        case = f"{seconds_of_record:.2g} s at {rows / seconds_of_record / 1e3:.3g} kHz"
+        table.add("diagnosis", f"{case}, threshold calibrated", plant, "diagnose_time", "s", fresh, n=rows)
+        table.add("diagnosis", f"{case}, threshold cached", plant, "diagnose_time", "s", cached, n=rows)
+
+
+def speed(name: str) -> float:
+    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`.
+
+    Parameters
+    ----------
+    name
+        The plant.
+
+    Returns
+    -------
+    float
+        Speed, times real time.
+    """
+    truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
+    lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
+    time_axis = np.arange(round(RATE)) / RATE
+    column = lower + (upper - lower) * (0.5 - 0.45 * np.cos(2 * np.pi * 50.0 * time_axis))
+    rows = np.repeat(column[:, None], len(truth.axes), axis=1)
+    truth.reset(rows[0])
+    truth.step(rows[:100])  # compiles the kernels
+    spent = []
+    for _ in range(REPEATS):
+        begin = time.process_time()
+        truth.step(rows)
+        spent.append(time.process_time() - begin)
+    return len(rows) / RATE / float(np.median(spent))
+
+
+def identification(family: str, seconds: float) -> tuple[float, float, float, int]:
+    """Time and memory of one identification; a tenth of the record is identified first to compile the kernels.
+
+    Parameters
+    ----------
+    family
+        Model family.
+    seconds
+        Length of the record, s.
+
+    Returns
+    -------
+    elapsed : float
+        Time, s.
+    processor : float
+        Processor time in user mode, worker processes included, s: what other load on the machine changes least.
+    memory : float
+        Largest memory, MiB.
+    rows : int
+        Rows of the record.
+    """
+    plant, axes, unit, noise, signal = IDENTIFIED[family]
+    rows = signal(1.0 / RATE).reshape(-1, len(axes))
+    once, count = len(rows), round(seconds * RATE)
+    rows = np.tile(rows, (-(-count // once), 1))[:count]
+    truth = load_plant({"plant": plant}, seed=1, sample_time=1.0 / RATE, noise=noise)
+    first = truth.reset(rows[0])
+    measured = np.concatenate([first[None], truth.step(rows)[:-1]])
+    dataset = Dataset("bench", rows, measured, 1.0 / RATE, axes, unit)
+    identify([dataset.rows(0, min(once, count))], family)
+    begin, before = time.perf_counter(), processor_time()
+    identify([dataset], family)
+    elapsed, processor = time.perf_counter() - begin, processor_time() - before
+    return elapsed, processor, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
+
+
+def diagnosis(plant: str, driven: float = DRIVEN) -> tuple[float, float, int, float]:
+    """Time of one diagnosis: one effect, diagnostic excitation, sampled at `RATE`. Changes the plant's setup in this process.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    driven
+        Length of the excitation, s.
+
+    Returns
+    -------
+    fresh : float
+        Time with a threshold to calibrate, s.
+    cached : float
+        Time with a cached threshold, s.
+    rows : int
+        Rows of the record.
+    length : float
+        Length of the record, s.
+    """
+    SETUPS[plant] = replace(SETUPS[plant], sample_time=1.0 / RATE)
+    case = replace(draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0], duration=driven)
+    record: Record = record_of(case, run_case(case))
+    model = nominal(plant, case.noise)
+    short = replace(case, duration=SHORT)
+    diagnosed([record_of(short, run_case(short))], model, seed=1)  # compiles the kernels
+    begin = time.perf_counter()
+    diagnosed([record], model, seed=1, cache=False)
+    fresh = time.perf_counter() - begin
+    diagnosed([record], model, seed=1)
+    begin = time.perf_counter()
+    diagnosed([record], model, seed=1)
+    signal = record.signal("measurement")
+    return fresh, time.perf_counter() - begin, len(signal.time), float(signal.time[-1] - signal.time[0])
+
+
+def processor_time() -> float:
+    """Processor time (s) in user mode of this process and of its workers that have ended."""
+    return sum(resource.getrusage(whose).ru_utime for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+
+
+def _alone(task: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
+    """Return a task's result from a separate process, so that its memory is measured alone."""
+    with executor(1, serial=False) as pool:
+        return pool.submit(task, *arguments, **named).result()

@@ -1,0 +1,156 @@
+"""Records of the blind test's cases: the truth plant of a case under its excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from evaluation.blind_test.case import Case
+from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from hyst_control.chain.stage import Array
+from hyst_control.control.loop import run_loop
+from hyst_control.control.pi import PI
+from hyst_control.records.excitation import build
+from hyst_control.records.record import Record, Signal
+from hyst_plant_sim.physics import Plant, load_plant
+
+
+def commands(case: Case) -> Array:
+    """Construct the excitation of a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+
+    Returns
+    -------
+    Array
+        Commands (N, A) in V; for the closed loop references (N, A) in the measurement unit.
+    """
+    setup = SETUPS[case.plant]
+    axes = 2 if case.plant.startswith("fsm") else 1
+    low, high = setup.command
+    span, center, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    if case.excitation == "rich":
+        spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
+        spec["duration"] = case.duration
+    elif case.excitation == "multisine":
+        spec = {
+            "signal": "multisine",
+            "period": 0.25,
+            "lower_frequency": 4.0,
+            "upper_frequency": 600.0,
+            "rms": 0.13 * span,
+            "offset": center,
+            "periods": 6,
+            "detection": 4,
+            "avoid_mains": True,
+            "seed": int(random.integers(3)),
+        }
+    elif case.excitation == "sine":
+        spec = {
+            "signal": "sine",
+            "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])),
+            "amplitude": 0.42 * span,
+            "offset": center,
+            "duration": 1.5,
+        }
+    else:
+        spec = {
+            "signal": "multi_frequency",
+            "frequencies": [3.0, 17.0, 41.0],
+            "offset": 0.5 * setup.stroke,
+            "duration": 1.5,
+            "amplitudes": [0.2 * setup.stroke, 0.08 * setup.stroke, 0.08 * setup.stroke],
+        }
+    rows = build(spec, setup.sample_time, axes)
+    if case.excitation != "closed_loop":
+        return np.clip(rows, low, high)
+    # A record starts at rest: the loop is closed at a reference of 0.
+    ramp = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, int(0.1 / setup.sample_time)))
+    return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
+
+
+def run_case(case: Case, **included: bool) -> dict[str, Array]:
+    """Simulate a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    **included
+        What it includes, and which session it is: the options of `plant_of`.
+
+    Returns
+    -------
+    dict[str, Array]
+        Signals (N, A) by topic.
+    """
+    truth = plant_of(case, **included)
+    rows, setup = commands(case), SETUPS[case.plant]
+    if case.excitation != "closed_loop":
+        first = truth.reset(rows[0])
+        return {"command": rows, "measurement": np.concatenate([first[None], truth.step(rows)[:-1]])}
+    controller = PI(setup.gains[0], setup.gains[1], setup.sample_time, setup.command[0], setup.command[1]).start(rows.shape[1])
+    signals = run_loop(rows, None, controller, truth)
+    return {name: signals[name] for name in ("reference", "feedforward", "feedback", "command", "measurement")}
+
+
+def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> Plant:
+    """Construct the truth plant of a case, rated for the range in which it is driven.
+
+    Parameters
+    ----------
+    case
+        The case.
+    effects
+        Include its effects.
+    noisy
+        Include the noise.
+    scattered
+        Include the scatter of its plant.
+    later
+        Another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others.
+
+    Returns
+    -------
+    Plant
+        The plant.
+    """
+    setup = SETUPS[case.plant]
+    changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
+    document = {
+        "plant": case.plant,
+        "rating": list(setup.command),
+        "stroke": [0.0, setup.stroke],
+        "effects": [dict(effect) for effect in case.effects] if effects else [],
+    }
+    noise = case.noise * setup.stroke if noisy else 0.0
+    seed = int(np.random.default_rng([case.seed, 4]).integers(1 << 31)) if later else case.seed
+    return load_plant(document, seed=seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
+
+
+def record_of(case: Case, signals: Mapping[str, Array]) -> Record:
+    """Convert a case's signals to a record, which holds nothing of the case's label.
+
+    Parameters
+    ----------
+    case
+        The case.
+    signals
+        Signals (N, A) by topic.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
+    setup = SETUPS[case.plant]
+    time = np.arange(len(signals["command"]), dtype=np.float64) * setup.sample_time
+    axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)
+    unit = "mrad" if case.plant.startswith("fsm") else "um"
+    units = {"command": "V", "feedforward": "V", "feedback": "V"}
+    return Record({name: Signal(time, values, axes, units.get(name, unit)) for name, values in signals.items()}, case.name)

@@ -1,0 +1,207 @@
+"""Machines into whose records effects are put, measured and simulated: their records for models and for cases.
+
+- stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file
+  and from two stretches of the second, cases come from other stretches; tuning seeds see stretches of the second file's
+  first half, scoring seeds of its second half, where an inverse operator shaped the command. The repeated full cycles have clean records
+  of the same command.
+- mirror (`fsm_cubespec`): three levels; models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth. The period of
+  a record is repeated, that of its clean record is the other measured one.
+- `third` (`hyst_plant_sim/physics`) and a Bouc-Wen stage, both simulated with noise: machines that no family of models here matches. Their
+  models are identified from two clean records as a user would, cases are other records. Only scoring seeds see the Bouc-Wen stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+ROWS, FILLING, PERIOD = 1600, 400, 200
+"""Rows of the stack's records, of their begin, in which the memory fills, and of a cycle."""
+DURATION = 0.8
+"""Length of a simulated record, s."""
+NOISE = 5e-4
+"""Noise of the simulated `third`, rms / stroke."""
+MODEL_SEEDS, TUNING_SEEDS, SCORING_SEEDS = (5000, 5001), (5100, 5101, 5102, 5103), (5200, 5201, 5202, 5203, 5204, 5205)
+"""Of the simulated records' commands and noise."""
+SIMULATED = ("third", "bouc_wen")
+
+
+@dataclass(frozen=True)
+class Clean:
+    """Clean record: command and measurement (N, A)."""
+
+    name: str
+    command: Array
+    measurement: Array
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Measured machine: its records for models and cases.
+
+    Parameters
+    ----------
+    name
+        Name of the machine.
+    axes
+        Names of the axes.
+    sample_time
+        Sample time, s.
+    warm_up
+        Begin of each record that does not count, s.
+    cases
+        Clean records for cases.
+    same
+        By the index of a case's record, a clean one of the same command; absent where there is none.
+    others
+        Clean records of other commands.
+    model
+        Identifies the model, with its own error in it.
+    """
+
+    name: str
+    axes: tuple[str, ...]
+    sample_time: float
+    warm_up: float
+    cases: tuple[Clean, ...]
+    same: Mapping[int, Clean]
+    others: tuple[Clean, ...]
+    model: Callable[[], Any]
+
+
+def stack_machine(scoring: bool) -> Machine:
+    """Construct the stack.
+
+    Parameters
+    ----------
+    scoring
+        Cases from the records set apart for scoring.
+
+    Returns
+    -------
+    Machine
+        The machine.
+    """
+    from evaluation.reproduction import pea_p885 as stack
+    from hyst_control.identify.workflow import identified
+
+    full, nested = stack.load()
+
+    def stretches(record: Any, first: int, last: int, apart: int = ROWS) -> list[Clean]:
+        begins = range(first, last - ROWS + 1, apart)
+        return [
+            Clean(f"{record.name}, row {row}", record.command[row : row + ROWS], record.measurement[row : row + ROWS])
+            for row in begins
+        ]
+
+    begin = int(np.argmin(full.command[:PERIOD, 0]))  # the same phase in every record: 1 Hz, 200 rows a cycle
+    loops, plain, shaped = stretches(full, begin, len(full.command)), stretches(nested, 0, 7300), stretches(nested, 7400, 14155)
+    training = (loops[0], plain[0], shaped[0])
+    if scoring:
+        # The end of the full cycles, and the shaped loops' middle a cycle apart: what overlaps differs in its memory's filling and phase.
+        last = begin + (len(full.command) - begin - ROWS) // PERIOD * PERIOD
+        cases = (loops[1], *stretches(full, last, len(full.command)), *stretches(nested, 9000, 12200, PERIOD))
+        same = {0: loops[3], 1: loops[3]}
+    else:
+        cases, same = (loops[2], *plain[1:-1]), {0: loops[3]}
+
+    def model() -> Any:
+        datasets = [
+            replace(full, name=one.name, command=one.command, measurement=one.measurement, start="unknown") for one in training
+        ]
+        return identified(datasets).model
+
+    return Machine("stack", ("x",), stack.SAMPLE_TIME, FILLING * stack.SAMPLE_TIME, cases, same, (plain[-1], shaped[-1]), model)
+
+
+def mirror_machine(scoring: bool, level: int) -> Machine:
+    """Construct the mirror at one of its levels.
+
+    Parameters
+    ----------
+    scoring
+        Cases from the records set apart for scoring.
+    level
+        Index of the level.
+
+    Returns
+    -------
+    Machine
+        The machine.
+    """
+    from evaluation.blind_test.mirror_models import DELAYS, fit, own_error
+    from evaluation.reproduction import fsm_cubespec_records as mirror
+
+    data = mirror.load_levels()[level]
+    case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])
+
+    def twice(realization: int, period: int) -> Clean:
+        command, measurement = (
+            np.concatenate([rows[:, :, realization, 1 - period], rows[:, :, realization, period]])
+            for rows in (data.command, data.measurement)
+        )
+        return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
+
+    def model() -> Any:
+        bare = mirror.model_of(fit(data, DELAYS[-1]).model, data.name, float(np.abs(data.command).max()))
+        return replace(bare, discrepancy=own_error(bare, data, other))
+
+    warm_up = mirror.PERIOD * mirror.SAMPLE_TIME
+    return Machine(
+        f"mirror, {mirror.LEVELS[level]} mV",
+        mirror.AXES,
+        mirror.SAMPLE_TIME,
+        warm_up,
+        (twice(case, 1),),
+        {0: twice(case, 0)},
+        (twice(other, 0),),
+        model,
+    )
+
+
+def simulated_machine(name: str, scoring: bool) -> Machine:
+    """Construct `third` or the Bouc-Wen stage.
+
+    Parameters
+    ----------
+    name
+        One of `SIMULATED`.
+    scoring
+        Cases from the records set apart for scoring.
+
+    Returns
+    -------
+    Machine
+        The machine.
+    """
+    from evaluation.blind_test.plant_setups import SETUPS
+    from hyst_control.identify.data.dataset import Dataset
+    from hyst_control.identify.workflow import identified
+    from hyst_control.records.excitation import build
+    from hyst_plant_sim.physics import bouc_wen_stage, load_plant
+
+    third = SETUPS["third"]
+    step, (low, high) = (
+        (third.sample_time, third.command) if name == "third" else (bouc_wen_stage.SAMPLE_TIME, bouc_wen_stage.COMMAND)
+    )
+
+    def record(seed: int) -> Clean:
+        excitation = {"signal": "diagnostic", "lowest": low, "highest": high, "duration": DURATION, "seed": seed}
+        rows = np.clip(build(excitation, step, 1), low, high)
+        if name != "third":
+            return Clean(f"{name}, seed {seed}", rows, bouc_wen_stage.respond(rows, seed))
+        plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
+        return Clean(f"{name}, seed {seed}", rows, np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]]))
+
+    def model() -> Any:
+        records = [record(seed) for seed in MODEL_SEEDS]
+        return identified([Dataset(each.name, each.command, each.measurement, step, ("x",), "um") for each in records]).model
+
+    cases = tuple(record(seed) for seed in (SCORING_SEEDS if scoring else TUNING_SEEDS))
+    return Machine(name, ("x",), step, 0.0, cases, {}, (), model)

@@ -1,0 +1,170 @@
+"""Plan of the injected cases: which effect goes into which record, beside which clean records.
+
+The plan is a round that repeats, so that any number of cases, and what an interrupted run has diagnosed, has every row of the table in
+the same proportion. Each effect comes in turn before any comes again. A clean record as it is comes once for every set of clean records
+beside it, since the same input has the same report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.blind_test.effect_sizes import NOISE_LIKE
+from evaluation.blind_test.injected_machines import SIMULATED, Machine
+from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, Injection
+
+MODES = ("none", "other_command", "same_command")
+"""Clean records beside the new one."""
+ALIKE = (("delay", "sensor_lowpass", "amplifier_lowpass"), ("gain", "resonance", "gain_drift"), ("creep", "gain_drift"))
+"""Effects that are not put together into a pair: most records tell them apart alone, but not one beside the other."""
+
+Step = tuple[str, str, str, float]
+
+STACK: tuple[Step, ...] = (
+    ("stack", "single", "none", 3.0),
+    ("stack", "single", "same_command", 1.0),
+    ("stack", "single", "other_command", 3.0),
+    ("stack", "single", "same_command", 3.0),
+    ("stack", "single", "none", 10.0),
+    ("stack", "single", "other_command", 10.0),
+    ("stack", "pair", "same_command", 3.0),
+)
+OPEN: tuple[tuple[Step, ...], ...] = (
+    (("stack", "open_set", "none", 10.0),),
+    (("stack", "open_set", "same_command", 10.0),),
+    (("stack", "open_set", "other_command", 10.0),),
+)
+SIMULATIONS: tuple[Step, ...] = (
+    ("simulated", "single", "none", 3.0),
+    ("simulated", "single", "none", 10.0),
+)
+MIRROR: tuple[Step, ...] = (
+    ("mirror", "single", "none", 3.0),
+    ("mirror", "single", "same_command", 3.0),
+    ("mirror", "single", "other_command", 10.0),
+    ("mirror", "single", "none", 10.0),
+    ("mirror", "single", "same_command", 1.0),
+    ("mirror", "pair", "same_command", 3.0),
+    ("mirror", "single", "other_command", 3.0),
+    ("mirror", "open_set", "same_command", 10.0),
+)
+"""Of these every second round has one: a diagnosis of the mirror's three coupled axes takes as long as thirty of the stack."""
+CLEAN = 2
+"""Clean records in a round."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A case to make.
+
+    Parameters
+    ----------
+    machine
+        The machine.
+    record
+        Index of its record.
+    kind
+        "single", "pair", "open_set" or "none".
+    mode
+        One of `MODES`.
+    multiple
+        Size of each effect, times the model's own error.
+    injections
+        The effects.
+    """
+
+    machine: Machine
+    record: int
+    kind: str
+    mode: str
+    multiple: float
+    injections: tuple[Injection, ...]
+
+
+def planned(machines: Sequence[Machine], seed: int, count: int) -> Iterator[Cell]:
+    """Plan cases.
+
+    Parameters
+    ----------
+    machines
+        The machines; those of the plan that are absent are passed over.
+    seed
+        Seed of the plan.
+    count
+        Number of cases.
+
+    Yields
+    ------
+    Cell
+        The cases.
+    """
+    random = np.random.default_rng([seed, 11])
+    groups = {group: [one for one in machines if _group(one) == group] for group in ("stack", "mirror", "simulated")}
+    clean = _clean_cells(machines, random)
+    waiting: dict[str, list[str]] = {}
+    made = turn = 0
+    while made < count:
+        steps = [*STACK, *STACK, *OPEN[turn % len(OPEN)], *SIMULATIONS, *SIMULATIONS]
+        steps += [MIRROR[turn // 2 % len(MIRROR)]] if turn % 2 == 0 else []
+        cells = [
+            _cell(group[(turn + number) % len(group)], step, waiting, random)
+            for number, step in enumerate(steps)
+            if (group := groups[step[0]])
+        ]
+        cells += [clean.pop() for _ in range(min(CLEAN, len(clean)))]
+        yield from cells[: count - made]
+        made += len(cells)
+        turn += 1
+
+
+def _group(machine: Machine) -> str:
+    return "simulated" if machine.name in SIMULATED else machine.name.split(",")[0]
+
+
+def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> list[Cell]:
+    """Every clean record with every set of clean records beside it, in random order; of each of the mirror's levels one set."""
+    cells = []
+    mirrors = [machine for machine in machines if _group(machine) == "mirror"]
+    for machine in mirrors:
+        cells.append(Cell(machine, 0, "none", MODES[mirrors.index(machine) % len(MODES)], 0.0, ()))
+    for machine in [machine for machine in machines if machine not in mirrors]:
+        for record in range(len(machine.cases)):
+            modes = ["none", *(["other_command"] if machine.others else []), *(["same_command"] if record in machine.same else [])]
+            cells += [Cell(machine, record, "none", mode, 0.0, ()) for mode in modes]
+    return [cells[index] for index in random.permutation(len(cells))]
+
+
+def _cell(machine: Machine, step: Step, waiting: dict[str, list[str]], random: np.random.Generator) -> Cell:
+    group, kind, mode, multiple = step
+    record = int(random.choice(sorted(machine.same) if mode == "same_command" else len(machine.cases)))
+    if kind == "open_set":
+        return Cell(machine, record, kind, mode, multiple, (_next(OPEN_SET, "realization", f"open {group}", waiting, random),))
+    if kind == "pair":
+        while True:
+            names = random.choice(sorted({one.name for one in SINGLES} - set(COMPANIONS) - set(NOISE_LIKE)), 2, replace=False)
+            if not any(set(names) <= set(alike) for alike in ALIKE):
+                break
+        chosen = tuple(_realized(str(name), random) for name in names)
+        return Cell(machine, record, kind, mode, multiple, chosen)
+    singles = tuple(one for one in SINGLES if one.name not in COMPANIONS)
+    name = _next(singles, "name", f"single {group} {mode} {multiple}", waiting, random).name
+    return Cell(machine, record, kind, mode, multiple, (_realized(name, random),))
+
+
+def _realized(name: str, random: np.random.Generator) -> Injection:
+    realizations = [one for one in SINGLES if one.name == name]
+    return realizations[int(random.integers(len(realizations)))]
+
+
+def _next(
+    injections: Sequence[Injection], attribute: str, key: str, waiting: dict[str, list[str]], random: np.random.Generator
+) -> Injection:
+    """One of the injections, each value of the attribute in turn before any comes again."""
+    left = waiting.setdefault(key, [])
+    if not left:
+        left += [str(value) for value in random.permutation(sorted({getattr(one, attribute) for one in injections}))]
+    value = left.pop()
+    return next(one for one in injections if getattr(one, attribute) == value)

@@ -1,0 +1,328 @@
+"""Effects that are put into measured records, single and outside the catalogue, and their strength for a given size.
+
+Effects of the sensor act on the measurement; effects of the drive that can be inverted act backwards on the command: the recorded command
+u is what the effect made of another one, c, and c takes its place. They are written here with numpy and scipy alone: nothing is shared
+with the catalogue that is tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+from scipy.signal import bilinear, lfilter, lfilter_zi
+
+from evaluation.blind_test.injected_machines import Clean
+
+Array = NDArray[np.float64]
+
+SCALES = np.geomspace(1e-6, 1e3, 37)
+"""Strengths among which that of a given size is sought."""
+COMPANIONS = ("offset", "offset_drift")
+"""Differ between sessions that nothing was done to."""
+
+
+@dataclass(frozen=True)
+class Injection:
+    """Effect that is put in: strength s > 0 to another command or measurement.
+
+    Parameters
+    ----------
+    name
+        In the gap report's vocabulary; "unknown" of the open set.
+    apply
+        (command (N, A), measurement (N, A), sample time, strength, random) to the two as recorded with the effect.
+    realization
+        Name among the realizations of the effect.
+    truth
+        (strength, command, measurement, sample time) to the true value of each parameter that the gap report defines alike, by axis or
+        for all.
+    """
+
+    name: str
+    apply: Callable[[Array, Array, float, float, np.random.Generator], tuple[Array, Array]]
+    realization: str = ""
+    truth: Callable[[float, Array, Array, float], dict[str, Array | float]] = lambda s, u, y, step: {}
+
+
+def _measured(change: Callable[[Array, float, float, np.random.Generator], Array]) -> Callable[..., tuple[Array, Array]]:
+    return lambda u, y, step, s, random: (u, change(y, step, s, random))
+
+
+def _commanded(change: Callable[[Array, float, float, np.random.Generator], Array]) -> Callable[..., tuple[Array, Array]]:
+    return lambda u, y, step, s, random: (change(u, step, s, random), y)
+
+
+def _along(rows: Array) -> Array:
+    return np.linspace(0.0, 1.0, len(rows))[:, None]
+
+
+def _span(y: Array) -> Array:
+    return np.asarray(np.ptp(y, axis=0), dtype=np.float64)
+
+
+def _later(rows: Array, step: float, tau: float) -> Array:
+    time_axis = step * np.arange(len(rows))
+    return np.asarray(CubicSpline(time_axis, rows)(np.clip(time_axis - tau, 0.0, time_axis[-1])), dtype=np.float64)
+
+
+def _lowpass(y: Array, step: float, tau: float, order: int) -> Array:
+    b, a = bilinear([1.0], [tau, 1.0], 1.0 / step)
+    for _ in range(order):
+        y = lfilter(b, a, y, axis=0, zi=lfilter_zi(b, a)[:, None] * y[:1])[0]
+    return np.asarray(y, dtype=np.float64)
+
+
+def _creep(y: Array, step: float, share: float, times: Array) -> Array:
+    slow = np.zeros_like(y)
+    for tau in times:
+        slow += _lowpass(y - y[0], step, tau, 1) / len(times)
+    return np.asarray(y + share * slow, dtype=np.float64)
+
+
+def _play(y: Array, half: Array) -> Array:
+    found, state = np.empty_like(y), y[0].copy()
+    for k, row in enumerate(y):
+        state = np.clip(state, row - half, row + half)
+        found[k] = state
+    return found
+
+
+def _bent(y: Array, second: float, third: float) -> Array:
+    low, span = y.min(axis=0), _span(y)
+    x = 2.0 * (y - low) / span - 1.0
+    return np.asarray(y + 0.5 * span * (second * (1.5 * x**2 - 0.5) + third * (2.5 * x**3 - 1.5 * x)), dtype=np.float64)
+
+
+def _line(y: Array, step: float, frequency: float, amplitude: Array, random: np.random.Generator) -> Array:
+    angle = 2.0 * np.pi * frequency * step * np.arange(len(y))[:, None]
+    return np.asarray(y + amplitude * np.sin(angle + random.uniform(0.0, 2.0 * np.pi, y.shape[1])), dtype=np.float64)
+
+
+def _mode(y: Array, step: float, gain: float, frequency: float) -> Array:
+    w = 2.0 * np.pi * frequency
+    b, a = bilinear([w**2], [1.0, 0.04 * w, w**2], 1.0 / step)
+    return np.asarray(y + gain * lfilter(b, a, y - y[0], axis=0), dtype=np.float64)
+
+
+def _flicker(y: Array, random: np.random.Generator) -> Array:
+    spectrum = np.fft.rfft(random.standard_normal(y.shape), axis=0)
+    spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))[:, None]
+    spectrum[0] = 0.0
+    rows = np.fft.irfft(spectrum, len(y), axis=0)
+    return np.asarray(rows / rows.std(axis=0), dtype=np.float64)
+
+
+def _held(y: Array, share: float, random: np.random.Generator) -> Array:
+    rows = np.arange(len(y))
+    repeated = random.random(len(y)) < min(share, 0.9)
+    repeated[0] = False
+    rows[repeated] = 0
+    return y[np.maximum.accumulate(rows)]
+
+
+def _ahead(u: Array, step: float, tau: float) -> Array:
+    return _later(u[::-1], step, tau)[::-1]
+
+
+SINGLES = (
+    Injection("gain", _measured(lambda y, step, s, r: y * (1.0 + s)), "sensor", truth=lambda s, u, y, step: {"gain": s}),
+    Injection("gain", _commanded(lambda u, step, s, r: u / (1.0 + s)), "amplifier", truth=lambda s, u, y, step: {"gain": s}),
+    Injection("gain_drift", _measured(lambda y, step, s, r: y * (1.0 + s * _along(y))), "linear"),
+    Injection("offset", _measured(lambda y, step, s, r: y + s * _span(y)), truth=lambda s, u, y, step: {"offset": s * _span(y)}),
+    Injection("offset_drift", _measured(lambda y, step, s, r: y + s * _span(y) * _along(y)), "linear"),
+    Injection("offset_drift", _measured(lambda y, step, s, r: y - s * _span(y) * np.expm1(-5.0 * _along(y))), "settling"),
+    Injection("creep", _measured(lambda y, step, s, r: _creep(y, step, s, len(y) * step * np.array([0.01, 0.1, 1.0]))), "ladder"),
+    Injection(
+        "delay",
+        _measured(lambda y, step, s, r: _later(y, step, s * len(y) * step)),
+        "sensor",
+        truth=lambda s, u, y, step: {"tau": s * len(y) * step},
+    ),
+    Injection(
+        "delay",
+        _commanded(lambda u, step, s, r: _ahead(u, step, s * len(u) * step)),
+        "command",
+        truth=lambda s, u, y, step: {"tau": s * len(y) * step},
+    ),
+    Injection(
+        "sensor_lowpass",
+        _measured(lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 1)),
+        "first",
+        truth=lambda s, u, y, step: {"cutoff": 1.0 / (2.0 * np.pi * s * len(y) * step)},
+    ),
+    Injection("sensor_lowpass", _measured(lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 2)), "second"),
+    Injection("sensor_nonlinearity", _measured(lambda y, step, s, r: _bent(y, s, 0.0)), "even"),
+    Injection("sensor_nonlinearity", _measured(lambda y, step, s, r: _bent(y, 0.3 * s, s)), "odd"),
+    Injection("resonance", _measured(lambda y, step, s, r: _mode(y, step, s, 0.2 / step)), "sensor side"),
+    Injection(
+        "backlash",
+        _measured(lambda y, step, s, r: _play(y, s * _span(y))),
+        truth=lambda s, u, y, step: {"half_width": s * _span(y)},
+    ),
+    Injection(
+        "quantization",
+        _measured(lambda y, step, s, r: s * _span(y) * np.round(y / (s * _span(y)))),
+        truth=lambda s, u, y, step: {"step": s * _span(y)},
+    ),
+    Injection(
+        "held_samples", _measured(lambda y, step, s, r: _held(y, s, r)), truth=lambda s, u, y, step: {"fraction": min(s, 0.9)}
+    ),
+    Injection(
+        "mains_hum",
+        _measured(lambda y, step, s, r: _line(y, step, 50.0, s * _span(y), r)),
+        truth=lambda s, u, y, step: {"amplitude": s * _span(y)},
+    ),
+    Injection("vibration", _measured(lambda y, step, s, r: _line(y, step, 0.31 / step, s * _span(y), r))),
+    Injection(
+        "sensor_noise",
+        _measured(lambda y, step, s, r: y + s * _span(y) * r.standard_normal(y.shape)),
+        truth=lambda s, u, y, step: {"rms": s * _span(y)},
+    ),
+    Injection("flicker_noise", _measured(lambda y, step, s, r: y + s * _span(y) * _flicker(y, r))),
+    Injection("dac_hold", _commanded(lambda u, step, s, r: u + s * np.ptp(u, axis=0) * r.uniform(-0.5, 0.5, u.shape)), "rounding"),
+)
+OPEN_SET = (
+    Injection("unknown", _measured(lambda y, step, s, r: y + s * _span(y) * _spikes(y, r)), "spikes"),
+    Injection(
+        "unknown", _measured(lambda y, step, s, r: _later(y, step, 0.0) + _warped(y, step, s * len(y) * step)), "clock mismatch"
+    ),
+    Injection("unknown", _measured(lambda y, step, s, r: _dead_band(y, s * _span(y))), "dead band"),
+    Injection(
+        "unknown", _measured(lambda y, step, s, r: y * (1.0 + s * (np.sin(40.0 * _along(y)) > 0))), "gain that comes and goes"
+    ),
+)
+
+
+def _spikes(y: Array, random: np.random.Generator) -> Array:
+    """Some single samples far off, of either sign."""
+    found = np.zeros_like(y)
+    for column in found.T:
+        column[random.permutation(len(y))[: max(3, len(y) // 500)]] = random.choice([-20.0, 20.0])
+    return found
+
+
+def _warped(y: Array, step: float, whole: float) -> Array:
+    """Change by a clock that is `whole` seconds late at the end."""
+    axis = step * np.arange(len(y))
+    return np.asarray(CubicSpline(axis, y)(axis - whole * axis / axis[-1]) - y, dtype=np.float64)
+
+
+def _dead_band(y: Array, half: Array) -> Array:
+    center = y.mean(axis=0)
+    away = y - center
+    return np.asarray(center + np.sign(away) * np.maximum(np.abs(away) - half, 0.0), dtype=np.float64)
+
+
+def apply_all(
+    injections: Sequence[Injection], strengths: Sequence[float], clean: Clean, step: float, seed: Sequence[int]
+) -> tuple[Array, Array]:
+    """Put effects into a record, one after the other.
+
+    Parameters
+    ----------
+    injections
+        The effects.
+    strengths
+        Strength of each.
+    clean
+        Clean record.
+    step
+        Sample time, s.
+    seed
+        Seed of what is random in them.
+
+    Returns
+    -------
+    command, measurement
+        The record with the effects, (N, A).
+    """
+    command, measurement = clean.command, clean.measurement
+    for injection, strength in zip(injections, strengths, strict=True):
+        command, measurement = injection.apply(command, measurement, step, strength, np.random.default_rng(list(seed)))
+    return np.asarray(command, dtype=np.float64), np.asarray(measurement, dtype=np.float64)
+
+
+def structural_rms(rows: Array, first: int) -> float:
+    """Rms of a difference from row `first` on, without a zero, a drift and a curvature of its own, which differ between sessions.
+
+    Parameters
+    ----------
+    rows
+        Difference (N, A), measurement unit.
+    first
+        First row that counts.
+
+    Returns
+    -------
+    float
+        Measurement unit.
+    """
+    counted = rows[first:]
+    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(counted)), 2)
+    rest = counted - basis @ np.linalg.lstsq(basis, counted, rcond=None)[0]
+    return float(np.sqrt(np.mean(rest**2)))
+
+
+def size_of(command: Array, measurement: Array, clean: Clean, first: int) -> float:
+    """Size of a change of a record; of its command, by the record's mean slope.
+
+    Parameters
+    ----------
+    command, measurement
+        The changed record, (N, A).
+    clean
+        The record before.
+    first
+        First row that counts.
+
+    Returns
+    -------
+    float
+        Rms without zero, drift and curvature, measurement unit.
+    """
+    slope = float(np.sqrt(np.mean(np.var(clean.measurement, axis=0)) / max(np.mean(np.var(clean.command, axis=0)), 1e-300)))
+    moved, driven = structural_rms(measurement - clean.measurement, first), structural_rms(command - clean.command, first)
+    return float(np.hypot(moved, slope * driven))
+
+
+def strength_of(injection: Injection, clean: Clean, step: float, rms: float, seed: Sequence[int], first: int = 0) -> float:
+    """Find the strength at which an effect changes the record by a given rms; see `size_of`.
+
+    Parameters
+    ----------
+    injection
+        The effect.
+    clean
+        Clean record.
+    step
+        Sample time, s.
+    rms
+        Size of the change, measurement unit.
+    seed
+        Seed of what is random in it.
+    first
+        First row that counts.
+
+    Returns
+    -------
+    float
+        The strength.
+    """
+
+    def size(strength: float) -> float:
+        command, measurement = apply_all([injection], [strength], clean, step, seed)
+        if injection.name in COMPANIONS:
+            return float(np.sqrt(np.mean((measurement - clean.measurement)[first:] ** 2)))
+        return size_of(command, measurement, clean, first)
+
+    beyond = next((scale for scale in SCALES if size(scale) > rms), None)
+    if beyond is None:
+        return float(SCALES[-1])
+    if size(beyond / 2.0) > rms:
+        return float(beyond)
+    return float(np.exp(brentq(lambda x: size(float(np.exp(x))) - rms, np.log(beyond / 2.0), np.log(beyond), xtol=1e-3)))

@@ -1,0 +1,265 @@
+"""Linear models of the measured mirror: fitted by level, their error, and the models that lose one element."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from evaluation.reproduction import fsm_cubespec_records as mirror
+from hyst_control.chain import Chain
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace
+from hyst_control.chain.stage import Array, Stage, frozen
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
+from hyst_control.identify.modal.modal_fit import subspace
+from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, Signal
+
+ORDER = 46
+"""States of the mirror's linear models."""
+DELAYS = (0.0, 0.25, 0.5, 0.75)
+"""Candidates in samples; the fifth realization chooses among them."""
+LOST_GAIN = 0.05
+LEAST_SHARE = 1.0
+"""Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
+
+
+def fit(level: mirror.Level, delay: float) -> Candidate:
+    """Fit the linear model of a level, with its relative error on the fifth realization.
+
+    Parameters
+    ----------
+    level
+        Measurements at one level.
+    delay
+        Input delay, samples.
+
+    Returns
+    -------
+    Candidate
+        The model.
+    """
+    data = [level.spectra(mirror.FIT)]
+    found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], True, False, 25)
+    return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
+
+
+def errors(model: Model, level: mirror.Level, realization: int) -> Array:
+    """Rms errors of a model on a realization, both periods.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    Array
+        Errors (3,) in the measurement unit.
+    """
+    error: Array = np.sqrt(np.mean(np.concatenate(residuals(model, level, realization)) ** 2, axis=0))
+    return error
+
+
+def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array]:
+    """Compute measured minus simulated of a realization, in the steady state.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    list of Array
+        (8192, 3) in the measurement unit, by period.
+    """
+    simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
+    return list((level.measurement[:, :, realization] - simulated[..., None]).transpose(2, 0, 1))
+
+
+def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, Any]:
+    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does.
+
+    Parameters
+    ----------
+    model
+        The model.
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    dict
+        See `Model.discrepancy`.
+    """
+    commands = list(level.command[:, :, realization].transpose(2, 0, 1))
+    measurements = list(level.measurement[:, :, realization].transpose(2, 0, 1))
+    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
+
+
+def record_of(level: mirror.Level, realization: int) -> Record:
+    """Join both periods of a realization; the first brings the simulation into its steady state.
+
+    Parameters
+    ----------
+    level
+        Measurements at one level.
+    realization
+        Index of the realization.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
+    command, measurement = (
+        part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
+    )
+    time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
+    return Record(
+        {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
+        f"{level.name}, realization {realization + 1}",
+    )
+
+
+def models_without_elements(
+    model: Model, modes: bool, level: mirror.Level, floor: float
+) -> Iterator[tuple[str, tuple[str, ...], Model]]:
+    """Remove one element of a model after the other.
+
+    Parameters
+    ----------
+    model
+        The whole model.
+    modes
+        Remove also each mode.
+    level
+        Measurements at one level.
+    floor
+        Residual of the whole model, rms in the measurement unit.
+
+    Yields
+    ------
+    tuple[str, tuple[str, ...], Model]
+        The element, the effects that are right for it, and the model without it.
+    """
+    *before, whole = model.chain.stages
+    assert isinstance(whole, StateSpace)
+    if any(isinstance(stage, Delay) for stage in before):
+        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), with_stages(model, whole)
+    yield "coupling", ("cross_coupling",), with_stages(model, *before, uncoupled(whole))
+    kept = 1.0 - LOST_GAIN
+    yield (
+        f"{100 * LOST_GAIN:g} % of its gain",
+        ("gain", "hysteresis_width"),
+        with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
+    )
+    if not modes:
+        return
+    simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
+    for block, frequency in oscillating(whole):
+        crippled = with_stages(model, *before, without_states(whole, block))
+        lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
+        if np.mean(lost**2) > LEAST_SHARE * floor**2:
+            yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
+
+
+def with_stages(model: Model, *stages: Stage) -> Model:
+    """Replace the stages of a model.
+
+    Parameters
+    ----------
+    model
+        The model.
+    *stages
+        Its new stages.
+
+    Returns
+    -------
+    Model
+        The new model.
+    """
+    return replace(model, chain=Chain(tuple(stages)))
+
+
+def uncoupled(whole: StateSpace) -> StateSpace:
+    """Remove the coupling: every axis is driven by its own input alone.
+
+    Parameters
+    ----------
+    whole
+        The system.
+
+    Returns
+    -------
+    StateSpace
+        The system without coupling.
+    """
+    a, b, c, d = (np.array(getattr(whole, part), dtype=float) for part in "ABCD")
+    axes = range(len(d))
+    return StateSpace(
+        frozen(block_diag(*(a for _ in axes))),
+        frozen(block_diag(*(b[:, [i]] for i in axes))),
+        frozen(block_diag(*(c[[i]] for i in axes))),
+        frozen(np.diag(np.diag(d))),
+    )
+
+
+def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
+    """Find the oscillating modes of a block-diagonal system below the band's end.
+
+    Parameters
+    ----------
+    whole
+        The system.
+
+    Yields
+    ------
+    tuple[slice, float]
+        States of a mode, and its frequency in Hz.
+    """
+    a = np.array(whole.A, dtype=float)
+    row = 0
+    while row < len(a):
+        size = 2 if row + 1 < len(a) and a[row, row + 1] else 1
+        if size == 2:
+            frequency = float(np.abs(np.linalg.eigvals(a[row : row + 2, row : row + 2])[0])) / (2 * np.pi)
+            if frequency < mirror.BANDS[-1] - 200.0:
+                yield slice(row, row + 2), frequency
+        row += size
+
+
+def without_states(whole: StateSpace, block: slice) -> StateSpace:
+    """Remove some states of a system.
+
+    Parameters
+    ----------
+    whole
+        The system.
+    block
+        The states.
+
+    Returns
+    -------
+    StateSpace
+        The system without them.
+    """
+    a, b, c = (np.array(getattr(whole, part), dtype=float) for part in "ABC")
+    gone = np.arange(block.start, block.stop)
+    kept = np.delete(np.delete(a, gone, axis=0), gone, axis=1)
+    return replace(whole, A=frozen(kept), B=frozen(np.delete(b, gone, axis=0)), C=frozen(np.delete(c, gone, axis=1)))

@@ -1,0 +1,1 @@
+"""Subcommands of `hyst` that exist in a checkout only."""

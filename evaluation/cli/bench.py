@@ -1,0 +1,77 @@
+"""Measure the speed of kernels, bags, the running loop, and workflows.
+
+Kernels are compared with the same loops in C (needs gcc), exported controllers are timed and compared with Python bit by bit, the
+running loop (rounds per second in lockstep; period, latency, loss and load at 1 kHz) with the same loop in plain rclpy. Workflows are
+the identification from one minute at 20 kHz and the diagnosis of a record. Coverage is the share of 200 simulated identifications whose
+90 % intervals hold the truth, round_trips the error of every identified family on a record of another session.
+The figures hold for this machine at this moment; the table names the machine.
+
+examples:
+  hyst bench --only loops --json suite.json
+  hyst bench --only fleet                   cost of a record, of handing it out, and what a second worker brings
+  hyst bench --only lockstep                an hour in lockstep at full speed: lost rows, repetitions, load
+  hyst bench --only wall-clock              ten minutes at 1 kHz against a stage: lost rows, missed ticks, load
+  hyst bench --soak 60                      long runs, to check that memory does not grow
+  hyst bench --minutes 0.5 1 2 4            commands on long records, their growth and an hour, extrapolated
+  hyst bench --minutes 60                   the hour itself: 180 million samples, some 20 GB of temporary files
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.reporting.tables import Table
+
+NAME = "bench"
+HELP = "measure the speed of kernels, bags and the running loop on this machine"
+JSON = "result table"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    parser.add_argument(
+        "--only",
+        choices=(
+            "kernels",
+            "exported",
+            "bags",
+            "loops",
+            "dashboard",
+            "workflows",
+            "coverage",
+            "round_trips",
+            "fleet",
+            "many_axes",
+            "learned_priors",
+            "lockstep",
+            "wall-clock",
+        ),
+        help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops; "
+        "fleet (needs Dask), many_axes and learned_priors are run when they are named; "
+        "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
+    )
+    parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")
+    parser.add_argument(
+        "--soak",
+        type=float,
+        metavar="MINUTES",
+        help="instead, run the loop for this time in lockstep, then for a sixth of it on the wall clock, and measure its memory; "
+        "with --only lockstep or wall-clock: length of that run",
+    )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        nargs="+",
+        metavar="MINUTES",
+        help="instead, measure time and memory of import, simulate, validate and identify on records of these lengths at 50 kHz, and "
+        "from the two longest of them what an hour would take",
+    )
+
+
+def run(arguments: argparse.Namespace) -> Table:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from evaluation.benchmarks import suite
+
+    return suite.run(arguments.only, arguments.seconds, arguments.soak, arguments.minutes)

@@ -1,0 +1,136 @@
+"""Test the diagnosis blind: draw cases, diagnose each in a process that never sees its label, score, and write the page.
+
+Seeds 0 to 999 are for tuning; scoring seeds begin at 100000, and each is used for one version. An interrupted run continues when it is
+called again with the same folder.
+
+example:
+  hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
+  hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
+  hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into records of machines
+  hyst blind-test --seed 100000 --count 300 --with-injected 200 --output blind --page docs/blind-test.md     both on one page
+  hyst blind-test --seed 7 --count 800 --output blind --cluster tcp://10.0.0.1:8786      on the workers of a Dask cluster
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from hyst_control.errors import InputError
+
+if TYPE_CHECKING:
+    from hyst_control.reporting.tables import Table
+
+NAME = "blind-test"
+HELP = "test the diagnosis on cases whose effect is withheld"
+JSON = "result table"
+WRITES = ("page",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--seed", type=int, help="seed of the cases")
+    what.add_argument(
+        "--measured", action="store_true", help="diagnose measured records with models from which one element was removed"
+    )
+    parser.add_argument(
+        "--injected",
+        action="store_true",
+        help="with --seed: only put known effects into records of the stack, the mirror and simulated machines",
+    )
+    parser.add_argument(
+        "--plants",
+        nargs="+",
+        metavar="PLANT",
+        help="with --injected or --measured: plants, stack and mirror, and simulated with --injected (default: all)",
+    )
+    parser.add_argument(
+        "--levels",
+        nargs="+",
+        type=int,
+        metavar="MV",
+        help="with --measured: levels whose models of the mirror are used (default: all)",
+    )
+    parser.add_argument(
+        "--modes",
+        choices=("none", "middle", "all"),
+        default="all",
+        help="with --measured: levels of the mirror that have cases without one mode (default all)",
+    )
+    parser.add_argument("--count", type=int, default=800, help="number of cases (default 800)")
+    parser.add_argument(
+        "--with-injected", type=int, default=0, metavar="COUNT", help="with --seed: number of injected cases beside the others"
+    )
+    parser.add_argument(
+        "--without-gap",
+        type=int,
+        default=0,
+        metavar="COUNT",
+        help="with --seed: number of further cases without a gap, which only the false alarms count",
+    )
+    parser.add_argument(
+        "--left-out",
+        type=int,
+        default=100,
+        help="number of single-effect cases to diagnose again without their effect in the catalogue (default 100)",
+    )
+    parser.add_argument(
+        "--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports (default blind_out)"
+    )
+    parser.add_argument(
+        "--stop-after",
+        type=float,
+        metavar="SECONDS",
+        help="with --seed: begin no further diagnosis after this time, and score what is done; the same call continues",
+    )
+    parser.add_argument(
+        "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="with --seed: worker processes (default: one a core)")
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="with --seed: Dask scheduler, its scheduler file, or local to start one; its workers must see the folder of --output",
+    )
+    parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
+
+
+def run(arguments: argparse.Namespace) -> Table:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    if arguments.measured:
+        if arguments.workers is not None or arguments.cluster is not None:
+            raise InputError("--workers, --cluster: go with --seed, not with --measured: leave them out")
+        from evaluation.blind_test import measured
+
+        return measured.run(
+            arguments.output,
+            arguments.page,
+            modes=arguments.modes,
+            plants=arguments.plants,
+            levels=arguments.levels,
+            so_far=arguments.so_far,
+        )
+    workers = None
+    if arguments.workers is not None or arguments.cluster is not None:
+        from hyst_control.parallel import Workers
+
+        workers = Workers(arguments.workers, arguments.cluster)
+    if arguments.injected:
+        from evaluation.blind_test import injected
+
+        return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page, workers=workers)
+    from evaluation.blind_test.run import run_all
+
+    return run_all(
+        arguments.output,
+        arguments.seed,
+        arguments.count,
+        arguments.left_out,
+        arguments.page,
+        so_far=arguments.so_far,
+        injected_count=arguments.with_injected,
+        stop_after=arguments.stop_after,
+        without_gap=arguments.without_gap,
+        workers=workers,
+    )

@@ -1,0 +1,111 @@
+"""Draw cases from the truth plants: recorded bags with a model each and their labels in a separate file; or draw all effects.
+
+examples:
+  hyst cases make --seed 7 --count 20 --output cases
+  hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
+  hyst cases make --measured --seed 7 --count 20 --output injected --plants stack
+  hyst cases make --fleet 20 30 --seed 7 --output fleet   # units and nights; then: hyst fleet diagnose fleet/manifest.csv --output study
+  hyst cases figures --output docs                  # effects.md, with a figure for every effect
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hyst_control.reporting.artifacts import Artifacts
+
+NAME = "cases"
+HELP = "draw recorded cases with effects in them, labels in a separate file"
+JSON = "list of written files"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    parser.add_argument(
+        "action", choices=("make", "figures"), help="make: draw and record cases; figures: write the page of effects"
+    )
+    parser.add_argument("--seed", type=int, help="seed of the cases (make)")
+    parser.add_argument("--count", type=int, default=60, help="number of cases (make; default 60)")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="FOLDER",
+        help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)",
+    )
+    parser.add_argument(
+        "--measured",
+        action="store_true",
+        help="put known effects into records of the stack, the mirror and simulated machines (make)",
+    )
+    parser.add_argument(
+        "--fleet", nargs=2, type=int, metavar=("UNITS", "NIGHTS"), help="record a simulated fleet with its manifest (make)"
+    )
+    parser.add_argument(
+        "--plants",
+        nargs="+",
+        metavar="PLANT",
+        help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
+        "pea_published, fsm_published and third",
+    )
+    parser.add_argument(
+        "--kinds",
+        nargs="+",
+        metavar="KIND",
+        help="content of the cases (make): single, pair, parameters, none, open_set (default: all)",
+    )
+    parser.add_argument(
+        "--excitations", nargs="+", metavar="EXCITATION", help="records (make): rich, multisine, sine, closed_loop (default: all)"
+    )
+    parser.add_argument(
+        "--switched",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="share of the cases with effects whose effects begin within the record (make; default 0)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> Artifacts:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.reporting.artifacts import Artifacts
+
+    if arguments.action == "figures":
+        from pathlib import Path
+
+        from evaluation.blind_test.effect_figures import write
+
+        return Artifacts("cases figures", write(Path(arguments.output)))
+    from evaluation.blind_test import injected
+    from evaluation.blind_test.run import make_cases
+    from hyst_control.errors import InputError
+
+    if arguments.seed is None:
+        raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
+    if arguments.fleet:
+        from pathlib import Path
+
+        from evaluation.blind_test.simulated_fleet import make_fleet
+        from hyst_control import progress
+
+        units, nights = arguments.fleet
+        labels = make_fleet(Path(arguments.output), arguments.seed, units, nights, note=progress.step)
+        made = Artifacts("cases make", [labels.parent / "manifest.csv", labels])
+        made.add("", "records", "", units * nights)
+        return made
+    if arguments.measured:
+        labels = injected.make(arguments.output, arguments.seed, arguments.count, arguments.plants)
+    else:
+        labels = make_cases(
+            arguments.output,
+            arguments.seed,
+            arguments.count,
+            arguments.plants,
+            arguments.kinds,
+            arguments.excitations,
+            arguments.switched,
+        )
+    made = Artifacts("cases make", [labels.parent / "cases", labels])
+    made.add("", "cases", "", arguments.count)
+    return made

@@ -1,0 +1,403 @@
+"""The hysteresis benchmark of the identification community: Noël & Schoukens, "Hysteretic benchmark with a dynamic nonlinearity".
+
+A simulated oscillator of one degree of freedom whose restoring force has hysteresis, 750 Hz, five periods of a multisine with sensor
+noise for the fit; a multisine and a sine sweep, both without noise, for scoring once. What a model is scored by is its simulation from
+the force alone.
+
+The benchmark's force is made at 15 kHz and has no content above 150 Hz, so it is known between its samples: records are interpolated
+between their samples, without limit on the band below 375 Hz, before a model is fitted or simulated (`interpolated`). A command that
+was taken to hold, or to run straight, between samples at 750 Hz would be another one. The period that is fitted is the mean of periods
+2 to 5, preceded by itself; period 1 holds the transient from rest.
+
+In the model files the force is in V for N and the displacement in um.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from evaluation.reproduction.measured_data import data_folder
+from hyst_control import progress
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify import identify
+from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.model_file import Model, simulate
+from hyst_control.reporting.tables import Table
+
+SAMPLE_TIME = 1.0 / 750.0
+PERIOD = 8192
+REFINEMENT = 10
+"""Points of interpolation per sample; 20 change no error by 1e-7 m."""
+PADDING = 4000
+"""Zeros before and behind a record that is not periodic, while it is interpolated."""
+PUBLISHED = (1.2e-5, 5.4e-5)
+"""Simulation error, m: best and worst of the polynomial state-space models of Noël et al., arXiv 1610.09138 (-98.3 and -85.3 dB)."""
+TARGETS = {"gray box": 3e-6, "generic": 1.2e-5}
+EQUATIONS = {"mass": 2e-6, "damping": 1e-5, "stiffness": 0.05, "alpha": 0.05, "beta": 8e-4, "gamma": -1.1e-3, "exponent": 1.0}
+"""Parameters of the benchmark's equations in V (N), um and s; nothing but the table is told of them."""
+SWEEP_BANDS = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A family with its options, and its name in the tables."""
+
+    subject: str
+    family: str
+    options: dict[str, object] = field(default_factory=dict)
+
+
+CANDIDATES = (
+    Candidate("Bouc-Wen oscillator, gray box", "bouc_wen"),
+    Candidate("Duhem oscillator, generic", "duhem_oscillator"),
+    Candidate("Duhem oscillator, 12 knots, none at 0", "duhem_oscillator", {"table_size": 12}),
+    Candidate("play operators and dynamics (hapi)", "hapi"),
+    Candidate("linear", "linear"),
+)
+
+
+@dataclass(frozen=True)
+class Test:
+    """A record for scoring: force (N,) in N and displacement (N,) in um, and whether it is one period of a steady state."""
+
+    name: str
+    force: Array
+    displacement: Array
+    periodic: bool
+
+
+def interpolated(signal: Array, factor: int) -> Array:
+    """Interpolate a period of a periodic signal without content at or above half its sample rate.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        One period.
+    factor : int
+        Points per sample.
+
+    Returns
+    -------
+    ndarray, shape (factor · N,)
+        Equal to the signal at every `factor`-th point.
+    """
+    spectrum = np.zeros(len(signal) * factor // 2 + 1, dtype=complex)
+    lines = np.fft.rfft(signal)
+    spectrum[: len(lines)] = lines
+    if len(signal) % 2 == 0 and factor > 1:
+        spectrum[len(lines) - 1] *= 0.5
+    fine: Array = factor * np.fft.irfft(spectrum, len(signal) * factor)
+    return fine
+
+
+def load() -> tuple[Array, list[Test]]:
+    """Load the records.
+
+    Returns
+    -------
+    train : ndarray, shape (5, 8192, 2)
+        Periods of force (N) and displacement (um).
+    tests : list of Test
+        Multisine and sine sweep.
+
+    Raises
+    ------
+    InputError
+        Where they are absent or of another form.
+    """
+    folder, found = data_folder("bouc_wen"), []
+    for name, samples in (("multisine_train", 5 * PERIOD), ("multisine_test", PERIOD), ("sinesweep_test", 153_000)):
+        path = folder / f"{name}.npy"
+        try:
+            values = np.load(path, allow_pickle=False)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path}: cannot be read ({error}): fetch the file again") from None
+        if values.shape != (samples, 2):
+            raise InputError(f"{path}: shape {values.shape}, must be {(samples, 2)}: fetch the file again")
+        found.append(values * np.array([1.0, 1e6]))
+    train, multisine, sweep = found
+    tests = [
+        Test("multisine", multisine[:, 0], multisine[:, 1], periodic=True),
+        Test("sine sweep", sweep[:, 0], sweep[:, 1], periodic=False),
+    ]
+    return train.reshape(5, PERIOD, 2), tests
+
+
+def training_record(periods: Array, refinement: int = REFINEMENT) -> Dataset:
+    """Mean of the steady periods, interpolated; it begins amid a motion and is preceded by itself.
+
+    Parameters
+    ----------
+    periods : ndarray, shape (5, 8192, 2)
+        Periods of force (N) and displacement (um).
+    refinement : int
+        Points per sample.
+
+    Returns
+    -------
+    Dataset
+        One period.
+    """
+    force, displacement = (interpolated(signal, refinement)[:, None] for signal in periods[1:].mean(axis=0).T)
+    return Dataset("multisine_train", force, displacement, SAMPLE_TIME / refinement, ("x",), "um", "foh", "unknown")
+
+
+def predict(model: Model, test: Test) -> Array:
+    """Simulate a record from its force alone, from rest or in the steady state.
+
+    Parameters
+    ----------
+    model : Model
+        At a fraction of the record's sample time.
+    test : Test
+        The record.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Displacement, um.
+    """
+    refinement = round(SAMPLE_TIME / model.sample_time)
+    if test.periodic:  # twice, of which the second time counts
+        force = np.tile(interpolated(test.force, refinement), 2)
+        first = len(test.force)
+    else:
+        force = interpolated(np.pad(test.force, PADDING), refinement)
+        first = PADDING
+    return simulate(model, force[:, None])[::refinement, 0][first : first + len(test.force)]
+
+
+def error_of(model: Model, test: Test) -> float:
+    """Simulation error of a model on a record.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    test : Test
+        The record.
+
+    Returns
+    -------
+    float
+        Root mean square error, m.
+    """
+    return 1e-6 * float(np.sqrt(np.mean((test.displacement - predict(model, test)) ** 2)))
+
+
+def run(
+    json_path: str | Path | None = None,
+    figures_dir: str | Path | None = None,
+    candidates: Sequence[Candidate] = CANDIDATES,
+    refinement: int = REFINEMENT,
+) -> Table:
+    """Identify every candidate on the training record, score it on both tests and return the table.
+
+    Parameters
+    ----------
+    json_path : str or Path or None
+        JSON file to write the table to; None: none.
+    figures_dir : str or Path or None
+        Folder for the figure; None: none.
+    candidates : sequence of Candidate
+        The first one's parameters are held against the benchmark's.
+    refinement : int
+        Points of interpolation per sample.
+
+    Returns
+    -------
+    Table
+        All rows of the experiment.
+
+    Raises
+    ------
+    InputError
+        Where the records are absent.
+    """
+    periods, tests = load()
+    record = training_record(periods, refinement)
+    table = Table("reproduce bouc-wen")
+    fits = []
+    for candidate in candidates:
+        progress.step(f"identify {candidate.subject}")
+        began = time.perf_counter()
+        fit = identify([record], candidate.family, "joint", **candidate.options)
+        report(table, candidate.subject, fit, tests, periods, time.perf_counter() - began)
+        fits.append(fit)
+    report_targets(table, candidates, tests)
+    report_parameters(table, candidates[0].subject, fits[0])
+    report_sweep(table, candidates[0].subject, fits[0].model, tests[1])
+    if figures_dir is not None:
+        draw(Path(figures_dir), [(candidate.subject, fit.model) for candidate, fit in zip(candidates, fits, strict=True)], tests)
+    if json_path is not None:
+        table.write(json_path)
+    return table
+
+
+ERRORS = "Simulation error on the records for scoring"
+
+
+def report(table: Table, subject: str, fit: Fit, tests: Sequence[Test], periods: Array, seconds: float) -> None:
+    """Add the errors of one model.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    subject : str
+        Name of the model in the table.
+    fit : Fit
+        The model.
+    tests : sequence of Test
+        Records for scoring.
+    periods : ndarray, shape (5, 8192, 2)
+        Training record.
+    seconds : float
+        Duration of the fit, s.
+    """
+    for test in tests:
+        error = error_of(fit.model, test)
+        table.add(ERRORS, test.name, subject, "rms_error", "m", error, published=PUBLISHED[0])
+        table.add(ERRORS, test.name, subject, "rms_error_level", "dB re 1 m", 20.0 * np.log10(error))
+        rms = float(np.sqrt(np.mean(test.displacement**2)))
+        table.add(ERRORS, test.name, subject, "relative_error", "% of rms", 1e8 * error / rms)
+    mean = periods[1:].mean(axis=0)
+    trained = Test("multisine_train", mean[:, 0], mean[:, 1], periodic=True)
+    table.add(ERRORS, trained.name, subject, "rms_error", "m", error_of(fit.model, trained))
+    noise = 1e-6 * float(np.std(periods[1:, :, 1] - mean[:, 1], ddof=0)) / np.sqrt(3.0)
+    table.add(ERRORS, trained.name, subject, "noise_of_the_mean_period", "m", noise)
+    table.add(ERRORS, "fit", subject, "numbers_in_the_model", "", len({row["name"] for row in fit.report["parameters"]}))
+    table.add(ERRORS, "fit", subject, "fit_time", "s", seconds)
+
+
+def report_targets(table: Table, candidates: Sequence[Candidate], tests: Sequence[Test]) -> None:
+    """Add every target and whether it is met.
+
+    Parameters
+    ----------
+    table : Table
+        Table with the rows of `report`.
+    candidates : sequence of Candidate
+        The models.
+    tests : sequence of Test
+        Records for scoring.
+    """
+    for candidate in candidates:
+        for words, bound in TARGETS.items():
+            if words in candidate.subject:
+                worst = max(table.value(test.name, candidate.subject, "rms_error") for test in tests)
+                table.add("Targets", "both records", candidate.subject, "largest_rms_error", "m", worst)
+                table.add("Targets", "both records", candidate.subject, "bound", "m", bound)
+                table.add("Targets", "both records", candidate.subject, "met", "", float(worst <= bound))
+
+
+def report_parameters(table: Table, subject: str, fit: Fit) -> None:
+    """Add the fitted parameters beside those of the benchmark's equations, with the 95 % interval.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    subject : str
+        Name of the model in the table.
+    fit : Fit
+        The gray box.
+    """
+    for row in fit.report["parameters"]:
+        if row["name"] in EQUATIONS:
+            value, half = row["value"], 1.96 * (row["standard_error"] or 0.0)
+            table.add(
+                "Parameters found, and those of the benchmark's equations",
+                row["name"],
+                subject,
+                row["name"],
+                row["unit"],
+                value,
+                published=EQUATIONS[row["name"]],
+                ci95=(value - half, value + half),
+            )
+
+
+def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
+    """Add the ratio of measured to simulated displacement by frequency: what the gray box leaves of the sweep.
+
+    Parameters
+    ----------
+    table : Table
+        Table to which rows are added.
+    subject : str
+        Name of the model in the table.
+    model : Model
+        The gray box.
+    test : Test
+        The sine sweep.
+    """
+    measured, simulated, force = (analytic(signal) for signal in (test.displacement, predict(model, test), test.force))
+    frequency = np.gradient(np.unwrap(np.angle(force))) / (2 * np.pi * SAMPLE_TIME)
+    for lower, upper in zip(SWEEP_BANDS[:-1], SWEEP_BANDS[1:], strict=True):
+        inside = (frequency >= lower) & (frequency < upper)
+        inside[: PERIOD // 8], inside[-PERIOD // 8 :] = False, False
+        ratio = np.vdot(simulated[inside], measured[inside]) / np.vdot(simulated[inside], simulated[inside])
+        case, title = f"{lower:g}-{upper:g} Hz", "What the gray box leaves of the sweep: measured over simulated"
+        table.add(title, case, subject, "amplitude_ratio_less_1", "%", 100.0 * (abs(ratio) - 1.0))
+        table.add(title, case, subject, "phase", "deg", float(np.angle(ratio, deg=True)))
+
+
+def analytic(signal: Array) -> np.ndarray:
+    """Analytic signal by the Fourier transform.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        Real signal.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Complex, with the signal as its real part.
+    """
+    spectrum = np.fft.fft(signal)
+    spectrum[1 : (len(signal) + 1) // 2] *= 2.0
+    spectrum[len(signal) // 2 + 1 :] = 0.0
+    return np.fft.ifft(spectrum)
+
+
+def draw(folder: Path, models: Sequence[tuple[str, Model]], tests: Sequence[Test]) -> None:
+    """Draw part of the multisine with the models' errors, and the errors over the sweep.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for the figure; created if missing.
+    models : sequence of (str, Model)
+        Models by name.
+    tests : sequence of Test
+        Records for scoring.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    folder.mkdir(parents=True, exist_ok=True)
+    figure, panels = plt.subplots(len(tests), 1, figsize=(9, 8))
+    for panel, test in zip(panels, tests, strict=True):
+        rows = slice(0, 1500) if test.periodic else slice(None, None, 40)
+        time_axis = SAMPLE_TIME * np.arange(len(test.force))[rows]
+        panel.semilogy(time_axis, np.abs(test.displacement[rows]), color="black", linewidth=0.5, label="displacement")
+        for name, model in models:
+            panel.semilogy(time_axis, np.abs(test.displacement - predict(model, test))[rows], linewidth=0.6, label=f"error: {name}")
+        panel.set_ylabel(f"{test.name}: um")
+        panel.set_ylim(bottom=1e-3)
+        panel.grid(alpha=0.3)
+    panels[0].legend(fontsize=7)
+    panels[-1].set_xlabel("time (s)")
+    figure.tight_layout()
+    figure.savefig(folder / "bouc_wen.png", dpi=120)
+    plt.close(figure)

@@ -1,0 +1,196 @@
+"""Records of the measured mirror (`fsm_cubespec`) and the error of a model on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluation.reproduction.measured_data import data_folder
+from hyst_control.chain.chain import Chain
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify.modal.frequency_response import excited_lines
+from hyst_control.identify.modal.modal_model import ModalModel, Spectra
+from hyst_control.identify.modal.modal_stages import stages_of
+from hyst_control.model_file import Model, simulate
+
+SAMPLE_TIME = 1.0 / 6400.0
+PERIOD = 8192
+AXES = ("a", "b", "c")
+LEVELS = (100, 200, 300)
+"""Excitation levels in mV rms."""
+FIT, SELECT, TEST = (0, 1, 2, 3), (4,), (5,)
+BANDS = (0, 500, 700, 1100, 1500, 2000, 3200)
+"""Edges in Hz of the bands in which what is left is told."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """Records of one level: command (8192, 3, 6, 2) in V and measurement (8192, 3, 6, 2) in um."""
+
+    name: str
+    command: Array
+    measurement: Array
+
+    def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
+        """Compute the spectra at the excited lines, both periods averaged.
+
+        Sums of squares equal those of the samples, times weight².
+
+        Parameters
+        ----------
+        realisations : sequence of int
+            Indices of realizations, 0 to 5.
+        weight : float
+            Factor of command and measurement.
+
+        Returns
+        -------
+        Spectra
+            Command and measurement at the excited lines.
+        """
+        u = np.fft.rfft(self.command[:, :, realisations].mean(axis=3), axis=0)
+        y = np.fft.rfft(self.measurement[:, :, realisations].mean(axis=3), axis=0)
+        lines = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
+        scale = weight * np.sqrt(2.0 / PERIOD)
+        return Spectra(2 * np.pi * lines / PERIOD, scale * u[lines], scale * y[lines], True)
+
+    def error(self, simulated: Array, realisations: Sequence[int]) -> Array:
+        """Compute relative errors of a simulation.
+
+        Parameters
+        ----------
+        simulated : ndarray, shape (8192, 3, R)
+            Simulated measurement, um.
+        realisations : sequence of int
+            Indices of realizations, 0 to 5.
+
+        Returns
+        -------
+        ndarray, shape (4,)
+            Relative errors, %: all sensors together, then each.
+        """
+        measured = self.measurement[:, :, realisations]
+        squared = np.mean((measured - simulated[..., None]) ** 2, axis=(0, 2, 3))
+        power = np.mean(measured**2, axis=(0, 2, 3))
+        errors: Array = 100.0 * np.sqrt(np.concatenate([[squared.sum() / power.sum()], squared / power]))
+        return errors
+
+
+def load_levels() -> list[Level]:
+    """Load the measurements of all levels.
+
+    Raises
+    ------
+    InputError
+        Where they are absent or have another shape than the benchmark's.
+    """
+    folder = data_folder("fsm_cubespec")
+    levels = []
+    for level in LEVELS:
+        parts = []
+        for letter in "uy":
+            path = folder / f"{letter}_{level}mV_train.npy"
+            try:
+                values = np.load(path)
+            except (OSError, ValueError) as error:
+                raise InputError(f"{path}: cannot be read ({error}): fetch the benchmark's files again") from None
+            if values.shape != (PERIOD, 3, 6, 2):
+                raise InputError(f"{path}: shape {values.shape}, the benchmark has {(PERIOD, 3, 6, 2)}: fetch its files again")
+            parts.append(values.astype(np.float64))
+        levels.append(Level(f"{level} mV", parts[0], 1e6 * parts[1]))
+    return levels
+
+
+def model_of(modal: ModalModel, name: str, command: float) -> Model:
+    """Convert a modal model to the content of a model file.
+
+    Parameters
+    ----------
+    modal : ModalModel
+        Identified modal model.
+    name : str
+        Name of the model.
+    command : float
+        Largest voltage of the fitted records, V.
+
+    Returns
+    -------
+    Model
+        Model in V and um.
+    """
+    return Model(
+        name=name,
+        axes=AXES,
+        units={"command": "V", "measurement": "um"},
+        sample_time=SAMPLE_TIME,
+        hold=modal.hold,
+        chain=Chain(tuple(stages_of(modal, SAMPLE_TIME))),
+        valid={"command": [-command, command], "frequency": [0.0, 3000.0]},
+    )
+
+
+def steady_state(model: Model, command: Array) -> Array:
+    """Simulate the steady period for periodic commands: the period runs twice, and the second run counts.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    command : ndarray, shape (8192, 3, R)
+        Periodic commands, V.
+
+    Returns
+    -------
+    ndarray, shape (8192, 3, R)
+        Simulated measurement, um.
+    """
+    simulated = [simulate(model, np.tile(command[:, :, r], (2, 1)))[PERIOD:] for r in range(command.shape[2])]
+    return np.stack(simulated, axis=2)
+
+
+def simulation_error(model: Model, level: Level, realisations: Sequence[int]) -> Array:
+    """Compute the relative errors of a model simulated from the command alone.
+
+    Parameters
+    ----------
+    model : Model
+        Model to simulate.
+    level : Level
+        Records of one level.
+    realisations : sequence of int
+        Indices of realizations, 0 to 5.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Relative errors, %: all sensors together, then each.
+    """
+    return level.error(steady_state(model, level.command[:, :, realisations].mean(axis=3)), realisations)
+
+
+def response_error(response: np.ndarray, lines: Array, level: Level, realisations: Sequence[int]) -> Array:
+    """Compute the relative errors of a nonparametric frequency response.
+
+    Parameters
+    ----------
+    response : ndarray, shape (F, 3, 3)
+        Response, um/V.
+    lines : ndarray, shape (F,)
+        Its lines of the period, as integers.
+    level : Level
+        Records of one level.
+    realisations : sequence of int
+        Indices of realizations, 0 to 5.
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Relative errors, %: all sensors together, then each.
+    """
+    u = np.fft.rfft(level.command[:, :, realisations].mean(axis=3), axis=0)
+    y = np.zeros_like(u)
+    y[lines] = np.einsum("koj,kjr->kor", response, u[lines])
+    return level.error(np.fft.irfft(y, PERIOD, axis=0), realisations)

@@ -1,0 +1,174 @@
+"""Runs of the MHL experiments through the real nodes: records in open loop, and tracking, on the truth mirror."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hyst_control.chain.stage import Array
+from hyst_control.config_files import config_path
+from hyst_control.control.tuning import Tuning
+from hyst_control.control.whole_inverse import lifted_inverse
+from hyst_control.demo.node_runs import run_processes
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.workflow import datasets_of
+from hyst_control.model_file import Model
+from hyst_control.records.bag_reader import read_bag
+
+SAMPLE_TIME = 2e-4
+"""s, of the loop and its records (paper §4.5)."""
+AXES = ("x", "y")
+RATING = (0.0, 100.0)
+SLEW_LIMIT = 1e6
+CENTRE, REACH = 1.0, 0.9
+"""mrad; of 0 … 2 mrad the last twentieth at either end is left, where remanence keeps the mirror from its end."""
+SEED = 626
+BLOCK = 500
+
+
+def record(folder: Path, signal: Array, sample_time: float, seed: int) -> Dataset:
+    """Record the truth mirror in open loop, through the five nodes.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    signal : ndarray, shape (N, 2)
+        Drive, V.
+    sample_time : float
+        Sample time, s.
+    seed : int
+        Seed of the plant's noise.
+
+    Returns
+    -------
+    Dataset
+        The record.
+    """
+    bag = run_processes(
+        folder,
+        signal,
+        sample_time,
+        {
+            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
+            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
+            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": seed},
+        },
+        AXES,
+        "mrad",
+        BLOCK,
+        feedforward="mhl_feedforward",
+    )
+    return datasets_of(read_bag(bag))[0]
+
+
+def track(
+    folder: Path,
+    kind: str,
+    path: Path,
+    reference: Array,
+    tuning: Tuning | None,
+    settings: Mapping[str, Any],
+    preview: int,
+    plant: Mapping[str, Any] | None = None,
+) -> dict[str, Array]:
+    """Run one tracking experiment with a compensator, and with feedback if it is tuned.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    kind : str
+        Kind of compensator, such as "mhl".
+    path : Path
+        Model file for the feedforward node.
+    reference : ndarray, shape (N, 2)
+        Reference, mrad.
+    tuning : Tuning or None
+        Tuned PI feedback; None: open loop.
+    settings : mapping of str to object
+        Further parameters of the feedforward node.
+    preview : int
+        Ticks that the compensator looks ahead.
+    plant : mapping of str to object or None
+        Further parameters of the plant node.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
+    bag = run_processes(
+        folder,
+        reference,
+        SAMPLE_TIME,
+        {
+            "mhl_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING), **settings},
+            "pi_feedback": feedback_parameters(tuning),
+            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4, **(plant or {})},
+        },
+        AXES,
+        "mrad",
+        1 if tuning else BLOCK,
+        preview + 1,
+        "mhl_feedforward",
+    )
+    return signals_of(bag)
+
+
+def feedback_parameters(tuning: Tuning | None) -> dict[str, Any]:
+    """Parameters of the feedback node for a `tuning`; None: open loop."""
+    limits = {"lower": RATING[0], "upper": RATING[1], "slew_limit": SLEW_LIMIT, "feedback": tuning is not None}
+    return limits if tuning is None else {**limits, "kp": tuning.kp, "ki": tuning.ki, "roll_off": float(tuning.roll_off)}
+
+
+def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
+    """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward.
+
+    Parameters
+    ----------
+    folder : Path
+        Working folder of the run.
+    model : Model
+        Model that is inverted.
+    reference : ndarray, shape (N, 2)
+        Reference, mrad.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
+    command = lifted_inverse(model, reference, sample_time=SAMPLE_TIME, limits=RATING).command
+    bag = run_processes(
+        folder,
+        command,
+        SAMPLE_TIME,
+        {
+            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
+            "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
+            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4},
+        },
+        AXES,
+        "mrad",
+        BLOCK,
+        feedforward="mhl_feedforward",
+    )
+    return {**signals_of(bag), "reference": reference}
+
+
+def signals_of(bag: Path) -> dict[str, Array]:
+    """Read every signal of a tracking bag on one clock.
+
+    Parameters
+    ----------
+    bag : Path
+        Bag of a tracking run.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Signals (N, 2) by name, mrad or V.
+    """
+    return dict(read_bag(bag).aligned(("reference", "feedforward", "feedback", "command", "measurement"))[0].values)

@@ -1,0 +1,523 @@
+"""Inverse multiplicative structure: the command at which a Prandtl-Ishlinskii model's output equals the demand.
+
+The compensator contains the model itself (HAMPI paper §4.2, Eq. 13): the command moves by the difference between the demand v
+and the model's output, u_j+1 = u_j + g (v - Y[u_j]), inside [lower, upper]. The demand is in the model's output unit, so the
+gain g (V per output unit) replaces the paper's 1; with 0 < g dY/du < 2 the difference shrinks at every step, and the default
+g = 1 / max dY/du makes it shrink without overshoot. `iterations: 1` is Eq. 13; more steps are taken within the sample, on
+trial, and only the last one enters the operators' memory; `iterations: 0` solves Y[u] = v to the last digits instead: along u,
+starting from the last command in the direction that the demand asks for, to the first crossing. A few steps track better than
+the exact solution when the first threshold is not 0: it crosses the play after a reversal within one sample, and the plant's
+rate term answers that jump with a spike (published parameters at 50 kHz, 4 um at 10 Hz: 0.07 against 0.16 % NRMSE).
+
+The rate in the dynamic weights is that of the demand, (dv/dt) / s: with the rate of u itself the loop gain of one sample is
+m1 sum(H) / sample_time, ten at 50 kHz with the published parameters, and the structure diverges. s is a slope dY/du midway
+between the mean one and the greatest, because the rate counts most in the middle of a branch, where most operators move.
+The rate's share of the slope is held below half of the mean slope, n |w_r| <= s_mean / 2, so that a step of the demand does not
+throw the command to its limits for a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.c_code.c_code import LARGER, SMALLER, CCode, reals
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import check_operators, play_filter
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
+from hyst_control.errors import InputError
+
+
+@njit(cache=True)
+def trial(
+    u: float, thresholds: Array, release: Array, weights: Array, w0: float, rotation: float, k: float, b: float, state: Array
+) -> tuple[float, float]:
+    """Output and slope of the model of one axis without touching its memory.
+
+    Parameters
+    ----------
+    u
+        Command in V.
+    thresholds, release, weights, state
+        (n,), of the operators: V, V, output unit / V, and their values in V.
+    w0, k, b
+        Parameters of the stage.
+    rotation
+        w_r, output unit / V.
+    """
+    total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
+    for i in range(thresholds.size):
+        h = state[i]
+        if u - thresholds[i] > h:
+            h = u - thresholds[i]
+            active += 1
+            active_weight += weights[i]
+        elif u + release[i] < h:
+            h = u + release[i]
+            active += 1
+            active_weight += weights[i]
+        total += h
+        weighted += weights[i] * h
+    dynamic = rotation + k * u + b
+    return w0 * u + weighted + dynamic * total, w0 + active_weight + dynamic * active + k * total
+
+
+@njit(cache=True)
+def solve_command(
+    v: float,
+    start: float,
+    lower: float,
+    upper: float,
+    resolution: float,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: float,
+    rotation: float,
+    k: float,
+    b: float,
+    state: Array,
+) -> float:
+    """Command in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v.
+
+    Parameters
+    ----------
+    v
+        Demand, output unit.
+    start, lower, upper
+        V.
+    resolution
+        V, at which the search ends.
+    thresholds, release, weights, state
+        (n,), of the operators: V, V, output unit / V, and their values in V.
+    w0, k, b
+        Parameters of the stage.
+    rotation
+        w_r, output unit / V.
+    """
+    u = min(max(start, lower), upper)
+    y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+    if y == v:
+        return u
+    rising = y < v
+    # Bracket: away from `start` in growing steps until the output passes v or the drive ends.
+    near, step = u, 64.0 * resolution
+    while True:
+        far = min(near + step, upper) if rising else max(near - step, lower)
+        y, _ = trial(far, thresholds, release, weights, w0, rotation, k, b, state)
+        if y == v:
+            return far
+        if (y > v) == rising:
+            break
+        if far == upper or far == lower:
+            return far
+        near = far
+        step *= 4.0
+    below, above = (near, far) if rising else (far, near)
+    u = 0.5 * (below + above)
+    for turn in range(200):
+        y, slope = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+        if y == v:
+            return u
+        if y < v:
+            below = u
+        else:
+            above = u
+        if above - below <= resolution:
+            return 0.5 * (below + above)
+        # Newton ends in a few turns between two kinks; every third turn bisects, so that the bracket always closes.
+        following = u - (y - v) / slope if slope > 0.0 and turn % 3 != 2 else below
+        u = following if below < following < above else 0.5 * (below + above)
+    return u
+
+
+@njit(cache=True)
+def inverse_multiplicative(
+    demand: Array,
+    previous: Array,
+    rate_factor: Array,
+    most: Array,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: Array,
+    m1: Array,
+    m2: Array,
+    k: Array,
+    b: Array,
+    lower: Array,
+    upper: Array,
+    gain: Array,
+    iterations: int,
+    state: Array,
+    command: Array,
+    output: Array,
+) -> None:
+    """Commands for demands, all axes.
+
+    Parameters
+    ----------
+    demand, output
+        (N, A): the demands, and the commands in V that are filled in.
+    previous, command, state
+        (A,), (A,) and (A, n): demand, command and operators of the sample before, updated.
+    rate_factor
+        (A,), turns the difference of two demands into the command's rate in V/s.
+    most
+        (A,), bounds |w_r|.
+    thresholds, release, weights
+        (A, n), of the operators.
+    w0, m1, m2, k, b
+        (A,), parameters of the stage.
+    lower, upper
+        (A,), V, between which commands lie.
+    gain
+        (A,), V per output unit.
+    iterations
+        Steps per sample; 0 solves exactly.
+    """
+    for row in range(demand.shape[0]):
+        for axis in range(demand.shape[1]):
+            v = demand[row, axis]
+            rate = (v - previous[axis]) * rate_factor[axis]
+            previous[axis] = v
+            rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
+            rotation = min(max(rotation, -most[axis]), most[axis])
+            r, q, w, h = thresholds[axis], release[axis], weights[axis], state[axis]
+            u = command[axis]
+            if iterations == 0:
+                resolution = 1e-13 * (upper[axis] - lower[axis])
+                u = solve_command(v, u, lower[axis], upper[axis], resolution, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+            else:
+                for _ in range(iterations):
+                    y, _slope = trial(u, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+                    u = min(max(u + gain[axis] * (v - y), lower[axis]), upper[axis])
+            for i in range(r.size):
+                h[i] = max(u - r[i], min(u + q[i], h[i]))
+            command[axis] = u
+            output[row, axis] = u
+
+
+TRIAL = """
+typedef struct {
+    const real *thresholds;
+    const real *release;
+    const real *weights;
+    const real *operators;
+    int count;
+    real w0;
+    real rotation;
+    real k;
+    real b;
+} play_model;
+
+typedef struct {
+    real output;
+    real slope;
+} play_answer;
+
+/* Output and slope of the model without touching its memory. */
+static play_answer play_trial(const play_model *model, real u)
+{
+    real total = R(0.0);
+    real weighted = R(0.0);
+    real active_weight = R(0.0);
+    int active = 0;
+    for (int i = 0; i < model->count; i++) {
+        real h = model->operators[i];
+        if ((u - model->thresholds[i]) > h) {
+            h = u - model->thresholds[i];
+            active++;
+            active_weight += model->weights[i];
+        } else if ((u + model->release[i]) < h) {
+            h = u + model->release[i];
+            active++;
+            active_weight += model->weights[i];
+        } else {
+            /* it rests */
+        }
+        total += h;
+        weighted += model->weights[i] * h;
+    }
+    const real dynamic = (model->rotation + (model->k * u)) + model->b;
+    const play_answer answer = {((model->w0 * u) + weighted) + (dynamic * total),
+                                ((model->w0 + active_weight) + (dynamic * (real)active)) + (model->k * total)};
+    return answer;
+}
+"""
+"""`trial` in C."""
+
+SOLVE = """
+/* Command nearest to start, in the direction of the difference, at which the output is v; bounded loops. */
+static real play_command(const play_model *model, real v, real start, real lower, real upper, real resolution)
+{
+    real u = smaller_of(larger_of(start, lower), upper);
+    real y = play_trial(model, u).output;
+    if (y != v) {
+        const int rising = (y < v) ? 1 : 0;
+        real near = u;
+        real far = u;
+        real step = R(64.0) * resolution;
+        int found = 0;
+        int bracketed = 0;
+        for (int turn = 0; (turn < 64) && (found == 0) && (bracketed == 0); turn++) {
+            far = (rising != 0) ? smaller_of(near + step, upper) : larger_of(near - step, lower);
+            y = play_trial(model, far).output;
+            if (y == v) {
+                found = 1;
+            } else if (((y > v) ? 1 : 0) == rising) {
+                bracketed = 1;
+            } else if ((far == upper) || (far == lower)) {
+                found = 1;
+            } else {
+                near = far;
+                step *= R(4.0);
+            }
+        }
+        u = far;
+        if (found == 0) {
+            real below = (rising != 0) ? near : far;
+            real above = (rising != 0) ? far : near;
+            u = R(0.5) * (below + above);
+            for (int turn = 0; turn < 200; turn++) {
+                const play_answer now = play_trial(model, u);
+                if (now.output == v) {
+                    break;
+                }
+                if (now.output < v) {
+                    below = u;
+                } else {
+                    above = u;
+                }
+                if ((above - below) <= resolution) {
+                    u = R(0.5) * (below + above);
+                    break;
+                }
+                const real following = ((now.slope > R(0.0)) && ((turn % 3) != 2)) ? (u - ((now.output - v) / now.slope)) : below;
+                u = ((below < following) && (following < above)) ? following : (R(0.5) * (below + above));
+            }
+        }
+    }
+    return u;
+}
+"""
+"""`solve_command` in C."""
+
+RUN = """
+for (int axis = 0; axis < AXES; axis++) {
+    const real v = in[axis];
+    const real rate = (v - s->previous[axis]) * p->rate_factor[axis];
+    real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
+    s->previous[axis] = v;
+    rotation = smaller_of(larger_of(rotation, -p->most[axis]), p->most[axis]);
+    real *h = s->operators[axis];
+    const play_model model = {p->thresholds[axis], p->release[axis], p->weights[axis], h, COUNT,
+                              p->w0[axis], rotation, p->k[axis], p->b[axis]};
+    real u = s->command[axis];
+    SOLUTION
+    for (int i = 0; i < COUNT; i++) {
+        h[i] = larger_of(u - p->thresholds[axis][i], smaller_of(u + p->release[axis][i], h[i]));
+    }
+    s->command[axis] = u;
+    out[axis] = u;
+}
+"""
+"""`inverse_multiplicative` in C."""
+
+EXACT = """
+u = play_command(&model, v, u, p->lower[axis], p->upper[axis], RESOLUTION * (p->upper[axis] - p->lower[axis]));
+"""
+
+ITERATED = """
+for (int turn = 0; turn < ITERATIONS; turn++) {
+    const real y = play_trial(&model, u).output;
+    u = smaller_of(larger_of(u + (p->gain[axis] * (v - y)), p->lower[axis]), p->upper[axis]);
+}
+"""
+
+BEGIN = """
+for (int axis = 0; axis < AXES; axis++) {
+    for (int i = 0; i < COUNT; i++) {
+        s->operators[axis][i] = R(0.0);
+    }
+    s->previous[axis] = in[axis];
+    s->command[axis] = smaller_of(larger_of(R(0.0), p->lower[axis]), p->upper[axis]);
+}
+"""
+"""Beginning of `InverseMultiplicativeFilter.settle` in C."""
+
+
+class InverseMultiplicativeFilter(Filter):
+    """Streaming inverse multiplicative structure."""
+
+    def __init__(self, stage: InverseMultiplicative, sampling: Sampling) -> None:
+        axes = sampling.axes
+        self.hold = sampling.hold
+        model = play_filter(stage, sampling, w0=stage.w0, m1=stage.m1, m2=stage.m2, k=stage.k, b=stage.b)
+        self.thresholds, self.release, self.weights, self.state = model.thresholds, model.release, model.weights, model.state
+        self.coefficients = model.coefficients
+        self.lower, self.upper = per_axis_scalars(stage, axes, "lower", "upper")
+        slope = np.empty((3, axes))
+        for axis in range(axes):
+            w0, k, b = (values[axis] for values in self.coefficients[0:1] + self.coefficients[3:])
+            operators = self.thresholds[axis], self.release[axis], self.weights[axis]
+            slope[:, axis] = slope_range(*operators, w0, k, b, self.lower[axis], self.upper[axis])[:3]
+        if np.any(slope[0] <= 0.0):
+            raise InputError(
+                "weights: the output does not rise with the command everywhere between "
+                f"{self.lower.min():g} and {self.upper.max():g} V (least slope {slope[0].min():.3g}): it has no "
+                "inverse there; narrow lower and upper, or fit the model with positive weights"
+            )
+        self.gain = 1.0 / slope[1] if stage.gain is None else per_axis_scalar(stage.gain, axes, "gain")
+        if np.any(self.gain * slope[1] >= 2.0):
+            raise InputError(
+                f"gain: {self.gain.max():g} V per output unit times the greatest slope {slope[1].max():.4g} is 2 or "
+                f"more and does not converge: take at most {1.0 / slope[1].max():.4g}"
+            )
+        self.iterations = stage.iterations
+        self.rate_factor = 2.0 / (sampling.sample_time * (slope[1] + slope[2]))
+        self.most = 0.5 * slope[2] / np.isfinite(self.thresholds).sum(axis=1)
+        self.previous, self.command = np.zeros(axes), np.zeros(axes)
+
+    def settle(self, value: Array) -> Array:
+        self.state[:] = 0.0
+        self.previous[:] = value
+        self.command[:] = np.clip(0.0, self.lower, self.upper)
+        block = np.array(value, dtype=float).reshape(1, -1)
+        first: Array = self._run(block, 0)[0]
+        return first
+
+    def process(self, block: Array) -> Array:
+        return self._run(block, self.iterations)
+
+    def _run(self, block: Array, iterations: int) -> Array:
+        output = np.empty_like(block)
+        w0, m1, m2, k, b = self.coefficients
+        inverse_multiplicative(
+            block,
+            self.previous,
+            self.rate_factor,
+            self.most,
+            self.thresholds,
+            self.release,
+            self.weights,
+            w0,
+            m1,
+            m2,
+            k,
+            b,
+            self.lower,
+            self.upper,
+            self.gain,
+            iterations,
+            self.state,
+            self.command,
+            output,
+        )
+        return output
+
+    def c_code(self) -> CCode:
+        w0, m1, m2, k, b = self.coefficients
+        exact = RUN.replace("SOLUTION", EXACT)
+        return CCode(
+            "inverse of play operators",
+            RUN.replace("SOLUTION", ITERATED) if self.iterations else exact,
+            BEGIN + exact,
+            {"COUNT": self.thresholds.shape[1], "ITERATIONS": self.iterations},
+            {
+                "thresholds": reals(self.thresholds, "V"),
+                "release": reals(self.release, "V: as the thresholds, or 0 of one-sided operators"),
+                "weights": reals(self.weights, "demand unit / V"),
+                "w0": reals(w0, "demand unit / V"),
+                "m1": reals(m1, "demand unit s / V^2"),
+                "m2": reals(m2, "demand unit s / V^2"),
+                "k": reals(k, "demand unit / V^2"),
+                "b": reals(b, "demand unit / V"),
+                "lower": reals(self.lower, "V, least command"),
+                "upper": reals(self.upper, "V, greatest command"),
+                "gain": reals(self.gain, "V / demand unit, of an iteration"),
+                "rate_factor": reals(self.rate_factor, "V / (s demand unit), of two samples' difference"),
+                "most": reals(self.most, "demand unit / V, bound of the rate's share"),
+            },
+            {
+                "operators": reals(self.state, "V"),
+                "previous": reals(self.previous, "demand unit, demand before"),
+                "command": reals(self.command, "V, command before"),
+            },
+            (LARGER, SMALLER, TRIAL, SOLVE),
+        )
+
+
+@register
+@dataclass(frozen=True)
+class InverseMultiplicative(Stage):
+    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]; see the module.
+
+    The model's parameters, in its units; lower, upper V; gain V per output unit (default 1 / greatest slope); iterations steps
+    per sample, 0 for the exact solution. Raises `InputError` where the output does not rise with the command, or the gain
+    cannot converge.
+    """
+
+    name: ClassVar[str] = "inverse_multiplicative"
+    thresholds: VectorPerAxis = vector("V", "of the model's operators, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the model's operators")
+    lower: ScalarPerAxis = scalar("V", "least command")
+    upper: ScalarPerAxis = scalar("V", "greatest command")
+    m1: ScalarPerAxis = scalar("output unit s / V²", "as in the model", default=0.0)
+    m2: ScalarPerAxis = scalar("output unit s / V²", "as in the model", default=0.0)
+    k: ScalarPerAxis = scalar("output unit / V²", "as in the model", default=0.0)
+    b: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "as in the model", default=0.0)
+    one_sided: bool = flag("as in the model")
+    gain: ScalarPerAxis | None = scalar("V / output unit", "of a step; default 1 / greatest slope", default=None, above=0.0)
+    iterations: int = count("steps per sample, 0 for the exact solution", default=4)
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
+
+    def check(self) -> None:
+        check_operators(self.thresholds, self.weights)
+        if np.any(np.subtract(self.upper, self.lower) <= 0):
+            raise InputError(f"lower: {self.lower} V is not below upper, {self.upper} V")
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return InverseMultiplicativeFilter(self, sampling)
+
+
+def slope_range(
+    thresholds: Array, release: Array, weights: Array, w0: float, k: float, b: float, lower: float, upper: float
+) -> tuple[float, float, float, float]:
+    """Least, greatest and mean slope dY/du at rest of one axis over [lower, upper], and the command at the least one.
+
+    The operators that move on a branch are those of the smallest thresholds, so the slope with the first j of them moving is
+    w0 + sum(w_1 … w_j) + j (k u + b) + k sum(H); sum(H) lies between the curve from rest and the descending one. j = 0 is the
+    play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
+    first threshold is 0 or w0 is not.
+
+    Parameters
+    ----------
+    thresholds, release, weights
+        (n,), of the operators.
+    w0, k, b
+        Parameters of the stage.
+    lower, upper
+        V.
+    """
+    finite = np.isfinite(thresholds)
+    r, q, w = thresholds[finite], release[finite], weights[finite]
+    u = np.linspace(lower, upper, 201)
+    rising = np.maximum(u[:, None] - r, np.minimum(0.0, u[:, None] + q)).sum(axis=1)
+    falling = np.minimum(u[:, None] + q, np.maximum(upper - r, 0.0)).sum(axis=1)
+    count = np.arange(1, len(r) + 1)
+    # An operator moves at u only where its threshold has been passed on the way there.
+    reached = (u - min(lower, 0.0))[:, None] >= r
+    slopes = np.stack([w0 + np.cumsum(w) + count * (k * u[:, None] + b) + k * total[:, None] for total in (rising, falling)])
+    least = np.where(reached, slopes, np.inf).min(axis=(0, 2))
+    greatest = float(np.where(reached, slopes, -np.inf).max())
+    zero = np.zeros_like(r)
+    ends = [trial(x, r, q, w, w0, 0.0, k, b, zero)[0] for x in (lower, upper)]
+    return float(least.min()), greatest, float((ends[1] - ends[0]) / (upper - lower)), float(u[np.argmin(least)])

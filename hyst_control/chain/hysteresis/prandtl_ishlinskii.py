@@ -1,0 +1,388 @@
+"""Play (backlash) operators, and the Prandtl-Ishlinskii models made of them.
+
+The play operator with threshold r (HAMPI paper Eq. 3) and its one-sided form, for drives that never go negative:
+
+    two-sided   H[k] = max(u[k] - r, min(u[k] + r, H[k-1]))
+    one-sided   H[k] = max(u[k] - r, min(u[k],     H[k-1]))
+
+Both are rate-independent, wipe out inner loops and start from H = 0, the virgin state at 0 V.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, TypeVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.chain import Parallel
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, flag, scalar, vector
+from hyst_control.chain.stage import (
+    Filter,
+    Sampling,
+    Stage,
+    depth,
+    frozen,
+    per_axis,
+    per_axis_scalar,
+    per_axis_scalars,
+    register,
+    scaled,
+)
+from hyst_control.errors import InputError
+
+
+@njit(cache=True, error_model="numpy")
+def dynamic_prandtl_ishlinskii(
+    command: Array,
+    previous: Array,
+    rate_factor: float,
+    thresholds: Array,
+    release: Array,
+    weights: Array,
+    w0: Array,
+    m1: Array,
+    m2: Array,
+    k: Array,
+    b: Array,
+    state: Array,
+    output: Array,
+) -> None:
+    """Weighted play operators with dynamic weights, all axes (HAMPI paper Eq. 2-6).
+
+    y = w0 u + sum_i (w_i + w_r(du/dt) + k u + b) H_i, with w_r = -m1 du/dt while rising and +m2 du/dt while falling.
+
+    command (N, A), previous (A,) the command one sample earlier, rate_factor 1 / sample_time (1/s); thresholds, release,
+    weights and state (A, n); w0, m1, m2, k, b (A,); output (N, A). With m1 = m2 = k = b = 0 it is the classical model.
+    """
+    for row in range(command.shape[0]):
+        for axis in range(command.shape[1]):
+            u = command[row, axis]
+            total = 0.0
+            weighted = 0.0
+            for i in range(thresholds.shape[1]):
+                low = u - thresholds[axis, i]
+                high = u + release[axis, i]
+                h = state[axis, i]
+                h = high if h > high else h
+                h = low if h < low else h
+                state[axis, i] = h
+                total += h
+                weighted += weights[axis, i] * h
+            rate = (u - previous[axis]) * rate_factor
+            previous[axis] = u
+            rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
+            output[row, axis] = w0[axis] * u + weighted + (rotation + k[axis] * u + b[axis]) * total
+
+
+STEP = """
+for (int axis = 0; axis < AXES; axis++) {
+    const real u = in[axis];
+    real total = R(0.0);
+    real weighted = R(0.0);
+    for (int i = 0; i < COUNT; i++) {
+        const real low = u - p->thresholds[axis][i];
+        const real high = u + p->release[axis][i];
+        real h = s->operators[axis][i];
+        h = (h > high) ? high : h;
+        h = (h < low) ? low : h;
+        s->operators[axis][i] = h;
+        total += h;
+        weighted += p->weights[axis][i] * h;
+    }
+    const real rate = (u - s->previous[axis]) * p->rate_factor;
+    s->previous[axis] = u;
+    const real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
+    out[axis] = ((p->w0[axis] * u) + weighted) + (((rotation + (p->k[axis] * u)) + p->b[axis]) * total);
+}
+"""
+"""`dynamic_prandtl_ishlinskii` in C."""
+
+SETTLE = """
+for (int axis = 0; axis < AXES; axis++) {
+    for (int i = 0; i < COUNT; i++) {
+        s->operators[axis][i] = R(0.0);
+    }
+    s->previous[axis] = in[axis];
+}
+SELF_step(s, in, out);
+"""
+"""Play operators come to rest from their virgin state, in C."""
+
+
+class PlayFilter(Filter):
+    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
+
+    def __init__(
+        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
+    ) -> None:
+        axes = sampling.axes
+        count = max(len(r) for r in thresholds)
+        self.hold = sampling.hold
+        # Axes with fewer operators are filled up with operators of weight 0 that never leave 0: they must not enter the sum.
+        self.thresholds = np.full((axes, count), np.inf)
+        self.weights = np.zeros((axes, count))
+        for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
+            self.thresholds[axis, : len(r)] = r
+            self.weights[axis, : len(w)] = w
+        self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
+        self.state = np.zeros((axes, count))
+        self.previous = np.zeros(axes)
+        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        self.rate_factor = 1.0 / sampling.sample_time
+
+    def settle(self, value: Array) -> Array:
+        self.state[:] = 0.0
+        self.previous[:] = value
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        w0, m1, m2, k, b = self.coefficients
+        dynamic_prandtl_ishlinskii(
+            block,
+            self.previous,
+            self.rate_factor,
+            self.thresholds,
+            self.release,
+            self.weights,
+            w0,
+            m1,
+            m2,
+            k,
+            b,
+            self.state,
+            output,
+        )
+        return output
+
+    def c_code(self) -> CCode:
+        w0, m1, m2, k, b = self.coefficients
+        return CCode(
+            "play operators",
+            STEP,
+            SETTLE,
+            {"COUNT": self.thresholds.shape[1]},
+            {
+                "thresholds": reals(self.thresholds, "input unit"),
+                "release": reals(self.release, "input unit: as the thresholds, or 0 of one-sided operators"),
+                "weights": reals(self.weights, "output unit / input unit"),
+                "w0": reals(w0, "output unit / input unit, weight of the input itself"),
+                "m1": reals(m1, "output unit s / V^2, rotation while the input rises"),
+                "m2": reals(m2, "output unit s / V^2, rotation while the input falls"),
+                "k": reals(k, "output unit / V^2, change of every weight with the input"),
+                "b": reals(b, "output unit / V, part common to all weights"),
+                "rate_factor": reals(self.rate_factor, "1/s, of two samples' difference"),
+            },
+            {"operators": reals(self.state, "input unit"), "previous": reals(self.previous, "input unit, input before")},
+        )
+
+
+def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
+    """Raise `InputError` unless the thresholds increase, with one of the weights each."""
+    axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
+    for axis, (r, w) in enumerate(
+        zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
+    ):
+        where = f" of axis {axis}" if axes > 1 else ""
+        if np.any(np.diff(r) <= 0):
+            i = int(np.argmax(np.diff(r) <= 0))
+            raise InputError(f"thresholds{where}: {r[i]:g} V is followed by {r[i + 1]:g} V: list them strictly increasing")
+        if len(r) != len(w):
+            raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
+
+
+class PlayOperators(Protocol):
+    """Stage with weighted play operators of either kind."""
+
+    @property
+    def thresholds(self) -> VectorPerAxis:
+        """V, of the operators, increasing."""
+
+    @property
+    def weights(self) -> VectorPerAxis:
+        """Output unit / V, of the operators."""
+
+    @property
+    def one_sided(self) -> bool:
+        """True where they are pulled down without play."""
+
+
+def play_filter(stage: PlayOperators, sampling: Sampling, **coefficients: ScalarPerAxis) -> PlayFilter:
+    """Filter of a stage with thresholds and weights.
+
+    Parameters
+    ----------
+    stage
+        With thresholds, weights and the kind of its operators.
+    sampling
+        Clock of the filter.
+    coefficients
+        w0, m1, m2, k and b; those not given are 0.
+    """
+    axes = sampling.axes
+    values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
+    return PlayFilter(
+        sampling,
+        per_axis(stage.thresholds, axes, 1, "thresholds"),
+        per_axis(stage.weights, axes, 1, "weights"),
+        stage.one_sided,
+        values,
+    )
+
+
+Model = TypeVar("Model", bound="OperatorModel")
+
+
+def wider_operators(stage: Model, width: Array) -> Model:
+    """The stage with loops wider by 1 + width (A,): what the operators gain, the command itself loses."""
+    axes = len(width)
+    slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
+    (w0,) = per_axis_scalars(stage, axes, "w0")
+    changed: dict[str, Any] = {"weights": scaled(stage.weights, 1.0 + width, 1, "weights"), "w0": frozen(w0 - width * slope)}
+    return replace(stage, **changed)
+
+
+@register
+@dataclass(frozen=True)
+class PlayOperator(Stage):
+    """One play operator of unit slope: backlash with half-width `threshold` (input unit). HAMPI paper Eq. 3."""
+
+    name: ClassVar[str] = "play_operator"
+    equation: ClassVar[str] = r"y_k = \max\left(u_k - \mathrm{threshold}, \min\left(u_k + \mathrm{threshold}, y_{k-1}\right)\right)"
+    threshold: ScalarPerAxis = scalar("input unit", "half-width", lower=0.0)
+    one_sided: bool = flag("whether it is pulled down without play")
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    def mean_slope(self, axes: int) -> Array:
+        return np.ones(axes)
+
+    def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
+        thresholds = [[r] for r in per_axis_scalar(self.threshold, len(width), "threshold")]
+        return PrandtlIshlinskii(thresholds, (1.0 + width)[:, None], frozen(-width), self.one_sided)
+
+    def filter(self, sampling: Sampling) -> PlayFilter:
+        thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
+        zero = np.zeros(sampling.axes)
+        return PlayFilter(
+            sampling, thresholds, [np.ones(1)] * sampling.axes, self.one_sided, dict.fromkeys(("w0", "m1", "m2", "k", "b"), zero)
+        )
+
+
+@dataclass(frozen=True)
+class OperatorModel(Stage):
+    """Common part of the models of weighted play operators, which have `w0` besides."""
+
+    thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
+    weights: VectorPerAxis = vector("output unit / V", "of the operators")
+
+    def check(self) -> None:
+        check_operators(self.thresholds, self.weights)
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True
+
+    @property
+    def has_compensator(self) -> bool:
+        return True
+
+    def with_operators(self, thresholds: Array, weights: Array) -> Stage:
+        """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""
+        axes = len(weights)
+        own = per_axis(self.weights, axes, 1, "weights")
+        changed = [np.concatenate([row[:1], factor * row[1:]]) for row, factor in zip(own, weights, strict=True)]
+        values: dict[str, Any] = {
+            "thresholds": scaled(self.thresholds, thresholds, 1, "thresholds"),
+            "weights": frozen(changed if axes > 1 else changed[0]),
+        }
+        return replace(self, **values)
+
+    def mean_slope(self, axes: int) -> Array:
+        """Slope (A,) of a model in which every operator moves, on each of `axes` axes."""
+        weights = per_axis(self.weights, axes, 1, "weights")
+        return np.array([item.sum() for item in weights]) + per_axis_scalars(self, axes, "w0")[0]
+
+
+@register
+@dataclass(frozen=True)
+class PrandtlIshlinskii(OperatorModel):
+    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
+
+    thresholds V, increasing; weights output unit / V; w0 output unit / V.
+    """
+
+    name: ClassVar[str] = "prandtl_ishlinskii"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{w0}\, u + \sum_i \mathrm{weights}_i\, H_i[u], \quad H_i \text{ a play operator of half-width } "
+        r"\mathrm{thresholds}_i"
+    )
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
+
+    def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
+        return wider_operators(self, width)
+
+    def filter(self, sampling: Sampling) -> PlayFilter:
+        return play_filter(self, sampling, w0=self.w0)
+
+
+@register
+@dataclass(frozen=True)
+class ModifiedPrandtlIshlinskii(OperatorModel):
+    """Prandtl-Ishlinskii model with dynamic weights (HAMPI paper Eq. 4-6): y = w0 u + sum_i (w_i + w_r + w_a) H_i[u].
+
+    w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
+    difference of the held command, under `foh` the slope of the segment that ends at the sample.
+
+    thresholds V; weights, b output unit / V; w0 output unit / V; m1, m2 output unit s / V²; k output unit / V².
+    """
+
+    name: ClassVar[str] = "modified_prandtl_ishlinskii"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{w0}\, u + \sum_i \left(\mathrm{weights}_i + w_r + w_a\right) H_i[u], \quad w_r = -\mathrm{m1}\, "
+        r"\dot{u} \text{ for } \dot{u} > 0, \quad +\mathrm{m2}\, \dot{u} \text{ for } \dot{u} < 0, \quad w_a = "
+        r"\mathrm{k}\, u + \mathrm{b}"
+    )
+    m1: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command rises", default=0.0)
+    m2: ScalarPerAxis = scalar("output unit s / V²", "rotation of the loop while the command falls", default=0.0)
+    k: ScalarPerAxis = scalar("output unit / V²", "change of every weight with the command", default=0.0)
+    b: ScalarPerAxis = scalar("output unit / V", "part common to all weights", default=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+    one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
+
+    def with_loop_width(self, width: Array) -> Parallel:
+        """The model once more with every operator replaced by the command takes the mean curve off."""
+        axes = len(width)
+        return Parallel(((self._with_share(1.0 + width),), (self._mean(axes)._with_share(-width),)))
+
+    def with_rate_part(self, factor: Array) -> ModifiedPrandtlIshlinskii | None:
+        if not any(np.any(values) for values in per_axis_scalars(self, len(factor), "m1", "m2")):
+            return None
+        return replace(self, **{name: scaled(getattr(self, name), factor, 0, name) for name in ("m1", "m2")})
+
+    def with_rate_parts(self, rising: Array, falling: Array) -> ModifiedPrandtlIshlinskii | None:
+        if not any(np.any(values) for values in per_axis_scalars(self, len(rising), "m1", "m2")):
+            return None
+        return replace(self, m1=scaled(self.m1, rising, 0, "m1"), m2=scaled(self.m2, falling, 0, "m2"))
+
+    def _with_share(self, share: Array) -> ModifiedPrandtlIshlinskii:
+        """The model's output times a share (A,)."""
+        rest = {name: scaled(getattr(self, name), share, 0, name) for name in ("m1", "m2", "k", "b", "w0")}
+        return replace(self, weights=scaled(self.weights, share, 1, "weights"), **rest)
+
+    def _mean(self, axes: int) -> ModifiedPrandtlIshlinskii:
+        """The model with u in place of every H_i[u]: one operator of threshold 0, with the sum of the weights."""
+        weights = per_axis(self.weights, axes, 1, "weights")
+        count = np.array([float(len(item)) for item in weights])
+        rest = {name: scaled(getattr(self, name), count, 0, name) for name in ("m1", "m2", "k", "b")}
+        return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
+
+    def filter(self, sampling: Sampling) -> PlayFilter:
+        return play_filter(self, sampling, w0=self.w0, m1=self.m1, m2=self.m2, k=self.k, b=self.b)

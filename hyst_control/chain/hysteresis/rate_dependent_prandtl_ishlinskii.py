@@ -1,0 +1,160 @@
+"""Rate-dependent Prandtl-Ishlinskii model (RDPI): play operators whose thresholds widen with the command's rate.
+
+    y = w0 u + Σ w_i H_i[u],   H_i[k] = max(u - r_i(u̇), min(u + r_i(u̇), H_i[k-1])),   r_i(u̇) = r_i + β |u̇|
+
+the form of Al Janaideh, Rakheja and Su (Smart Materials and Structures 17, 2008; IEEE/ASME Trans. Mechatronics 16, 2011), in
+which every threshold grows with the rate's magnitude; the linear dependence is that of Al Janaideh and Krejčí (IEEE/ASME
+Trans. Mechatronics 18, 2013), r_i = α i + β |u̇|, with the thresholds at rest free instead of equally spaced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
+from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, scalar, vector
+from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
+
+
+@njit(cache=True, error_model="numpy")
+def rate_dependent_prandtl_ishlinskii(
+    command: Array,
+    previous: Array,
+    rate_factor: float,
+    thresholds: Array,
+    weights: Array,
+    w0: Array,
+    beta: Array,
+    state: Array,
+    output: Array,
+) -> None:
+    """Advance the model over a block, all axes.
+
+    Parameters
+    ----------
+    command, output
+        (N, A): V, and the output that is filled in.
+    previous
+        (A,), command of the sample before, updated.
+    rate_factor
+        1 / sample time, 1/s.
+    thresholds, weights
+        (A, n), of the operators.
+    w0, beta
+        (A,), parameters of the stage.
+    state
+        (A, n), values of the operators, updated.
+    """
+    for row in range(command.shape[0]):
+        for axis in range(command.shape[1]):
+            u = command[row, axis]
+            widening = beta[axis] * abs(u - previous[axis]) * rate_factor
+            previous[axis] = u
+            value = w0[axis] * u
+            for i in range(thresholds.shape[1]):
+                low = u - thresholds[axis, i] - widening
+                high = u + thresholds[axis, i] + widening
+                h = state[axis, i]
+                h = high if h > high else h
+                h = low if h < low else h
+                state[axis, i] = h
+                value += weights[axis, i] * h
+            output[row, axis] = value
+
+
+STEP = """
+for (int axis = 0; axis < AXES; axis++) {
+    const real u = in[axis];
+    const real widening = (p->beta[axis] * M(fabs)(u - s->previous[axis])) * p->rate_factor;
+    real value = p->w0[axis] * u;
+    s->previous[axis] = u;
+    for (int i = 0; i < COUNT; i++) {
+        const real low = (u - p->thresholds[axis][i]) - widening;
+        const real high = (u + p->thresholds[axis][i]) + widening;
+        real h = s->operators[axis][i];
+        h = (h > high) ? high : h;
+        h = (h < low) ? low : h;
+        s->operators[axis][i] = h;
+        value += p->weights[axis][i] * h;
+    }
+    out[axis] = value;
+}
+"""
+"""`rate_dependent_prandtl_ishlinskii` in C."""
+
+
+class RateDependentFilter(Filter):
+    """Streaming rate-dependent Prandtl-Ishlinskii model."""
+
+    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array], w0: Array, beta: Array) -> None:
+        axes, count = sampling.axes, max(len(r) for r in thresholds)
+        self.hold = sampling.hold
+        self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
+        for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
+            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
+        self.w0, self.beta = w0, beta
+        self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
+        self.rate_factor = 1.0 / sampling.sample_time
+
+    def settle(self, value: Array) -> Array:
+        self.state[:] = 0.0
+        self.previous[:] = value
+        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
+        return first
+
+    def process(self, block: Array) -> Array:
+        output = np.empty_like(block)
+        rate_dependent_prandtl_ishlinskii(
+            block, self.previous, self.rate_factor, self.thresholds, self.weights, self.w0, self.beta, self.state, output
+        )
+        return output
+
+    def c_code(self) -> CCode:
+        return CCode(
+            "rate dependent play operators",
+            STEP,
+            SETTLE,
+            {"COUNT": self.thresholds.shape[1]},
+            {
+                "thresholds": reals(self.thresholds, "V, at rest"),
+                "weights": reals(self.weights, "output unit / V"),
+                "w0": reals(self.w0, "output unit / V, weight of the command itself"),
+                "beta": reals(self.beta, "s, widening of every threshold, V per V/s"),
+                "rate_factor": reals(self.rate_factor, "1/s, of two samples' difference"),
+            },
+            {"operators": reals(self.state, "V"), "previous": reals(self.previous, "V, input before")},
+        )
+
+
+@register
+@dataclass(frozen=True)
+class RateDependentPrandtlIshlinskii(OperatorModel):
+    """RDPI; see the module. thresholds V, increasing; weights, w0 output unit / V; beta s (V per V/s)."""
+
+    name: ClassVar[str] = "rate_dependent_prandtl_ishlinskii"
+    thresholds: VectorPerAxis = vector("V", "of the operators at rest, increasing", lower=0.0)
+    beta: ScalarPerAxis = scalar("s", "widening of every threshold, V per V/s of the command's rate", lower=0.0)
+    w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
+
+    def with_loop_width(self, width: Array) -> RateDependentPrandtlIshlinskii:
+        return wider_operators(self, width)
+
+    def with_rate_part(self, factor: Array) -> RateDependentPrandtlIshlinskii | None:
+        if not np.any(per_axis_scalar(self.beta, len(factor), "beta")):
+            return None
+        return replace(self, beta=scaled(self.beta, factor, 0, "beta"))
+
+    def filter(self, sampling: Sampling) -> RateDependentFilter:
+        axes = sampling.axes
+        return RateDependentFilter(
+            sampling,
+            per_axis(self.thresholds, axes, 1, "thresholds"),
+            per_axis(self.weights, axes, 1, "weights"),
+            per_axis_scalar(self.w0, axes, "w0"),
+            per_axis_scalar(self.beta, axes, "beta"),
+        )

@@ -1,0 +1,1 @@
+"""Linear stages: exact discretization, state-space kernels, transfer functions, delays."""

@@ -1,0 +1,101 @@
+"""Exact discretization of linear systems for the hold of their input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import expm
+
+from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.linear.linear_system import LinearSystem
+from hyst_control.chain.parameter import Array
+from hyst_control.chain.stage import Sampling
+
+
+@dataclass(frozen=True)
+class Discretised:
+    """x[k] = A x[k-1] + sum_i B[i] w[k-i], y[k] = C x[k] + sum_i D[i] w[k-i] + bias, with w the input delayed by whole samples.
+
+    A (n, n), B (3, n, m), C (p, n), D (2, p, m), bias (p,).
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    bias: Array
+
+
+@remembered
+def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
+    """Advance a system exactly by one sample.
+
+    The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
+
+    Parameters
+    ----------
+    system
+        Continuous-time system.
+    fraction
+        (m,), of a sample, by which the inputs are late: 0 <= fraction < 1.
+    sampling
+        Clock of the filter.
+    """
+    ts = sampling.sample_time
+    n, m = system.B.shape
+    b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
+    transition = expm(system.A * ts)
+    carried = {f: expm(system.A * (1.0 - f) * ts) for f in set(fraction.tolist()) if f}
+    for j, f in enumerate(fraction.tolist()):
+        column, direct = system.B[:, j : j + 1], system.D[:, j]
+        newer = _held_input(system.A, column, (1.0 - f) * ts)
+        older = carried[f] @ _held_input(system.A, column, f * ts) if f else np.zeros((n, 2))
+        if sampling.hold == "zoh":
+            b_taps[0, :, j] = newer.sum(axis=1)
+            b_taps[1, :, j] = older.sum(axis=1)
+            d_taps[0, :, j] = direct
+        else:
+            # The input at the interval's start, kink and end lies between the samples w[k], w[k-1] and w[k-2]: their shares, in this order.
+            b_taps[0, :, j] = (1.0 - f) * newer[:, 1]
+            b_taps[1, :, j] = (1.0 - f) * older[:, 0] + (older[:, 1] + newer[:, 0]) + f * newer[:, 1]
+            b_taps[2, :, j] = f * older[:, 0]
+            d_taps[0, :, j] = (1.0 - f) * direct
+            d_taps[1, :, j] = f * direct
+    return Discretised(transition, b_taps, system.C, d_taps, system.bias)
+
+
+def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
+    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval.
+
+    Parameters
+    ----------
+    system, fraction, sampling
+        As for `discretise`.
+    """
+    n, p = len(system.A), len(system.D)
+    a = np.zeros((n + p, n + p))
+    a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time
+    b = np.vstack([system.B, system.D / sampling.sample_time])
+    c = np.hstack([np.zeros((p, n)), np.eye(p)])
+    step = discretise(LinearSystem(a, b, c, np.zeros_like(system.D), system.bias), fraction, sampling)
+    fresh = step.A.copy()
+    fresh[:, n:] = 0.0
+    return replace(step, A=fresh)
+
+
+def _held_input(a: Array, b: Array, time: float) -> Array:
+    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 2)."""
+    n = len(a)
+    found = np.zeros((n, 2))
+    if time <= 0.0 or n == 0:
+        return found
+    # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n] = a
+    block[:n, n : n + 1] = b
+    block[n, n + 1] = 1.0 / time
+    exponential = expm(block * time)
+    found[:, 1] = exponential[:n, n + 1]
+    found[:, 0] = exponential[:n, n] - found[:, 1]
+    return found

@@ -1,0 +1,296 @@
+"""The demo's figures, as SVG files and in its report: loops at several rates, tracking, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.report.document import named, sentence
+from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.data.record_segmentation import stretches_between_rests
+from hyst_control.identify.workflow import datasets_of
+from hyst_control.model_file import simulate
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.reporting.html_page import Page, Palette
+from hyst_control.reporting.provenance import Origin
+from hyst_control.reporting.quantities import quantity
+from hyst_control.reporting.tables import Table
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
+LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
+MOST_POINTS = 700
+"""Points of a curve on the page, about; the curves are smooth."""
+PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "reference")
+"""Every subject has one color in all figures."""
+
+
+def write(
+    folder: Path,
+    excitation: Path,
+    fits: Mapping[str, Fit],
+    reference: Array,
+    measured: Mapping[str, Mapping[str, Array]],
+    stretches: Sequence[tuple[float, int, int]],
+    table: Table,
+    gap: Mapping[str, Any],
+    origins: Sequence[Origin],
+) -> None:
+    """Write `figures/*.svg` and `report.html` into the demo's folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The demo's folder.
+    excitation : Path
+        Bag of the excitation run.
+    fits : mapping of str to Fit
+        Fits by model family.
+    reference : ndarray, shape (N, 1)
+        Reference, um.
+    measured : mapping of str to mapping of str to ndarray
+        Signals (N, 1) by controller and name, um or V.
+    stretches : sequence of (float, int, int)
+        Frequency (Hz), begin and end row of each scored stretch.
+    table : Table
+        Tracking errors.
+    gap : mapping of str
+        Gap report of the record with a withheld effect, which stands under "withheld".
+    origins : sequence of Origin
+        Where the page comes from.
+    """
+    data = datasets_of(read_bag(excitation))[0]
+    loops = _loops(data, fits)
+    (folder / "figures").mkdir()
+    _draw_loops(folder / "figures" / "loops.svg", loops)
+    _draw_tracking(folder / "figures" / "tracking.svg", data.sample_time, reference, measured, stretches, error=False)
+    _draw_tracking(folder / "figures" / "error.svg", data.sample_time, reference, measured, stretches, error=True)
+    _page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
+
+
+def _loops(data: Dataset, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
+    """The last loop of full height at each frequency: command and measured or simulated displacement, by source."""
+    simulated = {name: simulate(fit.model, data.command, data.sample_time, data.hold)[:, 0] for name, fit in fits.items()}
+    found = [stretch for stretch in stretches_between_rests(data, 0, 0) if stretch.kind == "motion"]
+    loops: dict[float, dict[str, tuple[Array, Array]]] = {}
+    for frequency in LOOP_FREQUENCIES:
+        near = [stretch for stretch in found if abs(stretch.frequency / frequency - 1) < 0.05]
+        if not near:
+            continue
+        stretch = max(near, key=lambda item: item.amplitude)
+        end = stretch.end
+        rows = slice(max(end - int(round(1.0 / frequency / data.sample_time)), stretch.begin), end)
+        loops[frequency] = {
+            "measured": (data.command[rows, 0], data.measurement[rows, 0]),
+            **{name.upper(): (data.command[rows, 0], values[rows]) for name, values in simulated.items()},
+        }
+    return loops
+
+
+def _page(
+    loops: Mapping[float, Mapping[str, tuple[Array, Array]]],
+    sample_time: float,
+    fits: Mapping[str, Fit],
+    reference: Array,
+    measured: Mapping[str, Mapping[str, Array]],
+    stretches: Sequence[tuple[float, int, int]],
+    table: Table,
+    gap: Mapping[str, Any],
+    origins: Sequence[Origin],
+) -> Page:
+    page = Page("Feedforward of a piezo stage with hysteresis", _verdict(table, gap), origins)
+    page.note(
+        "A truth actuator, a simulation that shares no code with the models, was excited, recorded, identified and made to track a 4 um "
+        "reference at four frequencies; then it was changed, recorded and diagnosed. Every signal went over ROS 2 topics."
+    )
+    cases = list(dict.fromkeys(row.case for row in table.rows))
+    subjects = list(dict.fromkeys(row.subject for row in table.rows))
+    values = {(row.case, row.subject): row for row in table.rows if row.quantity == "nrmse"}
+    page.section(
+        "Tracking error",
+        "NRMSE in % of the reference's range (HAMPI paper Eq. 26). The published figures are of another "
+        "actuator, in hardware; the plant here is a simulation of one like it.",
+    )
+    page.table(
+        ["frequency", *subjects, "HAPI, published", "HAMPI, published"],
+        [
+            [
+                case,
+                *(f"{values[case, subject].value:.2f}" for subject in subjects),
+                *(f"{values[case, subject].published:.2f}" for subject in ("HAPI", "HAMPI")),
+            ]
+            for case in cases
+        ],
+    )
+    page.note("Left the displacement, in the middle its error, on the right the drive voltage that each controller asks for.")
+    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960, 900)
+    page.section(
+        "Hysteresis at each frequency",
+        "Displacement over drive, measured on the excitation record and simulated by the identified models; beneath, by how much each "
+        "model misses the measured curve.",
+    )
+    page.figure(_loop_figure(loops), 640, 900)
+    page.section(
+        "Identified models", "Fitted to the excitation record; held-out blocks took no part in the choice of the structure."
+    )
+    page.table(
+        ["model", "dynamics", "NRMSE, record", "NRMSE, held out"],
+        [
+            [
+                name.upper(),
+                fit.report["structure"][0],
+                f"{fit.report['records'][0]['nrmse']:.3f} %",
+                f"{fit.report['held_out_nrmse'][0]:.3f} %",
+            ]
+            for name, fit in fits.items()
+        ],
+    )
+    page.section(
+        "An effect that the model does not know",
+        f"The actuator was given {_withheld(gap)}, and the diagnosis was not told. The page gap.html beside this one shows what it found.",
+    )
+    page.note(sentence(dict(gap)))
+    page.table(
+        ["effect", "probability", "parameters", "shrink, re-identified"],
+        [
+            [
+                effect["name"].replace("_", " "),
+                f"{effect['probability']:.2f}",
+                "; ".join(f"{name} {quantity(row['value'], row['unit'], 4)}" for name, row in effect["parameters"].items()),
+                "–" if effect["shrink_reidentified"] is None else f"{100 * effect['shrink_reidentified']:.1f} %",
+            ]
+            for effect in gap["effects"]
+        ],
+    )
+    return page
+
+
+def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
+    """Result of the demo in one sentence."""
+    errors = {
+        subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
+        for subject in ("no feedforward", "HAMPI", "HAMPI + PI")
+    }
+    ranges = {subject: f"{min(values):.2g} to {max(values):.2g} %" for subject, values in errors.items()}
+    named = gap["verdict"] == "effect" and gap["effects"][0]["name"] == gap["withheld"]["name"]
+    found = "was named" if named else f"was not named: the verdict is {gap['verdict'].replace('_', ' ')}"
+    return (
+        f"Without a model the stage misses its reference by {ranges['no feedforward']} of the range, with the identified model as "
+        f"feedforward by {ranges['HAMPI']}, with feedback besides by {ranges['HAMPI + PI']}; an effect that was put into the actuator "
+        f"afterwards {found}."
+    )
+
+
+def _withheld(gap: Mapping[str, Any]) -> str:
+    values = {name: {"value": value, "unit": "V/s"} for name, value in gap["withheld"].items() if name != "name"}
+    return named({"name": gap["withheld"]["name"], "parameters": values})
+
+
+def _tracking_figure(
+    sample_time: float, reference: Array, measured: Mapping[str, Mapping[str, Array]], stretches: Sequence[tuple[float, int, int]]
+) -> go.Figure:
+    figure = make_subplots(
+        rows=len(stretches),
+        cols=3,
+        horizontal_spacing=0.07,
+        vertical_spacing=0.07,
+        subplot_titles=[
+            f"{frequency:g} Hz: {what}"
+            for frequency, _, _ in stretches
+            for what in ("displacement [um]", "error [um]", "drive [V]")
+        ],
+    )
+    for index, (_, begin, end) in enumerate(stretches, start=1):
+        rows = slice(begin, end, max((end - begin) // MOST_POINTS, 1))
+        time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
+        line = {"color": PALETTE.color("reference"), "dash": "dot"}
+        name, shown = "reference", index == 1
+        figure.add_scatter(
+            x=time, y=_single(reference[rows]), name=name, legendgroup=name, showlegend=shown, line=line, row=index, col=1
+        )
+        for name, signals in measured.items():
+            look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.3}}
+            curves = (signals["measurement"][rows], signals["measurement"][rows] - reference[rows], signals["command"][rows])
+            for column, values in enumerate(curves, start=1):
+                figure.add_scatter(x=time, y=_single(values), showlegend=shown and column == 1, **look, row=index, col=column)
+    figure.update_xaxes(title_text="time [ms]", row=len(stretches))
+    figure.update_annotations(font_size=13)
+    return figure
+
+
+def _single(values: Array) -> Array:
+    """First axis in single precision, which is more than a picture shows."""
+    return values[:, 0].astype(np.float32)
+
+
+def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go.Figure:
+    figure = make_subplots(
+        rows=2,
+        cols=len(loops),
+        shared_xaxes=True,
+        vertical_spacing=0.06,
+        subplot_titles=[f"{frequency:g} Hz" for frequency in loops],
+    )
+    for column, sources in enumerate(loops.values(), start=1):
+        _, truth = sources["measured"]
+        every = slice(None, None, max(len(truth) // MOST_POINTS, 1))
+        for name, (u, y) in sources.items():
+            line = {"color": PALETTE.color(name), "width": 1.4, "dash": "solid" if name == "measured" else "dash"}
+            look = {"name": name, "legendgroup": name, "line": line}
+            if name != "measured":
+                error = (truth - y)[every].astype(np.float32)
+                figure.add_scatter(x=u[every].astype(np.float32), y=error, showlegend=False, **look, row=2, col=column)
+            figure.add_scatter(
+                x=u[every].astype(np.float32), y=y[every].astype(np.float32), showlegend=column == 1, **look, row=1, col=column
+            )
+    figure.update_xaxes(title_text="command [V]", row=2)
+    figure.update_yaxes(title_text="displacement [um]", row=1, col=1)
+    figure.update_yaxes(title_text="measured − model [um]", row=2, col=1)
+    return figure
+
+
+def _draw_loops(path: Path, loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> None:
+    figure, axes = pyplot.subplots(1, len(loops), figsize=(3.2 * len(loops), 3.4), sharey=True, squeeze=False)
+    for axis, (frequency, sources) in zip(axes[0], loops.items(), strict=True):
+        for name, (u, y) in sources.items():
+            axis.plot(u, y, color=PALETTE.color(name), linewidth=1.1, linestyle="-" if name == "measured" else "--", label=name)
+        axis.set(title=f"{frequency:g} Hz", xlabel="command [V]")
+    axes[0][0].set_ylabel("displacement [um]")
+    axes[0][0].legend(frameon=False)
+    _save(figure, path)
+
+
+def _draw_tracking(
+    path: Path,
+    sample_time: float,
+    reference: Array,
+    measured: Mapping[str, Mapping[str, Array]],
+    stretches: Sequence[tuple[float, int, int]],
+    error: bool,
+) -> None:
+    figure, axes = pyplot.subplots(1, len(stretches), figsize=(3.2 * len(stretches), 3.4), squeeze=False)
+    for axis, (frequency, begin, end) in zip(axes[0], stretches, strict=True):
+        time = 1e3 * sample_time * np.arange(end - begin)
+        if not error:
+            axis.plot(time, reference[begin:end], color=PALETTE.color("reference"), linestyle=":", label="reference")
+        for name, signals in measured.items():
+            y = signals["measurement"][begin:end, 0] - (reference[begin:end, 0] if error else 0.0)
+            axis.plot(time, y, color=PALETTE.color(name), linewidth=1.0, label=name)
+        axis.set(title=f"{frequency:g} Hz", xlabel="time [ms]")
+    axes[0][0].set_ylabel("error [um]" if error else "displacement [um]")
+    axes[0][-1].legend(frameon=False, fontsize="small")
+    _save(figure, path)
+
+
+def _save(figure: pyplot.Figure, path: Path) -> None:
+    figure.tight_layout()
+    figure.savefig(path)
+    pyplot.close(figure)

@@ -1,0 +1,1 @@
+"""The verdict of a diagnosis: from evidence to a name, with its reasons."""

@@ -1,0 +1,229 @@
+"""Signs of an effect outside the catalogue, and the novelty score that they add up to. Pure functions of the evidence.
+
+A sign is a number of which 1 is the threshold that a rule was set with. Rules of several conditions count as their weakest one, and
+nothing is truncated, so that explanations short of every threshold are in order as well. The verdict is `unknown` where the clearest sign
+exceeds `novelty_threshold`, a conformal threshold: of the single effects that it was calibrated on, at most 4 % exceed it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hyst_control.diagnose.configuration import Thresholds
+from hyst_control.diagnose.decide.record_findings import residual_of, share_of_outliers
+from hyst_control.diagnose.evidence import DistortionEvidence, Evidence, Outliers
+from hyst_control.diagnose.record_checks.summary import held_at_one_value
+from hyst_control.diagnose.verdict import Reason
+
+
+def signs(
+    evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], thresholds: Thresholds
+) -> dict[Reason, float]:
+    """Measure the signs of an unknown effect beside an explanation.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residual of the explanation.
+    chosen : int
+        Index of the explanation among the hypotheses.
+    outweighed : bool
+        True where 1/f noise explains more than any effect, which leaves no energy to explain.
+    outliers : sequence of Outliers
+        What excess noise consists of, where it is outliers.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    dict of Reason to float
+        How many times each rule's threshold is reached, by the reason that the verdict gets where that is enough.
+    """
+    one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
+    due = _energy_due(evidence, chosen)
+    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
+    found: dict[Reason, float] = {}
+    if not outweighed:
+        found[Reason.ENERGY_LEFT] = min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share)
+    found[Reason.OUTLIERS] = max([0.0, *(share_of_outliers(evidence, each) / thresholds.unknown_share for each in outliers)])
+    if one.names:
+        share = unexplained(evidence, chosen, thresholds) / thresholds.named_unexplained_share
+        found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
+    if _too_many(evidence, chosen, thresholds):
+        found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.most_effects
+    for test, sign in changes(evidence, chosen, thresholds):
+        reason = Reason(f"distortion_{test.variable}")
+        found[reason] = max(sign, found.get(reason, 0.0))
+    return found
+
+
+def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bound: bool, thresholds: Thresholds) -> float:
+    """Compute the novelty score m / (m + q), where m is the clearest sign and q the conformal threshold: above 0.5 all is `unknown`.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of which no residual is needed.
+    chosen : int
+        Index of the explanation among the hypotheses.
+    found : mapping of Reason to float
+        The signs.
+    at_bound : bool
+        True where the one explanation has an effect at the end of its range: how far beyond it the effect would be nobody knows.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    threshold = thresholds.novelty_threshold
+    clearest = max([0.0, *found.values()])
+    if not evidence.hypotheses[chosen].names:  # of coefficients alone no rule makes an unknown effect
+        clearest = max(clearest, min(unexplained(evidence, chosen, thresholds), threshold))
+    if at_bound:
+        clearest = max(clearest, float(np.nextafter(threshold, np.inf)))
+    return clearest / (clearest + threshold)
+
+
+def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
+    """Tests by which a named effect is not itself, each with its sign: its size would have to change a lot, and that would explain much.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residual of the explanation.
+    chosen : int
+        Index of the explanation among the hypotheses.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    list of (DistortionEvidence, float)
+        The test of least chance first.
+    """
+    found = failed_tests(evidence, chosen, thresholds, 0.0)
+    if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
+        for seen in evidence.record:
+            # One stretch is none that came back; half a stretch short of the threshold is on it.
+            often = (seen.stuck - 1.0) / (thresholds.stuck - 1.5)
+            sign = min(often, seen.stuck / max(thresholds.beyond_clean * seen.usual_stuck, 1e-300))
+            if sign > 0.0:
+                found.append((held_at_one_value(seen), sign))
+    return sorted(found, key=lambda each: -each[0].statistic)
+
+
+def failed_tests(
+    evidence: Evidence, index: int, thresholds: Thresholds, least: float = 1.0
+) -> list[tuple[DistortionEvidence, float]]:
+    """Distortion tests of a hypothesis whose sign exceeds `least`, each with its sign.
+
+    What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
+    that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residual of the hypothesis.
+    index : int
+        Of the hypothesis.
+    thresholds : Thresholds
+        Values of the configuration.
+    least : float
+        As a multiple of a test's threshold.
+
+    Returns
+    -------
+    list of (DistortionEvidence, float)
+    """
+    residual, due = residual_of(evidence, index), _energy_due(evidence, index)
+    beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.least_excess * due)
+    nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
+    found = []
+    for test in residual.distortions:
+        sign = min(
+            beyond,
+            test.statistic / nats,
+            abs(test.change) / thresholds.distortion_change,
+            test.share / thresholds.distortion_share,
+        )
+        if sign > least:
+            found.append((test, float(sign)))
+    return found
+
+
+def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
+    after, due = residual_of(evidence, chosen).energy, _energy_due(evidence, chosen)
+    if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
+        return 0.0
+    return _share_left(evidence, chosen, thresholds)
+
+
+def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that an explanation leaves, or takes off by coefficients many tolerances away only.
+
+    Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
+    the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residual of the explanation.
+    chosen : int
+        Index of the explanation among the hypotheses.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
+    one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
+    if not (one.names or one.coefficients_alone):
+        return 0.0
+    beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
+    if before <= thresholds.least_excess * evidence.stated:
+        return beyond  # coefficients took all of it
+    if one.names:
+        beyond = min(beyond, one.taken_up / before)
+    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _energy_due(evidence, chosen)) / before, 0.0, 1.0)))
+
+
+def _energy_due(evidence: Evidence, chosen: int) -> float:
+    """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
+    own = evidence.stated if evidence.whitened else evidence.stated - 1.0
+    return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
+
+
+def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
+    """True where so many effects at once are less likely than one outside the catalogue.
+
+    They are not where few of them explain nearly all: the others are then details beside them.
+    """
+    names = set(evidence.hypotheses[chosen].names)
+    if evidence.hypotheses[chosen].together <= thresholds.most_effects:
+        return False
+    before = max(evidence.hypotheses[0].energy - evidence.stated, 1e-12)
+    return not any(
+        one.energy - evidence.stated <= thresholds.unknown_share * before
+        for one in evidence.hypotheses
+        if one.names and one.together <= thresholds.most_effects and set(one.names) < names
+    )
+
+
+def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
+    """Share of the gap's energy that the chosen explanation leaves, however little that is."""
+    before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
+    due = _energy_due(evidence, chosen)
+    # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
+    # is, many times as much is something new all the same.
+    left, follows = after - due, residual_of(evidence, chosen).predictable
+    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
+    new = follows * left + max((1.0 - follows) * left - usual, 0.0)
+    return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))

@@ -1,0 +1,453 @@
+"""Policy of the diagnosis: from evidence to a verdict with its reasons. Pure functions of numbers; nobody edits their answer.
+
+`decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more
+than the practical size; claims become probabilities by their scores. The verdict is the first of these whose rule holds:
+
+    unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, one whose size changes
+                 with something else, or beside effects much is left, or taken up by coefficients far away
+    ambiguous    the data cannot separate several explanations
+    effect       one explanation by effects, or a check of the record found something
+    parameters   the coefficients explain it, further off than their tolerance
+    no_gap       none of these
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import Thresholds
+from hyst_control.diagnose.decide import novelty
+from hyst_control.diagnose.decide.novelty import failed_tests, remainder, unexplained
+from hyst_control.diagnose.decide.record_findings import findings, flicker_found, outweighs, residual_of, share_of_outliers
+from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found, without_vibration
+from hyst_control.diagnose.evidence import (
+    CompanionEvidence,
+    DistortionEvidence,
+    Evidence,
+    HypothesisEvidence,
+)
+from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
+
+PARAMETERS = ("parameters",)
+"""Key of the coefficients alone in `Decision.probability`."""
+
+
+def join(decisions: Sequence[Decision]) -> JointDecision:
+    """Join the decisions on the axes of a plant.
+
+    Parameters
+    ----------
+    decisions : sequence of Decision
+        At least one, in any order.
+
+    Returns
+    -------
+    JointDecision
+        The verdict that prevails on any of them, with the reasons of those that have it.
+
+    """
+    prevailing = min((decision.verdict for decision in decisions), key=list(Verdict).index)
+    reasons = {reason for decision in decisions if decision.verdict is prevailing for reason in decision.reasons}
+    return JointDecision(
+        prevailing,
+        _ordered(reasons),
+        max(decision.remainder for decision in decisions),
+        max(decision.unexplained for decision in decisions),
+        max(decision.novelty for decision in decisions),
+    )
+
+
+def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
+    """Judge the evidence on one problem.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        With the residuals of all `contenders`.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    Decision
+
+    """
+    claims = _claims(evidence, thresholds)
+    noise = flicker_found(evidence, _first(claims), thresholds)
+    outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
+    shaken = None if noise is not None else _shaken(evidence, _first(claims), thresholds)
+    if outweighed or shaken == 0:
+        claims = _claims(evidence, thresholds, with_effects=False)
+    chosen = _first(claims)
+    probability = _probabilities(evidence, claims, thresholds)
+    shown, outliers = findings(evidence, chosen, noise, thresholds)
+    if shaken is not None:
+        hump = residual_of(evidence, shaken).hump
+        assert hump is not None
+        shown = (*shown, vibration(hump, evidence.noise[0]))
+        evidence = without_vibration(evidence, thresholds)
+    left = 0.0 if outweighed else remainder(evidence, chosen, thresholds)
+    unaccounted = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
+    companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
+
+    signs = novelty.signs(evidence, chosen, outweighed, outliers, thresholds)
+    unknown = {reason for reason, sign in signs.items() if sign > thresholds.novelty_threshold}
+    # What leaves much, needs too much or is not itself stands alone: others that are as probable fail as well.
+    alone = unknown - {Reason.UNEXPLAINED_SHARE, Reason.OUTLIERS}
+    listed = (chosen,) if alone else _listed(evidence, claims, probability, thresholds)
+    effects = any(evidence.hypotheses[index].names for index in listed)
+    at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
+    reasons: set[Reason] = set()
+    if unknown or at_bound:
+        verdict = Verdict.UNKNOWN
+        reasons = unknown | ({Reason.AT_BOUND} if at_bound else set())
+        if unknown & {Reason.ENERGY_LEFT, Reason.OUTLIERS}:  # energy left says all that the share says
+            reasons = (reasons | {Reason.ENERGY_LEFT}) - {Reason.UNEXPLAINED_SHARE}
+            reasons -= {Reason.OUTLIERS} if unaccounted <= left else set()
+    elif len(listed) > 1:
+        verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
+    elif effects or shown or (companions and not listed):
+        verdict = Verdict.EFFECT
+        if companions:
+            reasons |= {Reason.SESSION_DIFFERS}
+        if effects:
+            sure = probability[key(evidence.hypotheses[chosen])] >= thresholds.sure_probability
+            reasons |= {Reason.ONE_EXPLANATION if sure else Reason.NO_OTHER_EXPLANATION}
+        if shown:
+            reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed or shaken == 0 else set())
+    elif listed:
+        verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_BEYOND_TOLERANCE}
+    else:
+        beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
+        verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}
+    return Decision(
+        verdict,
+        _ordered(reasons),
+        chosen,
+        listed,
+        probability,
+        unaccounted,
+        shown,
+        outliers,
+        companions,
+        tuple(test for test, sign in novelty.changes(evidence, chosen, thresholds) if sign > thresholds.novelty_threshold),
+        max(unaccounted, unexplained(evidence, chosen, thresholds)),
+        novelty.score(evidence, chosen, signs, at_bound, thresholds),
+    )
+
+
+def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
+    """Hypotheses whose residuals the policy may ask for: no effect, the best explanation, and the best one without effects.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Residuals are not needed.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    tuple of int
+        Indices in `evidence.hypotheses`, ascending.
+
+    """
+    first = _first(_claims(evidence, thresholds))
+    return tuple(sorted({0, first, _first(_claims(evidence, thresholds, with_effects=False))}))
+
+
+def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
+    """Rms, in units of the noise, that an effect must take off to be worth naming.
+
+    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
+    rounding of a converter follows the signal: a share of it is no effect.
+
+    Parameters
+    ----------
+    spans, steps, stated, noise : ndarray, shape (A,)
+        Range of the measurement, step of its lattice (0 without), stated and measured noise (rms), all in the measurement's unit.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+
+    """
+    size = thresholds.practical_size * spans / noise
+    excess = np.sqrt(np.maximum((stated / noise) ** 2 - 1.0, 0.0))
+    rounded = steps / np.sqrt(12.0) / noise
+    return float(np.sqrt(np.mean(size**2 + (thresholds.stated_excess * excess) ** 2 + (thresholds.rounding_share * rounded) ** 2)))
+
+
+def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
+    """True when coefficients are further from the nominal ones than chance explains.
+
+    Parameters
+    ----------
+    strain : float
+        Misfit of their distance, nats: half their chi-square.
+    coefficients : int
+        Their number, the mean of the chi-square.
+    thresholds : Thresholds
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+    """
+    return 2.0 * strain >= coefficients + thresholds.strain_deviations * float(np.sqrt(2.0 * coefficients))
+
+
+def key(hypothesis: HypothesisEvidence) -> tuple[str, ...]:
+    """Name of a hypothesis in `Decision.probability`.
+
+    Parameters
+    ----------
+    hypothesis : HypothesisEvidence
+        Of the evidence.
+
+    Returns
+    -------
+    tuple of str
+
+    """
+    return PARAMETERS if hypothesis.coefficients_alone else hypothesis.names
+
+
+def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = True) -> tuple[int, ...]:
+    """Hypotheses that claim to explain the gap, best first."""
+    found = [
+        index
+        for index, one in enumerate(evidence.hypotheses)
+        if (one.names and with_effects or one.coefficients_alone)
+        and _beats_null(one, evidence, thresholds)
+        and _worth_naming(one, evidence, thresholds)
+        and _explains(one, evidence, thresholds)
+    ]
+    found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
+
+    def kept(wanted: frozenset[frozenset[str]] = frozenset()) -> tuple[int, ...]:
+        return tuple(
+            index
+            for index in found
+            if not _idle(index, found, evidence, thresholds, wanted) and not _is_known_effect(index, found, evidence, thresholds)
+        )
+
+    claims = kept()
+    wanted = _wanted(evidence, _first(claims), thresholds)
+    with_wanted = claims
+    if wanted:  # what a test asks for goes before what fails it
+        with_wanted = tuple(sorted(kept(wanted), key=lambda index: frozenset(evidence.hypotheses[index].names) not in wanted))
+    # Where the added effect is no cure, the explanation without it is the nearest one.
+    claims = claims if _changes(evidence, _first(with_wanted), thresholds) else with_wanted
+    simpler = _without_detail(evidence, _first(claims), found, thresholds)
+    return claims if simpler is None else (simpler, *(index for index in claims[1:] if index != simpler))
+
+
+def _without_detail(evidence: Evidence, first: int, found: Sequence[int], thresholds: Thresholds) -> int | None:
+    """Of a combination whose effects are not themselves, the part that explains nearly all and whose effects are; None without one.
+
+    The tests tell a second effect that only makes up for what the first one's stage, or the model, answers a little wrong.
+    """
+    if not _changes(evidence, first, thresholds):
+        return None
+    before = evidence.hypotheses[0].energy - evidence.stated
+    parts = [
+        index
+        for index in found
+        if set(evidence.hypotheses[index].names) < set(evidence.hypotheses[first].names)
+        and evidence.hypotheses[index].energy - evidence.stated <= thresholds.unknown_share * before
+        and not _changes(evidence, index, thresholds)
+    ]
+    return parts[0] if parts else None
+
+
+def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
+    """Distortion tests by which an effect of a hypothesis is not itself; none of a hypothesis that is not tested yet."""
+    if evidence.hypotheses[index].residual is None:
+        return ()
+    return tuple(test for test, _ in failed_tests(evidence, index, thresholds))
+
+
+def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[frozenset[str]]:
+    """The effects of a hypothesis, each time with a drift that they lack, where their size would have to change with time.
+
+    The test is one of these effects: it says nothing of a drift beside others, which fitted worse.
+    """
+    if "time" not in {one.variable for one in _changes(evidence, index, thresholds)}:
+        return frozenset()
+    names = frozenset(evidence.hypotheses[index].names)
+    return frozenset(names | {drift} for drift in evidence.drifts - names)
+
+
+def _shaken(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
+    """Index of the hypothesis whose residual shows a vibration without a waveform."""
+    return vibration_found(evidence, first, remainder(evidence, first, thresholds), thresholds)
+
+
+def _first(claims: Sequence[int]) -> int:
+    """The best claim, or "no effect" where there is none."""
+    return claims[0] if claims else 0
+
+
+def _beats_null(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    if one.coefficients_alone:
+        return one.score > thresholds.margin
+    gain = evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
+    return bool(one.names) and one.score > 0 and gain > evidence.null + thresholds.margin
+
+
+def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
+    # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
+    # the samples has that error in it already.
+    unweighted = evidence.weight == 1.0
+    within = one.local <= thresholds.own_error_local * evidence.stated
+    if within and (one.coefficients_alone or not _stands_out(evidence.hypotheses[0], one, evidence, thresholds)):
+        return False
+    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
+    before = evidence.hypotheses[0].energy
+    # What leaves no more than the model leaves on clean records is no gap.
+    if before - one.energy > least and (unweighted or before > evidence.stated):
+        return True
+    # A slow effect has few frequencies, a small share of all, however far it stands out of the model's own error there.
+    if _has_own_error(evidence) and one.names and not within and _stands_out(evidence.hypotheses[0], one, evidence, thresholds):
+        return True
+    if unweighted and evidence.stated >= thresholds.own_error_energy:
+        return False
+    relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
+    return (unweighted and one.coefficients_alone) or relief > evidence.null + thresholds.margin
+
+
+def _has_own_error(evidence: Evidence) -> bool:
+    """True where what is left has the model's own error in it, whose spectrum is known; beside the same command it is carried over."""
+    return evidence.whitened and not evidence.carried
+
+
+def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> float:
+    """Evidence over "no effect", nats, by which claims are compared: what stays under the model's own error tells little."""
+    if not _has_own_error(evidence):
+        return one.score
+    none = evidence.hypotheses[0]
+    spent = evidence.temper * (none.misfit - one.misfit) - one.score
+    merit = none.beyond + none.strain - one.beyond - one.strain - spent + thresholds.under_own_error * one.score
+    # What needs a size at the end of its range has to be better than another by as much as a claim.
+    return merit - (evidence.null + thresholds.margin if one.at_bound else 0.0)
+
+
+def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where a hypothesis is better by what exceeds the model's own error, or by coefficients that need not move as far."""
+    better = without.beyond + without.strain - one.beyond - one.strain
+    return better > evidence.null + thresholds.margin
+
+
+def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where effects take off enough of the error beyond the one that the model states; any amount if coefficients are strained."""
+    none = evidence.hypotheses[0]
+    gap = none.energy - evidence.stated
+    if not one.names or gap <= thresholds.least_excess * evidence.stated:
+        return True
+    if strained(none.strain, evidence.coefficients, thresholds):
+        return True
+    least = thresholds.least_explained_whitened if evidence.whitened else thresholds.least_explained
+    return none.energy - one.energy > least * gap
+
+
+def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
+
+    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
+    """
+    one = evidence.hypotheses[index]
+    # Beside clean records the coefficients are those of these records, and what has changed is an effect if a known one does it.
+    if not one.coefficients_alone or (one.farthest < thresholds.many_tolerances and not evidence.whitened):
+        return False
+    size = 0.5 * evidence.temper * evidence.weight * evidence.rows * len(evidence.noise)  # nats of a noise energy
+    taken_off = size * (evidence.hypotheses[0].energy - one.energy)
+    return any(
+        len(other.names) == 1
+        and (
+            not _stands_out(other, one, evidence, thresholds)
+            if _has_own_error(evidence)
+            else size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+        )
+        and not strained(other.strain, evidence.coefficients, thresholds)
+        for other in (evidence.hypotheses[i] for i in claims)
+    )
+
+
+def _idle(
+    index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[frozenset[str]] = frozenset()
+) -> bool:
+    """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
+
+    Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
+    coefficients had to leave their tolerance for a part, and need not for the combination, nor for a combination that is `wanted`: a
+    distortion test then tells what is added from the stage's own error.
+    """
+    one = evidence.hypotheses[index]
+    if len(one.names) < 2:
+        return False
+    parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
+    if not parts:
+        return False
+    asked_for = frozenset(one.names) in wanted
+    if _has_own_error(evidence) and not asked_for and not all(_stands_out(part, one, evidence, thresholds) for part in parts):
+        return True
+    best = min(parts, key=lambda part: part.misfit)
+    better = best.misfit - one.misfit
+    relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
+        one.strain, evidence.coefficients, thresholds
+    )
+    # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off, but in
+    # the answer to the first effect, of which the model misses as large a share as of the motion.
+    alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
+    share = max(thresholds.added_share, evidence.carried_share) if alone else thresholds.added_share_with_own_error
+    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and not asked_for
+    return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
+
+
+def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
+    hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
+    sharpness = thresholds.sharpness_whitened if evidence.whitened else thresholds.sharpness
+    # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
+    best: dict[tuple[str, ...], float] = {}
+    for one in hypotheses:
+        best[key(one)] = max(best.get(key(one), -np.inf), _merit(one, evidence, thresholds))
+    weights = np.exp(sharpness * (np.array(list(best.values())) - max(best.values())))
+    return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
+
+
+def _listed(
+    evidence: Evidence, claims: Sequence[int], probability: Mapping[tuple[str, ...], float], thresholds: Thresholds
+) -> tuple[int, ...]:
+    """Explanations to be named: one that is sure alone, else all that are probable, but none that becomes the first one (`ends_as`)."""
+    if not claims:
+        return ()
+    chosen = key(evidence.hypotheses[claims[0]])
+    first = probability[chosen]
+    if first >= thresholds.sure_probability:
+        return (claims[0],)
+    best: dict[tuple[str, ...], int] = {}
+    for index in claims:
+        best.setdefault(key(evidence.hypotheses[index]), index)
+    least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
+    simpler = dict(evidence.ends_as)
+    same = {name for name in best if name != chosen and sorted(simpler.get(effect, effect) for effect in name) == sorted(chosen)}
+    return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
+
+
+def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where zero or drift of a session exceed chance, the practical size, and what clean records show."""
+    if np.isnan(companion.usual):
+        return False  # nothing says what is usual
+    least = max(thresholds.companion_deviations * companion.deviation, companion.usual)
+    return companion.rms > evidence.floor * evidence.noise[companion.axis] and abs(companion.value) > least
+
+
+def _ordered(reasons: Collection[Reason]) -> tuple[Reason, ...]:
+    return tuple(reason for reason in Reason if reason in reasons)

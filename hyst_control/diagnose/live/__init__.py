@@ -1,0 +1,1 @@
+"""Diagnosis beside a running machine."""

@@ -1,0 +1,159 @@
+"""Screening of records: proves that a diagnosis would find no gap, without trying any effect.
+
+An effect is named only where it takes off more than the practical floor of a gap that is larger than what the model leaves on clean
+records, or relieves coefficients that had to leave their tolerance (`policy`). Where the coefficients alone leave no more than that, and
+their strain is less than the margin of a claim, no effect can do either, whatever the simulated null and the search would give: what
+remains are the checks of the record, the zero of its session and 1/f noise, which need no search. All bounds are those of a search that
+turns out as well as it could (weight of a sample 1, and a null threshold of 0 unless the real one is needed, which records of equal
+command and model share), so that of a record that passes the whole diagnosis says "no_gap".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
+from hyst_control.diagnose.decide.policy import decide
+from hyst_control.diagnose.model_error.baseline import Baseline
+from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
+from hyst_control.diagnose.run.diagnosis import with_clean
+from hyst_control.diagnose.run.prepare import Prepared, prepare
+from hyst_control.diagnose.search.beam_search import Found, Scored, inflated, settled
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.null_distribution import threshold
+from hyst_control.diagnose.verdict import Verdict
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
+
+CLEARLY = 2.0
+"""Energy that the first fit leaves, in those that are no gap, from which it is not gone on with."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Gap of records, and whether it is proved to be none.
+
+    Parameters
+    ----------
+    no_gap : bool
+        True where a diagnosis would say "no_gap"; where False it may say anything.
+    gap_rms, floor_rms : float
+        As in the gap report, measurement unit.
+    gap_nrmse : float
+        As in the gap report, % of the range.
+    left_rms : float
+        What the coefficients leave within their tolerances, rms over all axes, measurement unit.
+    unit : str
+        Measurement unit.
+    """
+
+    no_gap: bool
+    gap_rms: float
+    gap_nrmse: float
+    floor_rms: float
+    left_rms: float
+    unit: str
+
+
+def screen(
+    records: Sequence[Record],
+    model: Model | None,
+    baseline: Sequence[Record] = (),
+    verdict: bool = True,
+    configuration: Configuration = CONFIGURATION,
+) -> Screening:
+    """Screen records.
+
+    Parameters
+    ----------
+    records
+        With command and measurement.
+    model
+        Nominal model, as in `diagnose`.
+    baseline
+        Clean records of the same plant.
+    verdict
+        Whether a proof is tried; without it, only the gap is measured.
+    configuration
+        Settings of the diagnosis.
+
+    Returns
+    -------
+    Screening
+        Gap, and whether it is proved to be none.
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+    """
+    nominal, _, _, parts = with_clean(records, model, 0.0, configuration, baseline)
+    energies, floors, relative, left, clear = [], [], [], [], verdict
+    for problem, beside, sensor_side in parts:
+        prepared = prepare(problem, beside, (), configuration)
+        linearised = prepared.linearised
+        gap = prepared.problem.rows(linearised.measured - linearised.simulate(np.zeros(linearised.count)))
+        measured = prepared.problem.rows(linearised.measured)
+        energies += list(np.mean(gap**2, axis=0))
+        floors += list(np.asarray(prepared.problem.sigma) ** 2)
+        relative += list(100.0 * np.sqrt(np.mean(gap**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
+        first = fit(linearised)
+        left += list(np.mean(prepared.problem.rows(first.residual) ** 2, axis=0))
+        near = _energy(first.residual) <= CLEARLY * _no_gap_energy(prepared)
+        clear = clear and near and _is_clear(prepared, beside, sensor_side, configuration)
+    return Screening(
+        clear,
+        float(np.sqrt(np.mean(energies))),
+        float(np.mean(relative)),
+        float(np.sqrt(np.mean(floors))),
+        float(np.sqrt(np.mean(left))),
+        nominal.units["measurement"],
+    )
+
+
+def _energy(residual: Array) -> float:
+    return float(residual @ residual) / len(residual)
+
+
+def _no_gap_energy(prepared: Prepared) -> float:
+    """Energy up to which nothing is named, in noise energies: beside clean records that of the model's own error."""
+    weighted = prepared.problem.weight != 1.0
+    return max(prepared.floor**2, prepared.leaves if weighted else 0.0)
+
+
+def _is_clear(prepared: Prepared, beside: Baseline | None, sensor_side: bool, configuration: Configuration) -> bool:
+    """True where no search could find anything to name."""
+    policy, linearised = configuration.policy, prepared.linearised
+    none = Scored(None, settled(linearised), 0.0)
+    if _energy(none.solution.residual) > _no_gap_energy(prepared):
+        return False  # an effect might take off enough to be named
+    if 0.5 * float(none.solution.z @ none.solution.z) > policy.margin:
+        return False  # an effect might relieve the coefficients
+    if _coefficients_may_claim(linearised, none, configuration):
+        return False
+    found = Found(linearised, none, none, (), (), 1.0)
+    zero = () if beside is None else companions(linearised, none, beside.usual_zero, 1.0)
+    left = residual_evidence(prepared.problem, none, prepared.findings, prepared.checks, configuration, zero)
+
+    def passes(null: float) -> bool:
+        collected = collect(found, null, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
+        evidence = collected.evidence.with_residuals(dict.fromkeys(range(len(collected.hypotheses)), left))
+        return decide(evidence, policy).verdict is Verdict.NO_GAP
+
+    # The null is asked for only where it matters, as of 1/f noise: it is the dearest part.
+    return passes(0.0) or (
+        passes(np.inf) and passes(threshold(linearised, prepared.members(sensor_side), configuration=configuration))
+    )
+
+
+def _coefficients_may_claim(linearised: Linearised, none: Scored, configuration: Configuration) -> bool:
+    """True where coefficients beyond their tolerances might explain more than the margin; beside a weight only their strain counts."""
+    if linearised.problem.weight != 1.0:
+        return False
+    factor = configuration.search.inflation
+    wide = settled(inflated(linearised, factor), none.solution.z / factor)
+    return none.solution.misfit - wide.misfit > configuration.policy.margin

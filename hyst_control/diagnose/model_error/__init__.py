@@ -1,0 +1,1 @@
+"""Discrepancy of the model on healthy records, as baseline records show it."""

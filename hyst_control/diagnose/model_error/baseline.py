@@ -1,0 +1,421 @@
+"""Baseline of a diagnosis: clean records, on which a model's residual is its own error and not a gap.
+
+A clean record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
+time shift, the model's error on it is carried over sample by sample:
+
+    predicted new record = E_out( y_clean + [ M_E(u_new) - M(u_clean) ] ) + zero(t)
+
+E_out are the sensor's effects, which act on the plant's whole output; M is the model, and M_E the model with the effects of the
+drive. The error of the model's coefficients cancels in the difference. Without a model, the clean record alone is the prediction, and
+only effects behind the mechanics can be found.
+
+If no clean record has the same command, the model's error is predicted from the features of the command that the clean records, or the
+discrepancy in the model file, taught; where these predict nothing, its size and its correlation are known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain
+from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.model_error.other_commands import (
+    learned_mean,
+    lowest_frequency,
+    on_new_ground,
+    own_error_spectrum,
+    predicted_error,
+    simulated_rows,
+)
+from hyst_control.diagnose.model_error.same_command import Match, matching, period_differences, repeating_rows
+from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
+from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
+from hyst_control.diagnose.noise.white import noise_between_periods
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, LearnedError, SessionZero
+from hyst_control.diagnose.problem.problem import Piece, Problem, check_units
+from hyst_control.errors import InputError
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
+from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
+from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, spectrum_on_new_records
+from hyst_control.model_file import Model, simulate
+from hyst_control.records.correlation import correlation_length
+from hyst_control.records.record import Record
+from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Baseline of one problem: its model extended by the model's known error, and the size of that error.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records; their model has stages for the known error and the session's zero.
+    carried : bool
+        True when the model's error is carried over sample by sample.
+    repeatability : ndarray, shape (A,)
+        Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
+        error if no clean record has that command; 0 if there is only one clean record and its command has no period.
+    usual_zero : ndarray, shape (A, 3)
+        Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the clean records predict for
+        the next one, and a share of the range at most, which is all that is known beside a single one.
+    floor : ndarray, shape (A,)
+        Rms that an effect must remove from the residual to be named at all, measurement unit.
+    clean : Problem or None
+        The clean records; None if the model file's discrepancy is used instead.
+    error : ndarray, shape (A,)
+        Rms of the model's own error on the clean records without their zeros, measurement unit.
+    learned : LearnedDiscrepancy or None
+        What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
+    error_rows : Problem or None
+        The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where the
+        new records have no others. None where the error is carried over, or a model file states it.
+    """
+
+    problem: Problem
+    carried: bool
+    repeatability: Array
+    usual_zero: Array
+    floor: Array
+    clean: Problem | None
+    error: Array
+    learned: LearnedDiscrepancy | None = None
+    error_rows: Problem | None = None
+
+    def error_energy(self, command: Array, sample_time: float) -> float:
+        """Predict the energy of the model's own error on a command.
+
+        Parameters
+        ----------
+        command : ndarray, shape (N, A)
+            V.
+        sample_time : float
+            s.
+
+        Returns
+        -------
+        float
+            Sum over the axes of the mean square, measurement unit squared.
+        """
+        if self.learned is None:
+            return float(np.sum(self.error**2))
+        design, _ = without_zero(self.learned.features.rows(np.ascontiguousarray(command[:, 0]), sample_time))
+        spread = np.column_stack([self.learned.mean, self.learned.factor])
+        return float(np.mean(np.sum((design @ spread) ** 2, axis=1)) + self.learned.rest**2)
+
+
+def no_model(record: Record) -> Model:
+    """Make a placeholder for a missing model: its output is 0, so that the clean record alone is the prediction.
+
+    Parameters
+    ----------
+    record : Record
+        Record with command and measurement.
+
+    Returns
+    -------
+    Model
+
+    Raises
+    ------
+    InputError
+        If the record lacks a signal.
+    """
+    command, measurement = record.signal("command"), record.signal("measurement")
+    units = {"command": command.unit, "measurement": measurement.unit}
+    sample_time = record.sample_time(("command", "measurement"))
+    return Model("no model", measurement.axes, units, sample_time, Chain((Gain(0.0),)), record.hold)
+
+
+def error_on(records: Sequence[Record], model: Model) -> Array:
+    """Measure what a model leaves on clean records, their zeros and drifts included.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Clean records with command and measurement.
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit.
+
+    Raises
+    ------
+    InputError
+        If a record lacks a signal, or belongs to another plant.
+    """
+    found = []
+    for record in records:
+        check_units(model, record.signal("measurement").unit, record.source)
+        for stretch in record.aligned(("command", "measurement"), allow_gaps=True):
+            command, measurement = stretch.values["command"], stretch.values["measurement"]
+            if command.shape[1] != len(model.axes) or measurement.shape[1] != len(model.axes):
+                raise InputError(
+                    f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it"
+                )
+            found.append(measurement - simulate(model, command, stretch.sample_time, record.hold))
+    return np.asarray(np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0)), dtype=np.float64)
+
+
+def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
+    """Make the baseline of a problem from clean records.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records.
+    clean : Problem
+        Clean records of the same axes, with the same sample time.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    Baseline
+    """
+    matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
+    if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
+        # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
+        matches = [
+            matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
+        ]
+    spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
+    if all(matches):
+        return _carried(problem, clean, matches, spans, settings)
+    # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
+    known = _from_wiped_memory(clean, problem)
+    errors = [
+        (piece.measurement - simulated_rows(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)
+    ]
+    left = [
+        rows[_first_counted(later) - _first_counted(piece) :]
+        for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)
+    ]
+    stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time)
+    stated |= session_zeros(errors)
+    return replace(_beside_own_error(problem, stated, clean, settings, left, errors), error_rows=known)
+
+
+def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: bool = False) -> Baseline:
+    """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records; their model states a discrepancy.
+    settings : BaselineSettings
+        Values of the configuration.
+    by_spectrum : bool
+        Whether the own error is weighed by the spectrum that the file states, rather than by its size and its correlation.
+
+    Returns
+    -------
+    Baseline
+    """
+    found = _beside_own_error(problem, problem.model.discrepancy, None, settings)
+    if not by_spectrum:
+        return found
+    error, with_learned = found.repeatability, found.learned is not None
+    spectrum = _stated_spectrum(problem, problem.model.discrepancy["spectrum"], error, with_learned, settings)
+    return replace(found, problem=replace(found.problem, own_spectrum=spectrum), floor=np.zeros_like(found.floor))
+
+
+def _beside_own_error(
+    problem: Problem,
+    stated: Mapping[str, Any],
+    clean: Problem | None,
+    settings: BaselineSettings,
+    errors: Sequence[Array] = (),
+    everything: Sequence[Array] = (),
+) -> Baseline:
+    """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it.
+
+    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
+    with the rows before, in which the time before the record shows.
+    """
+    error = np.asarray(stated["rms"], dtype=float)
+    zeros = stated.get("zero")
+    mean = np.asarray(stated.get("zero_mean", np.zeros((len(error), len(SHAPES)))), dtype=float)
+    usual = np.full(mean.shape, np.nan) if zeros is None else np.asarray(zeros, dtype=float) - np.abs(mean)
+    # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
+    seconds = float(stated.get("correlation", 1.0 / (np.pi * lowest_frequency(problem))))
+    learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
+    predicted = _memory(problem, settings)
+    rest = settings.unseen * error
+    if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
+        predicted = (*predicted, *predicted_error(problem, learned[0]))
+        rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
+    spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
+    noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
+    model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, mean, settings)))
+    excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
+    usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
+    length = max(seconds / problem.sample_time, 1.0)
+    known = learned[0] if len(learned) == len(error) == 1 else None
+    spectrum = None
+    floor = settings.other_command * excess
+    if clean is not None:
+        left = [without_zero(rows)[0] for rows in errors]
+        if known is not None:
+            left = [
+                rows - without_zero(learned_mean(known, piece, len(rows), clean.sample_time))[0]
+                for rows, piece in zip(left, clean.pieces, strict=True)
+            ]
+        spectrum = own_error_spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
+        spectrum = on_new_ground(spectrum, problem, clean, error, settings)
+        floor = np.zeros_like(excess)
+    beside = replace(
+        problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
+    )
+    return Baseline(beside, False, error, usual, floor, clean, excess, known)
+
+
+def _stated_spectrum(
+    problem: Problem, documents: Sequence[Any], error: Array, with_learned: bool, settings: BaselineSettings
+) -> ErrorSpectrum:
+    """The own error's spectrum on new records as the model's file states it, raised where their commands drive the model more."""
+    stated = [StatedSpectrum.from_document(one) for one in documents]
+    outputs = [without_zero(piece.counted(simulated_rows(problem, i, piece)))[0] for i, piece in enumerate(problem.pieces)]
+    relative = settings.unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
+    found = spectrum_on_new_records(stated, outputs, problem.sample_time, lowest_frequency(problem), relative, with_learned)
+    return replace(found, power=settings.unseen**2 * found.power)
+
+
+def _carried(
+    problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]], spans: Array, settings: BaselineSettings
+) -> Baseline:
+    pieces: list[Piece] = []
+    series: list[Array] = []
+    differences: list[Array] = []
+    run_to_run: list[Array] = []
+    zeros: list[Array] = []
+    for piece, found in zip(problem.pieces, matches, strict=True):
+        filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
+        begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
+        # Rows of a warm-up do not count, but they wipe the memory out all the same.
+        wiped = max(
+            wiped_out(piece.command[:end]), *(wiped_out(match.clean.command[: end + match.shift]) - match.shift for match in found)
+        )
+        kept = np.zeros(len(piece.command), dtype=bool)
+        kept[begin:end] = True
+        kept &= ~_fills_memory(piece.command, begin, end, wiped, settings)
+        begin = int(np.argmax(kept))
+        whole = kept.all() and piece.keep is None
+        pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
+        errors, clean_errors = [], []
+        for match in found:
+            matched = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
+            index = next(i for i, one in enumerate(clean.pieces) if one is match.clean)
+            clean_errors.append(match.clean.measurement - simulated_rows(clean, index, match.clean))
+            errors.append(clean_errors[-1][matched])
+        mean = np.mean(errors, axis=0)
+        repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
+        # What the new record has too is no noise of the clean one, however rough.
+        differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
+        series.append(without_noise(mean, np.fmin(repeating, differing)))
+        differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
+        zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
+        run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
+        if len(errors) == 1:
+            clean_piece, shift = found[0].clean, found[0].shift
+            rows = repeating_rows(clean_piece.command, begin + shift, end + shift, settings)
+            successive, about_mean = period_differences(clean_piece.command[rows], clean_errors[0][rows], rows.start, settings)
+            differences += successive
+            run_to_run += about_mean
+    repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
+    usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
+    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
+    both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
+    alone = repeatability / both
+    longest = max(len(piece.counted(piece.command)) for piece in pieces)
+    memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
+    zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
+    floor, motions = settings.same_floor * repeatability, []
+    if not differences:  # one record tells nothing of the next one
+        motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
+        floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
+    beside = replace(
+        problem,
+        model=model,
+        pieces=tuple(pieces),
+        slowest=lowest_frequency(problem),
+        own_error=alone if differences else floor,
+        own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
+        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, lowest_frequency(problem), both**2)
+        if run_to_run
+        else None,
+    )
+    own = np.concatenate([without_zero(rows)[0] for rows in series])
+    error = np.sqrt(np.mean(own**2, axis=0))
+    return Baseline(beside, True, repeatability, usual, floor, clean, error)
+
+
+def _fills_memory(
+    command: Array, begin: int, end: int, wiped: int, settings: BaselineSettings
+) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Rows (N,) from begin on that are left out, because what they hold of the time before the record differs from record to record.
+
+    wiped: row from which nothing is left of it.
+    """
+    rows = np.arange(len(command))
+    most = settings.memory_rows * len(command)
+    if wiped - begin <= most:
+        return np.asarray(rows < wiped)
+    if command.shape[1] > 1:
+        return np.zeros(len(command), dtype=bool)
+    new_ground = np.zeros(len(command), dtype=bool)
+    new_ground[begin:end] = is_new_ground(command[begin:end, 0])
+    return new_ground if np.count_nonzero(new_ground) <= most else np.zeros(len(command), dtype=bool)
+
+
+def _first_counted(piece: Piece) -> int:
+    """First row of a record that counts."""
+    return 0 if piece.keep is None else int(np.argmax(piece.keep))
+
+
+def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
+    """The clean records from the row on at which their command has wiped out the time before, where new records count from there too.
+
+    Until then a record shows the unknown memory of the time before it, which may be many times the model's own error. A new record
+    that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
+    """
+    if any(wiped_out(piece.command) > _first_counted(piece) for piece in problem.pieces):
+        return clean
+    pieces = []
+    for piece in clean.pieces:
+        known = wiped_out(piece.command)
+        if known > _first_counted(piece) and has_whole_loop(piece.command, known):
+            later = np.arange(len(piece.command)) >= known
+            piece = replace(piece, keep=later if piece.keep is None else later & piece.keep)
+        pieces.append(piece)
+    return replace(clean, pieces=tuple(pieces))
+
+
+def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError, ...]:
+    found = initial_memory(problem, settings.memory_share)
+    return () if found is None else (found,)
+
+
+def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSettings) -> SessionZero:
+    """Zero of every record, free about the clean sessions' mean (A, 3), or about 0 where that is nearer: its zero may be taken off.
+
+    It is as free as it lies off: a sensor's zero is arbitrary, and says nothing of an effect.
+    """
+    durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
+    gaps = [piece.measurement - simulated_rows(problem, i, piece) for i, piece in enumerate(problem.pieces)]
+    zeros = np.array([without_zero(rows)[1] for rows in gaps])
+    known = np.where(np.abs(zeros - mean) < np.abs(zeros), mean, 0.0)
+    scale = np.repeat((settings.zero_share * spans)[:, None], len(SHAPES), axis=1)
+    scale[:, 0] = np.maximum(scale[:, 0], np.max(np.abs(zeros - known)[:, :, 0], axis=0))
+    return SessionZero.usual(scale, durations, known)

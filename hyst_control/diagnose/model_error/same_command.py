@@ -1,0 +1,175 @@
+"""Records of the same command: clean ones that match a new one up to a shift, and the periods of a periodic command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import correlate
+
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.records.repeated_periods import is_same, period_of
+from hyst_control.records.session_zero import without_zero
+
+
+@dataclass(frozen=True)
+class Match:
+    """Clean record with the same command: row k of the new record matches row k + shift of the clean one, for begin ≤ k < end."""
+
+    clean: Piece
+    shift: int
+    begin: int
+    end: int
+
+
+def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
+    """Find the clean records that have the same command up to a shift.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Command of the new record, V.
+    clean : sequence of Piece
+        Clean records to search.
+    same : float
+        Difference up to which two commands are the same, rms, as a share of the range.
+    overlap : float
+        Least share of the new record in which they are.
+
+    Returns
+    -------
+    list of Match
+    """
+    found = []
+    for piece in clean:
+        other = piece.command
+        if len(other) >= len(command) and is_same(command, other[: len(command)], same):
+            shift = 0
+        else:
+            shift = _shift(command, other, int(np.ceil(overlap * len(command))))
+        begin, end = max(0, -shift), min(len(command), len(other) - shift)
+        if end - begin >= overlap * len(command) and is_same(command[begin:end], other[begin + shift : end + shift], same):
+            found.append(Match(piece, shift, begin, end))
+    return found
+
+
+def _shift(command: Array, other: Array, least: int) -> int:
+    """Shift with the least mean square difference between two commands; the overlap has at least `least` rows."""
+    rows, shifts = len(command), np.arange(-(len(command) - 1), len(other))
+    begin, end = np.maximum(0, -shifts), np.minimum(rows, len(other) - shifts)
+    squares = [np.concatenate([[0.0], np.cumsum(np.sum(values**2, axis=1))]) for values in (command, other)]
+    products = np.sum(
+        [correlate(other[:, axis], command[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0
+    )
+    energy = squares[0][end] - squares[0][begin] + squares[1][end + shifts] - squares[1][begin + shifts]
+    difference = (energy - 2.0 * products) / np.maximum(end - begin, 1)
+    return int(shifts[np.argmin(np.where(end - begin >= least, difference, np.inf))])
+
+
+def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
+    """Put the command of a clean record in the place of one whose roughness the plant did not receive, where both are the same.
+
+    What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
+
+    Parameters
+    ----------
+    problem : Problem
+        The new records; those whose commands were smoothed have the recorded ones beside.
+    clean : Problem
+        Clean records of the same axes.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    Problem
+    """
+    pieces = []
+    for piece in problem.pieces:
+        if piece.recorded is not None:
+            rough = float(np.sqrt(np.mean((piece.recorded - piece.command) ** 2))) / float(np.ptp(piece.command))
+            same = min(max(settings.same_command, rough), settings.similar_command)
+            found = matching(piece.command, clean.pieces, same, settings.overlap)
+            if found:
+                command, match = piece.command.copy(), found[0]
+                rows = slice(match.begin, match.end)
+                command[rows] = match.clean.command[match.begin + match.shift : match.end + match.shift]
+                piece = replace(piece, command=command)
+        pieces.append(piece)
+    return replace(problem, pieces=tuple(pieces))
+
+
+def repeating_rows(command: Array, begin: int, end: int, settings: BaselineSettings) -> slice:
+    """Rows of a clean record that tell what its periods differ by.
+
+    Where the rows that count hold a single period, the one before them in the warm-up is taken along. Memory and simulation may still
+    settle there, by which the periods then differ more than sessions do.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        Of the whole record, V.
+    begin, end : int
+        First row that counts, and the row behind the last one.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    slice
+        Those that count, or one period more.
+    """
+    if period_of(command[begin:end], settings.same_command) is None:
+        period = period_of(command[:end], settings.same_command)
+        if period is not None and period <= min(begin, end - begin):
+            return slice(begin - period, end)
+    return slice(begin, end)
+
+
+def period_differences(command: Array, error: Array, before: int, settings: BaselineSettings) -> tuple[list[Array], list[Array]]:
+    """The part of an error that does not repeat from period to period of a periodic command.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        V.
+    error : ndarray, shape (N, A)
+        Measured minus simulated, measurement unit.
+    before : int
+        Rows of the clean record before these.
+    settings : BaselineSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    successive : list of ndarray, shape (P, A)
+        Differences between successive periods, without their zeros and drifts; empty if the command is not periodic.
+    about_mean : list of ndarray, shape (M, A)
+        One, the error without its mean over the periods, without zero and drift; empty if the command is not periodic.
+    """
+    whole = _whole_periods(command, error, before, settings)
+    if not len(whole):
+        return [], []
+    about_mean = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(whole))
+    return (
+        [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)],
+        [without_zero(about_mean.reshape(-1, error.shape[1]))[0]],
+    )
+
+
+def _whole_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> Array:
+    """The error's whole periods (n, P, A); none if the command (N, A) is not periodic.
+
+    Where the rows before are no whole period, of three periods and more the first is left out: what is left of the memory fills in it.
+    Behind them it is as good as the others, and few periods tell little of what sessions differ by.
+    """
+    period = period_of(command, settings.same_command)
+    if period is None:
+        return np.empty((0, 0, error.shape[1]))
+    if len(command) >= 3 * period and before < period:
+        error = error[period:]
+    count = len(error) // period
+    return error[: count * period].reshape(count, period, -1)

@@ -1,0 +1,145 @@
+"""Initial memory of a session: what a hysteresis still has of the time before the record.
+
+A record begins anywhere in the loops, and what the machine did before is not in it. A play operator begun at one end of its play and
+one begun at the other differ until the command wipes that out: by the wiping-out property of hysteresis (Mayergoyz, Mathematical
+Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, nearly
+span what an unknown initial memory adds. They are free in every hypothesis where clean records are at hand, as the session's zero is.
+Beside a clean record of the same command, which tells everything else to the noise, the rows before are left out if they are few, and
+otherwise those in which the command goes beyond all that it has met: only there does the memory change, and between them it is a constant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
+from hyst_control.diagnose.problem.problem import Problem
+
+WIDTHS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.45, 0.49)
+"""Half widths of the operators, as shares of the command's span; an operator of half the span never moves."""
+NEARLY = 0.05
+"""Distance from an extreme, in shares of the span, at which it is nearly met: the rest of the memory is in few operators."""
+SETTLES = 0.01
+"""Share of a record's rows for which what a change of the memory has set off may go on."""
+LEAST = 1e-3
+"""Least size at the rows that count, in the largest one of all rows, of a direction that is kept."""
+
+
+def initial_memory(problem: Problem, share: float) -> LearnedError | None:
+    """Make the stage that adds what an unknown initial memory does.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records of one axis.
+    share : float
+        Standard deviation of an operator's weight, as a share of the machine's mean slope.
+
+    Returns
+    -------
+    LearnedError or None
+        None where no row that counts is reached by it, and of axes that the model mixes.
+    """
+    if len(problem.model.axes) > 1:
+        return None
+    directions = []
+    for index, piece in enumerate(problem.pieces):
+        command = np.ascontiguousarray(piece.command[:, 0])
+        slope = float(np.ptp(piece.measurement)) / max(float(np.ptp(command)), 1e-300)
+        columns = share * slope * left_of_memory(command, np.array(WIDTHS) * np.ptp(command))
+        own = np.zeros((len(command), len(WIDTHS) * len(problem.pieces)))
+        own[:, index * len(WIDTHS) : (index + 1) * len(WIDTHS)] = columns
+        directions.append(own)
+    counted = np.concatenate([piece.counted(own) for piece, own in zip(problem.pieces, directions, strict=True)])
+    largest = max(float(np.max(np.abs(own), initial=0.0)) for own in directions)
+    kept = np.flatnonzero(np.max(np.abs(counted), axis=0, initial=0.0) > LEAST * largest)
+    if not len(kept):
+        return None
+    return LearnedError(np.zeros(len(kept)), ErrorBasis(tuple(own[:, kept] for own in directions)))
+
+
+def wiped_out(command: Array) -> int:
+    """Find the row from which a record says next to nothing of the time before it: where its command has nearly met both extremes.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        V.
+
+    Returns
+    -------
+    int
+        0 to N - 1.
+    """
+    near = NEARLY * np.ptp(command, axis=0)
+    met = np.argmax(command >= command.max(axis=0) - near, axis=0), np.argmax(command <= command.min(axis=0) + near, axis=0)
+    return int(np.max(met))
+
+
+def has_whole_loop(command: Array, first: int) -> bool:
+    """Tell whether a command goes from one of its extremes to the other and back behind a row.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N, A)
+        V.
+    first : int
+        Row at which an extreme was nearly met, of `wiped_out`.
+
+    Returns
+    -------
+    bool
+    """
+    whole = (1.0 - 2.0 * NEARLY) * np.ptp(command, axis=0)
+    rest = command[first:]
+    back = rest[wiped_out(rest) :]
+    return bool(np.all(np.ptp(rest, axis=0) >= whole) and np.all(np.ptp(back, axis=0) >= whole))
+
+
+def is_new_ground(command: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind.
+
+    Of a hysteresis without rate dependence two different memories of the time before give outputs whose difference changes in these rows
+    alone: what lies within the extremes met so far is the record's own doing (wiping-out property).
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        V.
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    highest, lowest = np.maximum.accumulate(command), np.minimum.accumulate(command)
+    beyond = np.concatenate([[True], (np.diff(highest) > 0.0) | (np.diff(lowest) < 0.0)])
+    last = np.maximum.accumulate(np.where(beyond, np.arange(len(command)), 0))
+    return np.asarray(np.arange(len(command)) - last <= SETTLES * len(command))
+
+
+@njit(cache=True)
+def left_of_memory(command: Array, half_widths: Array) -> Array:
+    """Difference of two play operators that begin at either end of their play.
+
+    Parameters
+    ----------
+    command : ndarray, shape (N,)
+        V.
+    half_widths : ndarray, shape (K,)
+        V.
+
+    Returns
+    -------
+    ndarray, shape (N, K)
+        V; falls from twice the half width to 0, where it stays.
+    """
+    found = np.zeros((len(command), len(half_widths)))
+    for k, half in enumerate(half_widths):
+        upper, lower = command[0] + half, command[0] - half
+        for row, u in enumerate(command):
+            upper = min(max(upper, u - half), u + half)
+            lower = min(max(lower, u - half), u + half)
+            found[row, k] = upper - lower
+    return found

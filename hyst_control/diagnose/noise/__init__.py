@@ -1,0 +1,1 @@
+"""Noise of a residual: white, 1/f, narrow-band."""

@@ -1,0 +1,1 @@
+"""Problem of a diagnosis: records, simulator, uncertain coefficients, stages of one record."""

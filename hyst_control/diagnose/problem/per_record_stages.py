@@ -1,0 +1,250 @@
+"""Stages with different values for each record: the zero of a session, and a model's error, carried over or learned.
+
+    measurement = sensor effects( model with its effects(command) + error(t) ) + zero(t)
+
+The sensor's zero and the piezo's remanence differ between sessions, and creep continues during each. The zero is therefore fitted
+together with every hypothesis. The model's error on a clean record of the same command is known sample by sample; the diagnosis
+adds it to the simulation, so that it is not mistaken for a gap. Where only records of other commands are clean, what they taught
+predicts the error, with weights that are free within their posterior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from hyst_control.chain.linear.linear_stages import Delay
+from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes, count
+from hyst_control.chain.stage import Filter, Sampling, Stage
+from hyst_control.effects.placement import insert
+from hyst_control.effects.time_dependent import TimedStage
+from hyst_control.records.session_zero import SHAPES
+
+
+@dataclass(frozen=True)
+class SessionZero(TimedStage):
+    """Zero, drift and curvature of each record: adds Σ (known + scale[axis][k] · shares)[record][axis][k] P_k(2 t / duration - 1).
+
+    P_k is the Legendre polynomial of degree k = 0, 1, 2 (zero, drift, curvature), t the time since the record's start.
+    What a unit's sessions usually have is known, and no part of a gap: a sensor's zero is arbitrary.
+    """
+
+    FIELD: ClassVar[str] = "shares"
+    name: ClassVar[str] = "session_zero"
+    place: ClassVar[str] = "adc"
+    shares: AllAxes = all_axes("", "of the scale, by record, axis and Legendre polynomial", 3, scatter=Scattering.COMPANION)
+    scale: AllAxes = all_axes("unit", "size by axis and Legendre polynomial", 2, scatter=Scattering.NONE)
+    durations: AllAxes = all_axes("s", "length of the records", 1, scatter=Scattering.NONE)
+    known: AllAxes = all_axes("unit", "usual size, by record, axis and Legendre polynomial", 3, scatter=Scattering.NONE)
+    record: int = count("index of the record", default=0)
+
+    @classmethod
+    def usual(cls, scale: Array, durations: Array, known: Array) -> SessionZero:
+        """Make a stage whose zero, drift and curvature are the known ones in every record.
+
+        Parameters
+        ----------
+        scale : ndarray, shape (A, 3)
+            Standard deviation of every share, measurement unit.
+        durations : ndarray, shape (R,)
+            Durations of the records, s.
+        known : ndarray, shape (R, A, 3)
+            Zero, drift and curvature that are known, measurement unit.
+
+        Returns
+        -------
+        SessionZero
+        """
+        return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations, known)
+
+    def for_record(self, index: int | None) -> Stage:
+        if index is None:
+            scale = np.asarray(self.scale, dtype=float)
+            return SessionZero.usual(scale, np.ones(1), np.zeros((1, *scale.shape)))
+        return replace(self, record=index)
+
+    def companion_size(self, index: tuple[int, ...]) -> float:
+        return float(np.asarray(self.scale, dtype=float)[index[1:]])
+
+    def function(self, axes: int) -> Callable[[Array, Array], Array]:
+        shares, scale = np.asarray(self.shares, dtype=float)[self.record], np.asarray(self.scale, dtype=float)
+        duration = float(np.asarray(self.durations, dtype=float)[self.record])
+        sizes = np.asarray(self.known, dtype=float)[self.record] + scale * shares
+        if not sizes.any():
+            return lambda u, t: u
+        return lambda u, t: u + np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, sizes.T).T
+
+
+class CarriedError(Stage):
+    """Known series that is added to each record: the model's error on a clean record of the same command.
+
+    It is data of one diagnosis and is never written to a model file.
+
+    Parameters
+    ----------
+    series : tuple of ndarray, shape (N, A)
+        By record, measurement unit; row k belongs to t = k sample times.
+    record : int
+        Index of the record.
+    """
+
+    name: ClassVar[str] = "carried_error"
+    series: tuple[Array, ...]
+    index: int
+
+    def __init__(self, series: tuple[Array, ...], record: int = 0) -> None:
+        object.__setattr__(self, "series", series)
+        object.__setattr__(self, "index", record)
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
+
+    def parameters(self) -> dict[str, Any]:
+        """Return a digest of the series, by which caches tell them apart."""
+        digest = sha256()
+        for rows in self.series:
+            digest.update(np.ascontiguousarray(rows).tobytes())
+        return {"sha256": digest.hexdigest()}
+
+    def for_record(self, index: int | None) -> Stage:
+        return CarriedError((np.zeros((1, self.series[0].shape[1])),)) if index is None else CarriedError(self.series, index)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return SeriesAdder(self.series[self.index], sampling)
+
+    @cached_property
+    def _splines(self) -> tuple[Any, ...]:
+        return tuple(make_interp_spline(np.arange(len(rows)), rows, k=3) for rows in self.series)
+
+    def delayed(self, samples: Array) -> CarriedError:
+        """The series that come later, by cubic splines: straight lines between samples would smooth all but whole samples of delay.
+
+        Parameters
+        ----------
+        samples : ndarray, shape (A,)
+            Delay of each axis, sample times.
+
+        Returns
+        -------
+        CarriedError
+            Before it begins, a series is as at its begin.
+        """
+        moved = []
+        for rows, spline in zip(self.series, self._splines, strict=True):
+            times = np.maximum(np.arange(len(rows))[:, None] - samples, 0.0)
+            if len(set(samples.tolist())) == 1:
+                moved.append(np.asarray(spline(times[:, 0]), dtype=np.float64))
+            else:
+                moved.append(np.stack([spline(column)[:, axis] for axis, column in enumerate(times.T)], axis=1))
+        return CarriedError(tuple(moved), self.index)
+
+
+def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float, axes: int) -> tuple[Stage, ...]:
+    """Insert a delay of the measurement so that the model's linear stages carry it exactly, and a carried error with them.
+
+    Parameters
+    ----------
+    stages : sequence of Stage
+        In signal order, with those of a session.
+    delay : Delay
+        To be inserted at the sensor.
+    sample_time : float
+        s.
+    axes : int
+        Number of axes A.
+
+    Returns
+    -------
+    tuple of Stage
+        With one more, in front of the model's error, whose carried part is delayed as well.
+    """
+    samples = np.broadcast_to(np.asarray(delay.tau, dtype=float), (axes,)) / sample_time
+    index = next((i for i, stage in enumerate(stages) if isinstance(stage, (CarriedError, LearnedError))), None)
+    if index is None:
+        return insert(tuple(stages), "sensor", delay)
+    behind = [stage.delayed(samples) if isinstance(stage, CarriedError) else stage for stage in stages[index:]]
+    return (*stages[:index], delay, *behind)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBasis:
+    """Series of a predicted error, in the measurement unit.
+
+    Parameters
+    ----------
+    directions : tuple of ndarray, shape (N, K)
+        By record.
+    """
+
+    directions: tuple[Array, ...]
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all series."""
+        digest = sha256()
+        for rows in self.directions:
+            digest.update(np.ascontiguousarray(rows).tobytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedError(Stage):
+    """Predicted error of the model in each record: adds directions[record] weights, weights ~ N(0, I).
+
+    It is data of one diagnosis and is never written to a model file.
+    """
+
+    name: ClassVar[str] = "learned_error"
+    weights: AllAxes = all_axes("", "of the posterior's directions", 1, scatter=Scattering.COMPANION)
+    basis: ErrorBasis | None = None
+    index: int = 0
+    """Index of the record."""
+
+    @property
+    def commutes_with_delay(self) -> bool:
+        return False
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the weights and a digest of the series, by which caches tell them apart."""
+        assert self.basis is not None
+        return {"sha256": self.basis.digest, "weights": np.asarray(self.weights, dtype=float).tolist()}
+
+    def for_record(self, index: int | None) -> Stage:
+        return CarriedError((np.zeros((1, 1)),)) if index is None else replace(self, index=index)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        assert self.basis is not None
+        series = self.basis.directions[self.index] @ np.asarray(self.weights, dtype=float)
+        return SeriesAdder(series[:, None], sampling)
+
+
+class SeriesAdder(Filter):
+    """Streaming `CarriedError` of one record; after the end of the series its last row is added.
+
+    Parameters
+    ----------
+    series : ndarray, shape (N, A)
+        Error by sample, measurement unit.
+    sampling : Sampling
+        Sampling of the chain; `ahead` is the number of samples by which the filter runs ahead.
+    """
+
+    def __init__(self, series: Array, sampling: Sampling) -> None:
+        self.hold = sampling.hold
+        self.series, self.ahead, self.count = series, int(sampling.ahead or 0), 0
+
+    def settle(self, value: Array) -> Array:
+        self.count = 0
+        return np.asarray(value + self.series[0], dtype=np.float64)
+
+    def process(self, block: Array) -> Array:
+        rows = self.count + self.ahead + np.arange(len(block))
+        self.count += len(block)
+        return np.asarray(block + self.series[np.minimum(rows, len(self.series) - 1)], dtype=np.float64)

@@ -1,0 +1,384 @@
+"""Records of one model that a diagnosis works on, simulated from the recorded command, one axis at a time where axes do not mix."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Chain, Sampling, Stage
+from hyst_control.chain.linear.linear_stages import LinearStage
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.evidence import RoughnessEvidence
+from hyst_control.diagnose.problem.per_record_stages import CarriedError
+from hyst_control.diagnose.problem.simulation_cache import MOST_BYTES, KnownLinks
+from hyst_control.effects.effect import Surroundings
+from hyst_control.effects.placement import mechanics_index
+from hyst_control.errors import InputError
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
+from hyst_control.records.session_zero import without_zero
+
+SAME_POLE = 1e-6
+"""Relative distance up to which two poles are one: axes without coupling have each a copy of the modes."""
+FAR_POLE = 5.0
+"""A real pole that has no other to make a mode with gets one this many times faster."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A gapless stretch of a record: command (N, A) in V, measurement (N, A), and which rows (N,) count (None: all).
+
+    others, driven_beside: measurement and command (N, B) of the plant's other axes, which a simulation of these axes alone does not
+    give. foreseen: whether it is a run to come, whose session is not known. recorded: command (N, A) as it was recorded, where `command` is
+    without a roughness that the plant did not receive; None: the same.
+    """
+
+    command: Array
+    measurement: Array
+    keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None
+    others: Array | None = None
+    foreseen: bool = False
+    driven_beside: Array | None = None
+    recorded: Array | None = None
+
+    def counted(self, values: Array) -> Array:
+        """Select the rows that count.
+
+        Parameters
+        ----------
+        values : ndarray, shape (N, ...)
+            One row per sample of the piece.
+
+        Returns
+        -------
+        ndarray
+            Rows where `keep` is True, or all.
+        """
+        return values if self.keep is None else values[self.keep]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Records of a model, its uncertain coefficients, and the noise (A,) of the measurement."""
+
+    model: Model
+    pieces: tuple[Piece, ...]
+    sample_time: float
+    hold: str
+    sigma: Array
+    slowest: float | None = None
+    """Lowest frequency (Hz) that the command excites; only where clean records keep the model's own error apart."""
+    own_error: Array | None = None
+    """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
+    own_correlation: float = 1.0
+    """Samples of that error per independent one."""
+    own_spectrum: ErrorSpectrum | None = None
+    """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
+    roughness: tuple[RoughnessEvidence | None, ...] = ()
+    """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
+    steps: tuple[float, ...] = ()
+    """By axis, the step of the measurement's lattice, measurement unit; 0: none. Empty: not looked for."""
+
+    @property
+    def weight(self) -> float:
+        """Weight of a sample in a fit: 1 for white noise, less where the model's own error is larger, and slow.
+
+        The own error of e noise rms with n samples per independent one counts as white noise of the energy n (e² - 1) beside the
+        noise itself, so that a fit is as certain as its independent samples allow.
+        """
+        return 1.0 / (1.0 + self.own_correlation * self.own_energy)
+
+    @property
+    def own_energy(self) -> float:
+        """Energy of the model's own error in noise energies, without the noise that was in it: a record of more noise has it too.
+
+        0 where the error is whitened by its spectrum together with the noise.
+        """
+        if self.own_error is None or self.own_spectrum is not None:
+            return 0.0
+        stated = np.atleast_1d(np.asarray(self.model.noise.get("sigma", 0.0), dtype=float))
+        noise = np.where(stated > 0.0, np.minimum(stated, self.sigma), self.sigma)
+        return float(np.mean(np.maximum(self.own_error**2 - noise**2, 0.0) / self.sigma**2))
+
+    @property
+    def weighs_own_error(self) -> bool:
+        """True where the model's own error, known from clean records, makes samples worth less."""
+        return self.own_spectrum is not None or self.own_energy > 0.0
+
+    @property
+    def is_carried(self) -> bool:
+        """True where the model's own error is carried over from a clean record of the same command."""
+        return any(isinstance(stage, CarriedError) for stage in self.model.chain.stages)
+
+    @property
+    def carried_share(self) -> float:
+        """Energy of the error that is carried over as a share of the motion's, both without zero and drift; 0 where none is.
+
+        What the model misses of the motion it misses of an effect's answer, too, and that no clean record can carry over.
+        """
+        carried = [stage for stage in self.model.chain.stages if isinstance(stage, CarriedError)]
+        if not carried:
+            return 0.0
+        pieces = list(zip(self.pieces, carried[0].series, strict=True))
+        error = sum(np.sum(without_zero(piece.counted(series))[0] ** 2, axis=0) for piece, series in pieces)
+        motion = sum(np.sum(without_zero(piece.counted(piece.measurement))[0] ** 2, axis=0) for piece, _ in pieces)
+        return float(np.mean(error / np.maximum(motion, 1e-300)))
+
+    def simulate(self, stages: Sequence[Stage]) -> Array:
+        """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
+        sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
+        with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
+            return self.whitened(
+                np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
+            )
+
+    def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
+        record = None if piece.foreseen else index
+        first, output = self._links[index].run(tuple(stage.for_record(record) for stage in stages), sampling)
+        if self.hold == "zoh":
+            output = np.concatenate([first[None], output[:-1]])
+        return (piece.counted(output) / self.sigma).reshape(-1)
+
+    def measured(self) -> Array:
+        """The measurement in the same form."""
+        return self.whitened(np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces]))
+
+    def rows(self, flat: Array) -> Array:
+        """A flat vector as rows (M, A) in the measurement's unit."""
+        return self.in_noise(flat).reshape(-1, len(self.model.axes)) * self.sigma
+
+    def whitened(self, flat: Array) -> Array:
+        """Make the model's own error and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
+        if self.own_spectrum is None or not np.isfinite(flat).all():
+            return flat
+        return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(self.by_piece(flat), self._gains, strict=True)])
+
+    def in_noise(self, flat: Array) -> Array:
+        """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
+        if self.own_spectrum is None or not np.isfinite(flat).all():
+            return flat
+        parts = zip(self.by_piece(flat), self._gains, strict=True)
+        return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in parts])
+
+    def by_piece(self, flat: Array) -> list[Array]:
+        """Cut a flat vector (M,) into the rows (N, A) of each record."""
+        return np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
+
+    @cached_property
+    def _links(self) -> list[KnownLinks]:
+        """By piece, the outputs of the filters that were run on its command already."""
+        return [KnownLinks(piece.command, MOST_BYTES // len(self.pieces)) for piece in self.pieces]
+
+    @cached_property
+    def _counts(self) -> list[int]:
+        """Rows that count, by piece."""
+        return [len(piece.command) if piece.keep is None else int(np.count_nonzero(piece.keep)) for piece in self.pieces]
+
+    @cached_property
+    def _edges(self) -> Array:
+        return np.cumsum(self._counts)[:-1]
+
+    @cached_property
+    def _gains(self) -> list[Array]:
+        assert self.own_spectrum is not None
+        return [self.own_spectrum.gain(count, self.sigma, self.sample_time) for count in self._counts]
+
+    @cached_property
+    def surroundings(self) -> Surroundings:
+        """Record that the size of an effect is judged by."""
+        command = np.concatenate([piece.command for piece in self.pieces])
+        measurement = np.concatenate([piece.measurement for piece in self.pieces])
+        slew = max(float(np.max(np.abs(np.diff(piece.command, axis=0)), initial=0.0)) for piece in self.pieces) / self.sample_time
+        poles = shared_poles(self.model)
+        return Surroundings(
+            self.sample_time,
+            max(len(piece.command) for piece in self.pieces) * self.sample_time,
+            (float(command.min()), float(command.max())),
+            slew,
+            (float(measurement.min()), float(measurement.max())),
+            len(self.model.axes),
+            self.slowest,
+            shared_modes(poles),
+            min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
+            min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,
+            self._modelled,
+            poles,
+        )
+
+    @cached_property
+    def _modelled(self) -> tuple[float, float] | None:
+        """Range of the nominal model's output on all rows that count; None where it has none."""
+        try:
+            output = self.rows(self.simulate(self.model.chain.stages))
+        except InputError:
+            return None
+        low, high = float(output.min()), float(output.max())
+        return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
+
+
+def _first(piece: Piece, where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> int:
+    """First sample of a record that counts and at which something holds; 0 where there is none."""
+    return int(np.argmax(where if piece.keep is None else where & piece.keep))
+
+
+def shared_poles(model: Model) -> tuple[complex, ...]:
+    """Poles of mechanics that drive the axes together.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    tuple of complex
+        1/s, real ones and one of every conjugate pair, in order of size; none where the axes do not mix.
+    """
+    stages = model.chain.stages
+    index = mechanics_index(stages)
+    mechanics = None if index is None else stages[index]
+    if not isinstance(mechanics, LinearStage) or not mechanics.mixes_axes:
+        return ()
+    poles = np.concatenate([np.linalg.eigvals(system.A) for system in mechanics.systems(len(model.axes))])
+    return tuple(complex(pole) for pole in sorted(poles[poles.imag >= 0.0], key=abs))
+
+
+def shared_modes(poles: Sequence[complex]) -> tuple[tuple[float, float], ...]:
+    """Modes of such poles, each once.
+
+    Parameters
+    ----------
+    poles : sequence of complex
+        1/s, as `shared_poles` has them.
+
+    Returns
+    -------
+    tuple of (float, float)
+        Frequency (Hz) and damping by mode; real poles in pairs, which have a damping above 1.
+    """
+    found: list[complex] = []
+    for pole in poles:
+        if all(abs(pole - other) > SAME_POLE * abs(pole) for other in found):
+            found.append(pole)
+    real = [-pole.real for pole in found if pole.imag == 0.0]
+    if len(real) % 2:
+        real.append(FAR_POLE * real[-1])
+    pairs = [(one * other, one + other) for one, other in zip(real[::2], real[1::2], strict=True)]
+    pairs += [(abs(pole) ** 2, -2.0 * pole.real) for pole in found if pole.imag]
+    return tuple((float(np.sqrt(square)) / (2 * np.pi), float(0.5 * middle / np.sqrt(square))) for square, middle in pairs)
+
+
+def axis_model(model: Model, axis: int) -> Model:
+    """The model of one axis of a model that does not mix them."""
+    noise = {name: value[axis] if np.ndim(value) else value for name, value in model.noise.items()}
+    stages = tuple(stage.for_axis(axis) for stage in model.chain.stages)
+    discrepancy = {name: [value[axis]] if np.ndim(value) else value for name, value in model.discrepancy.items()}
+    return replace(
+        model,
+        axes=(model.axes[axis],),
+        chain=Chain(stages),
+        noise=noise,
+        uncertainty=uncertainty_of_axis(model.uncertainty, model.axes, axis),
+        discrepancy=discrepancy,
+    )
+
+
+def uncertainty_of_axis(uncertainty: Mapping[str, Any], axes: Sequence[str], axis: int) -> dict[str, Any]:
+    """The uncertainty of one axis: the rows of its numbers, with a factor of their own covariance.
+
+    Parameters
+    ----------
+    uncertainty : mapping
+        As in the model file; may be empty.
+    axes : sequence of str
+        Names of the axes.
+    axis : int
+        Index of the one that is kept.
+
+    Returns
+    -------
+    dict
+        As in the model file of that axis.
+    """
+    names = list(uncertainty.get("parameters", ()))
+    own = [i for i, name in enumerate(names) if name.endswith(f" ({axes[axis]})") or not name.endswith(")")]
+    if not own:
+        return {}
+    rows = np.array(uncertainty["factor"], dtype=float)[own]
+    # The symmetric root in units of each number's own deviation keeps a column for each of them.
+    size = np.linalg.norm(rows, axis=1)
+    size[size == 0.0] = 1.0
+    spectrum, vectors = np.linalg.eigh(rows @ rows.T / size[:, None] / size)
+    factor = size[:, None] * ((vectors * np.sqrt(np.maximum(spectrum, 0.0))) @ vectors.T)
+    return {"parameters": [names[i].removesuffix(f" ({axes[axis]})") for i in own], "factor": factor.tolist()}
+
+
+def split(problem: Problem) -> list[Problem]:
+    """One problem per axis where the axes do not mix, else the problem itself."""
+    if len(problem.model.axes) == 1 or any(stage.mixes_axes for stage in problem.model.chain.stages):
+        return [problem]
+    found = []
+    for axis in range(len(problem.model.axes)):
+        pieces = tuple(
+            Piece(
+                np.ascontiguousarray(piece.command[:, axis : axis + 1]),
+                np.ascontiguousarray(piece.measurement[:, axis : axis + 1]),
+                piece.keep,
+                np.delete(piece.measurement, axis, axis=1),
+                driven_beside=np.delete(piece.command, axis, axis=1),
+            )
+            for piece in problem.pieces
+        )
+        found.append(replace(problem, model=axis_model(problem.model, axis), pieces=pieces, sigma=problem.sigma[axis : axis + 1]))
+    return found
+
+
+def check_units(model: Model, unit: str, source: str) -> None:
+    """Check that a record's measurement has the model's unit; an unknown unit passes.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the plant.
+    unit : str
+        Unit of the record's measurement.
+    source : str
+        Name of the record, for the error.
+
+    Raises
+    ------
+    InputError
+        Where the units differ.
+    """
+    if unit not in ("unknown", model.units["measurement"]):
+        raise InputError(
+            f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"
+        )
+
+
+def check_command(record: Record) -> None:
+    """Check that the command of a record is one of its measurement.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+
+    Raises
+    ------
+    InputError
+        Where it is not in V, or has other axes.
+    """
+    command, measurement = record.signal("command"), record.signal("measurement")
+    if command.unit not in ("unknown", "V"):
+        raise InputError(f"{record.source}: command: unit must be V, got {command.unit!r}: import it with its unit")
+    if command.axes != measurement.axes:
+        raise InputError(
+            f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
+            "record both with the same axes in the same order"
+        )

@@ -1,0 +1,1 @@
+"""Findings in a record that need no fit: repeated values, quantization steps, spectral lines."""

@@ -1,0 +1,259 @@
+"""Checks that fit nothing: repeated samples, the lattice of a converter, noise above what the model states, single samples that stand out.
+
+They find transport and noise effects nearly always, and come first: fitted candidates would absorb them. They measure; the policy
+says which of them found something.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
+from hyst_control.diagnose.evidence import DistortionEvidence, Finding, RecordEvidence
+from hyst_control.diagnose.noise.white import noise_of
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.record_checks.repeated_values import level_crossings, repeated_samples, stuck_stretches
+from hyst_control.effects import EFFECTS
+from hyst_control.effects.effect import Effect, RecordCheck
+from hyst_control.records.quantization_step import quantization_step
+
+NORMAL_95 = 1.645
+"""95 % quantile of the normal distribution: half a 90 % interval."""
+
+
+def effect_found_by(check: RecordCheck) -> Effect | None:
+    """Effect of the catalogue that a check finds.
+
+    Parameters
+    ----------
+    check : RecordCheck
+        Check of a record.
+
+    Returns
+    -------
+    Effect or None
+        The first that names the check, None where there is none.
+
+    """
+    return next((effect for effect in EFFECTS.values() if check in (effect.record_check, effect.random_check)), None)
+
+
+def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) -> float:
+    """Step of the lattice that all values lie on.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        Any unit.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    float
+        In the values' unit, 0 where there is no lattice.
+
+    """
+    return quantization_step(
+        values,
+        fewest=settings.lattice_levels,
+        crowding=settings.lattice_crowding,
+        spread=settings.lattice_spread,
+        off=settings.lattice_off,
+        share=settings.lattice_share,
+    )
+
+
+def record_evidence(
+    problem: Problem,
+    residuals: Array,
+    settings: CheckSettings = CONFIGURATION.checks,
+    noise_settings: NoiseSettings = CONFIGURATION.noise,
+) -> tuple[RecordEvidence, ...]:
+    """Measure repeated samples and the lattice of a problem's records.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residuals : ndarray, shape (M, A)
+        Measurement minus simulation, measurement unit.
+    settings : CheckSettings
+        Values of the configuration.
+    noise_settings : NoiseSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    tuple of RecordEvidence
+        By axis.
+
+    """
+    lattice = effect_found_by(RecordCheck.VALUE_LATTICE)
+    modelled = lattice is not None and any(stage.name == lattice.name for stage in problem.model.chain.stages)
+    found = []
+    for axis in range(len(problem.model.axes)):
+        values = np.concatenate([piece.counted(piece.measurement)[:, axis] for piece in problem.pieces])
+        noise = noise_of([residuals[:, axis]], settings=noise_settings)
+        step = lattice_of(values, settings)
+        share, count = repeated_samples(values, step, noise, settings)
+        rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
+        rough = problem.roughness[axis] if problem.roughness else None
+        rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.measurement)[:, axis]) for piece in problem.pieces]
+        simulated = np.split(values - residuals[:, axis], np.cumsum([len(measured) for _, measured in rows])[:-1])
+        passages = level_crossings([(one, measured) for one, (_, measured) in zip(simulated, rows, strict=True)], step, noise)
+        stuck = max(stuck_stretches(rows, step, noise), passages)
+        found.append(RecordEvidence(len(values), share, count, rms, step, modelled, noise, roughness=rough, stuck=stuck))
+    return tuple(found)
+
+
+def held_samples(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of repeated samples.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the share of the samples.
+
+    """
+    share, count = seen.repeated, seen.repeats_counted
+    spread = NORMAL_95 * np.sqrt(share * (1 - share) / count)
+    interval = (float(share - spread), float(share + spread))
+    return Finding(RecordCheck.REPEATED_VALUES, axis, share, interval, seen.repeated_rms, share * count)
+
+
+def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
+    """Distortion of held samples that occur at one value of the measurement alone.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis, with stretches that are stuck.
+
+    Returns
+    -------
+    DistortionEvidence
+        Its change is that from none of them to twice the mean; its statistic what so many stretches on one of as many values as there
+        are samples are unlikely by.
+
+    """
+    held = effect_found_by(RecordCheck.REPEATED_VALUES)
+    name = RecordCheck.REPEATED_VALUES.value if held is None else held.name
+    return DistortionEvidence(name, "level", 2.0, (seen.stuck - 1) * float(np.log(seen.samples)), 1.0)
+
+
+def rounding(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of a lattice of values.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the step, measurement unit.
+
+    """
+    step = seen.step
+    interval = (step * 0.999, step * 1.001)
+    return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))
+
+
+def rounded_command(seen: RecordEvidence, axis: int) -> Finding:
+    """Finding of a recorded command that is rough as a rounded one, which the plant did not receive.
+
+    Parameters
+    ----------
+    seen : RecordEvidence
+        Evidence of the axis, with a roughness.
+    axis : int
+        Index in the problem.
+
+    Returns
+    -------
+    Finding
+        Its value is the step, V: the roughness is uniform over one.
+
+    """
+    rough = seen.roughness
+    assert rough is not None
+    step = float(np.sqrt(12.0)) * rough.rms
+    # Variance of the mean square of a uniform variable, and of how much is not known to be missing.
+    error = NORMAL_95 * step * float(np.hypot(np.sqrt(0.2 / rough.samples), rough.deviation))
+    gain = 0.5 * (rough.coefficient / rough.deviation) ** 2
+    return Finding(RecordCheck.COMMAND_LATTICE, axis, step, (step - error, step + error), rough.response, gain)
+
+
+def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, bins: float, ratio: float) -> Finding | None:
+    """White noise beyond what the model states.
+
+    Parameters
+    ----------
+    noise : float
+        As measured in the upper spectrum (rms, measurement unit).
+    stated : float
+        By the model; where it states none, nothing is in excess.
+    others : sequence of Finding
+        Findings on the same axis, whose errors are in the measured noise.
+    axis : int
+        Index in the problem.
+    bins : float
+        Bins of the spectrum that the noise was read from.
+    ratio : float
+        Of the noise to the stated one from which it is in excess.
+
+    Returns
+    -------
+    Finding or None
+        Its value is the rms of the excess, measurement unit.
+
+    """
+    if stated <= 0:
+        return None
+    bare = float(np.sqrt(max(noise**2 - sum(finding.rms**2 for finding in others), 0.0)))
+    if not bare > ratio * stated:
+        return None
+    rms = float(np.sqrt(bare**2 - stated**2))
+    error = float(NORMAL_95 * bare**2 / rms / np.sqrt(bins))
+    gain = bins * (np.log(stated / bare) + 0.5 * (bare / stated) ** 2 - 0.5)
+    return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))
+
+
+def outliers(residual: Array, settings: CheckSettings = CONFIGURATION.checks) -> tuple[int, float]:
+    """Single samples of a residual that stand out of their neighbors as no white noise does.
+
+    Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (N,)
+        Any unit.
+    settings : CheckSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    count : int
+    rms : float
+        Error that they bring to all samples, in the residual's unit.
+
+    """
+    inner = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
+    scale = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
+    size = np.pad(np.abs(inner), 1)
+    apart = (size > settings.outlier_deviations * scale) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
+    return int(apart.sum()), float(np.sqrt(np.sum(size[apart] ** 2) / len(residual)))

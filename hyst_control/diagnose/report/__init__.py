@@ -1,0 +1,1 @@
+"""The gap report: attribution, breakdown, document and page."""

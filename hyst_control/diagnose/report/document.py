@@ -1,0 +1,381 @@
+"""The gap report: one JSON document with the fixed form of the interface, and the same in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from string import Formatter
+from typing import Any
+
+import numpy as np
+
+from hyst_control.diagnose.decide.policy import join
+from hyst_control.diagnose.report.attribution import Attribution, Named
+from hyst_control.diagnose.report.block_replay import Block
+from hyst_control.diagnose.report.gap_breakdown import SESSION, budget, stages
+from hyst_control.diagnose.report.next_experiment import next_experiment
+from hyst_control.diagnose.run.diagnosis import Diagnosis
+from hyst_control.diagnose.verdict import Reason, Verdict
+from hyst_control.effects import EFFECTS
+from hyst_control.reporting.quantities import quantity
+
+SCHEMA = "hyst_control/gap-report"
+VERSION = 1
+FAR_OFF = 5.0
+"""Tolerances beyond which a coefficient is told as the reason why an explanation is not believed."""
+DISTORTED_BY = {
+    "time": "time",
+    "level": "the level of the command",
+    "rate": "the rate of the command",
+    "branch": "the direction of the command",
+}
+"""Variables of the distortion tests, in words."""
+
+
+def gap_report(
+    diagnosis: Diagnosis,
+    attribution: Attribution,
+    blocks: Sequence[Block] = (),
+    augmented: str | None = None,
+    with_next: bool = True,
+    remainder: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Make the report.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+    attribution : Attribution
+        Shares of the gap by effect.
+    blocks : sequence of Block
+        Software blocks that were replayed.
+    augmented : str, optional
+        Path of the model file with the effects added.
+    with_next : bool
+        Whether to choose the next experiment.
+    remainder : dict of str, optional
+        What is left where no known effect explains the gap, as `Remainder.document` makes it.
+
+    Returns
+    -------
+    dict of str
+        The JSON document.
+
+    """
+    joint = join([part.decision for part in diagnosis.parts])
+    document: dict[str, Any] = _finite(
+        {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "verdict": joint.verdict.value,
+            "reasons": [reason.value for reason in joint.reasons],
+            "gap": _gap(diagnosis),
+            "where": {
+                "stage": stages(diagnosis, attribution, [block.name for block in blocks if not block.faithful]),
+                **budget(diagnosis),
+            },
+            "effects": [_effect(effect) for effect in attribution.effects],
+            "candidates": [{"name": name, "probability": _number(p)} for name, p in attribution.candidates],
+            "parameters": [{"name": name, "z": _number(z)} for name, z in attribution.parameters],
+            "next_experiment": next_experiment(diagnosis) if with_next else None,
+            "augmented_model": augmented,
+            "unexplained_share": _number(joint.unexplained),
+            "novelty": _number(joint.novelty),
+            "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
+            "notes": list(diagnosis.notes),
+            "distortions": [
+                {
+                    "name": one.effect,
+                    "axis": [diagnosis.model.axes[i] for i in part.axes],
+                    "variable": one.variable,
+                    "change": one.change,
+                }
+                for part in diagnosis.parts
+                for one in part.decision.distortions
+            ],
+        }
+    )
+    if any(part.baseline for part in diagnosis.parts):
+        document |= _finite(_beside_clean_records(diagnosis))
+    if remainder is not None:
+        document["predictable"] = _finite(remainder)
+    return document
+
+
+def _beside_clean_records(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Clean records as they were used, and what differs from session to session."""
+    unit, rows = diagnosis.model.units["measurement"], []
+    for part in diagnosis.parts:
+        left = part.evidence.hypotheses[part.decision.chosen].residual
+        rows += [
+            {
+                "name": one.effect,
+                "axis": diagnosis.model.axes[part.axes[one.axis]],
+                "value": one.value,
+                "ci90": list(one.ci90),
+                "usual": one.usual,
+                "rms": one.rms,
+                "unit": unit,
+            }
+            for one in (left.companions if left else ())
+        ]
+    used = [part.baseline for part in diagnosis.parts if part.baseline]
+    return {
+        "baseline": {
+            "same_command": all(one.carried for one in used),
+            "repeatability": [float(value) for one in used for value in one.repeatability],
+            "unit": unit,
+        },
+        "companions": rows,
+        "predictable": {
+            "share": max(
+                left.predictable
+                for part in diagnosis.parts
+                if (left := part.evidence.hypotheses[part.decision.chosen].residual) is not None
+            )
+        },
+    }
+
+
+def _finite(value: Any) -> Any:
+    """The same document with null for what is no number."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
+    """rms over all samples of all axes; nrmse over the range (HAMPI paper Eq. 26), in per cent, the mean over the axes."""
+    energies, floors, relative = [], [], []
+    for part in diagnosis.parts:
+        rows = part.gap()
+        measured = part.problem.rows(part.linearised.measured)
+        energies += list(np.mean(rows**2, axis=0))
+        floors += list(np.asarray(part.problem.sigma) ** 2)
+        relative += list(100.0 * np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
+    return {
+        "rms": _number(np.sqrt(np.mean(energies))),
+        "nrmse": _number(np.mean(relative)),
+        "nrmse_unit": "% of range",
+        "floor_rms": _number(np.sqrt(np.mean(floors))),
+        "unit": diagnosis.model.units["measurement"],
+    }
+
+
+def _effect(effect: Named) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "axis": list(effect.axes),
+        "place": EFFECTS[effect.name].place,
+        "meaning": EFFECTS[effect.name].meaning,
+        "probability": _number(effect.probability),
+        "equivalent": list(effect.equivalent),
+        "parameters": {
+            name: {"value": _number(value), "ci90": [_number(low), _number(high)], "unit": unit}
+            for name, (value, (low, high), unit) in effect.values.items()
+        },
+        "rms_before": _number(effect.rms_before),
+        "rms_after": _number(effect.rms_after),
+        "shrink": _number(effect.shrink),
+        "shrink_ci90": None if effect.shrink_ci90 is None else [_number(value) for value in effect.shrink_ci90],
+        "shrink_reidentified": _number(effect.shrink_fitted),
+        "share": _number(effect.share),
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """A JSON number; null where there is none."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _reduction(report: Mapping[str, Any]) -> str:
+    """Sentence on how far the effects shrink the gap; empty where none of them has a waveform."""
+    effects = report["effects"]
+    shrinks = [effect["shrink_reidentified"] for effect in effects if effect["shrink_reidentified"] is not None]
+    given = [effect["shrink"] for effect in effects if effect["shrink"] is not None]
+    if not shrinks:
+        return ""
+    them, fitted = "it" if len(effects) == 1 else "them", f"{100 * max(shrinks):.0f} % with the coefficients fitted"
+    if max(given) < 0.0:
+        return f" Adding {them} does not shrink the gap as given, but by {fitted}."
+    return f" Adding {them} shrinks the gap by {100 * max(given):.0f} % as given, by {fitted}."
+
+
+def sentence(report: dict[str, Any]) -> str:
+    """Say the verdict in one sentence.
+
+    Parameters
+    ----------
+    report : dict of str
+        The JSON document; in one of before `reasons` were added the reason of `unknown` is taken to be the energy left.
+
+    Returns
+    -------
+    str
+
+    """
+    gap, unit = report["gap"], report["gap"]["unit"]
+    # What differs between sessions may be many times the gap that is to be explained: a sensor's zero lies anywhere.
+    whole, beside = gap["rms"], None if _is_of_the_session(report) else _beside_session(report)
+    told = whole if beside is None else beside
+    range_share = gap["nrmse"] * told / whole if whole else 0.0
+    within = "" if beside is None else f"; {whole:.3g} {unit} with the session's zero, drift and initial memory"
+    size = f"{told:.3g} {unit} rms ({range_share:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit}{within})"
+    names = [named(effect) for effect in report["effects"]]
+    verdict, reasons = report["verdict"], report.get("reasons", ())
+    if verdict == Verdict.NO_GAP.value:
+        return f"No gap beyond the model's tolerances{_known_error(report)} and the noise: simulation and record differ by {size}."
+    if verdict == Verdict.PARAMETERS.value:
+        worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
+        return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
+    if verdict == Verdict.UNKNOWN.value:
+        far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
+        near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
+        if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
+            worst = report["distortions"][0]
+            if worst["name"] in {effect["name"] for effect in report["effects"]}:
+                near = (
+                    f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
+                    f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
+                )
+            else:  # of the record itself, whatever is named
+                near = "; the measurement stands on one level while the command moves on"
+        elif names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            worst = far_off[0]
+            near = f"; {' and '.join(names)} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
+        elif names and Reason.AT_BOUND.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            near = f"; {' and '.join(names)} would, with a size at the end of its range"
+        elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
+        return f"No known effect explains the gap of {size}{near}."
+    far = _reduction(report)
+    if verdict == Verdict.AMBIGUOUS.value:
+        return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
+    return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
+
+
+def _known_error(report: dict[str, Any]) -> str:
+    """Phrase on the size of the error that is known without a gap; empty where none is known."""
+    baseline = report.get("baseline") or {}
+    size = max(baseline.get("repeatability", ()), default=0.0)
+    if not size:
+        return ""
+    what = "clean records differ by" if baseline["same_command"] else "the model leaves on clean records"
+    return f", the {size:.3g} {baseline['unit']} rms that {what},"
+
+
+def _is_of_the_session(report: dict[str, Any]) -> bool:
+    """True where all that is named differs from session to session, such as a zero: the gap is that of the session then."""
+    effects = [EFFECTS[effect["name"]] for effect in report["effects"] if effect["name"] in EFFECTS]
+    return bool(effects) and all(effect.companion is not None for effect in effects)
+
+
+def _beside_session(report: dict[str, Any]) -> float | None:
+    """Rms of a gap without what differs between sessions; None where that is less than half of the gap's energy."""
+    share = next((row["share"] for row in report.get("where", {}).get("stage", ()) if row["name"] == SESSION), 0.0)
+    return float(report["gap"]["rms"] * math.sqrt(max(1.0 - share, 0.0))) if share > 0.5 else None
+
+
+def named(effect: Mapping[str, Any]) -> str:
+    """Name an effect in the middle of a sentence.
+
+    Parameters
+    ----------
+    effect : mapping of str
+        Of the report's effects.
+
+    Returns
+    -------
+    str
+        Such as "a slew limit of 27.2 kV/s"; the name alone where the catalogue has no phrase, or a value is missing.
+    """
+    plain = str(effect["name"]).replace("_", " ")
+    known = EFFECTS[effect["name"]].phrase if effect["name"] in EFFECTS else ""
+    values = {name: row["value"] for name, row in effect.get("parameters", {}).items()}
+    needed = [field for _, field, _, _ in Formatter().parse(known) if field]
+    if not known or "parameters" not in effect or any(values.get(name) is None for name in needed):
+        return plain
+    return known.format(**{name: quantity(values[name], effect["parameters"][name]["unit"]) for name in needed})
+
+
+def in_words(report: dict[str, Any]) -> str:
+    """Say the whole report, for a terminal.
+
+    Parameters
+    ----------
+    report : dict of str
+        The JSON document.
+
+    Returns
+    -------
+    str
+        Several lines.
+
+    """
+    lines = [sentence(report), ""]
+    for effect in report["effects"]:
+        values = ", ".join(
+            f"{name} {_short(row['value'])} {row['unit']}".rstrip() + f" [{_short(row['ci90'][0])} … {_short(row['ci90'][1])}]"
+            for name, row in effect["parameters"].items()
+        )
+        axes = f" on {', '.join(effect['axis'])}" if len(effect["axis"]) else ""
+        lines.append(f"  {effect['name']}{axes}: probability {effect['probability']:.2f}; {values}")
+        if effect["shrink_reidentified"] is not None:
+            low, high = effect["shrink_ci90"]
+            lines.append(
+                f"      shrink {100 * effect['shrink']:.1f} % as given [{100 * low:.1f} … {100 * high:.1f}], "
+                f"{100 * effect['shrink_reidentified']:.1f} % re-identified"
+            )
+            if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
+                lines.append(
+                    "      it widens the gap: its probability is that among the effects of the catalogue, none of which explains it"
+                )
+        if effect["equivalent"]:
+            lines.append(f"      cannot be told from: {', '.join(effect['equivalent'])}")
+    for title, rows in report["where"].items():
+        main = [row for row in sorted(rows, key=lambda row: -row["share"]) if row["share"] > 0.02][:4]
+        lines.append(f"  {title}: " + ", ".join(f"{row['name']} {100 * row['share']:.0f} %" for row in main))
+    for block in report["replay"]:
+        lines.append(f"  {block['name']}: {block['text']}")
+    if report["parameters"]:
+        lines.append("  coefficients off: " + ", ".join(f"{row['name']} {row['z']:+.1f} σ" for row in report["parameters"][:6]))
+    if report["next_experiment"]:
+        following = report["next_experiment"]
+        lines.append(
+            f"  next: {following['excitation']} separates {' from '.join(following['separates'])} by {following['distance']:.1f} σ"
+            + (f"; {following['note']}" if following["note"] else "")
+        )
+    if "level" in (report.get("predictable") or {}):
+        lines += _predictable(report["predictable"])
+    if report.get("foreseen"):
+        ahead, unit = report["foreseen"], report["gap"]["unit"]
+        lines.append(
+            f"  on {ahead['command']}: a gap of {ahead['rms_before']:.3g} {unit} rms, with what was found added "
+            f"{ahead['rms_after']:.3g} {unit}: it will shrink by {100 * ahead['shrink']:.1f} %"
+        )
+    lines += [f"  note: {note}" for note in report["notes"]]
+    return "\n".join(lines)
+
+
+def _predictable(found: dict[str, Any]) -> list[str]:
+    """Lines on the part of an unexplained remainder that follows the command."""
+    lines = [f"  of what is left beyond the noise, {100 * found['share']:.0f} % follows the command"]
+    for title in ("band", "level", "branch"):
+        rows = [row for row in found[title] if row["share"] > 0.02]
+        if rows:
+            told = ", ".join(f"{row['name']} {100 * row['predictable']:.0f} % of {100 * row['share']:.0f} %" for row in rows)
+            lines.append(f"      {title}: {told}")
+    if found["learned"]:
+        far, added = found["learned"]["shrink"], found["learned"]["added"]
+        lines.append(
+            f"      a learned residual {'was added: it' if added else 'would'} shrink{'s' if added else ''} what the effects leave by "
+            f"{100 * far:.0f} % on blocks that it was not learned from"
+        )
+    return lines
+
+
+def _short(value: float | None) -> str:
+    return "?" if value is None else f"{value:.4g}"

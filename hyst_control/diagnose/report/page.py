@@ -1,0 +1,458 @@
+"""The gap report as one self-contained HTML page: the verdict, where the gap lies, what it looks like, what explains it.
+
+Three numbers are told apart everywhere on the page: a *share* is a part of the gap's energy (mean square) on the whole record, *shrink*
+is how much less energy beyond the noise floor is left on samples that did not fit, and a *probability* is that of an explanation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from markupsafe import Markup
+from plotly.subplots import make_subplots
+from scipy.signal import welch
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.problem.per_record_stages import SessionZero
+from hyst_control.diagnose.report.chain_drawing import chain_picture
+from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
+from hyst_control.diagnose.report.document import sentence
+from hyst_control.diagnose.report.rejected_hypotheses import Rejected, rejected
+from hyst_control.diagnose.report.slow_loops import slow_loops
+from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.model_file import Model
+from hyst_control.reporting.html_page import BAND, Palette, figure_markup
+from hyst_control.reporting.html_page import write_page as write_template
+from hyst_control.reporting.provenance import Origin
+from hyst_control.reporting.quantities import quantity
+
+BINS = 1000
+"""Stretches of a drawn signal of which the least and the greatest sample are kept."""
+
+BAND_POINTS = 400
+LOOP_POINTS = 1500
+MOST_FIGURES = 4
+MOST_CANDIDATES = 12
+MOST_REJECTED = 8
+MOST_COEFFICIENTS = 15
+LIKELY = 1.645
+"""Standard deviations on either side that hold 90 %."""
+PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
+MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
+WHERE = {
+    "stage": "by place in the chain",
+    "kind": "by kind of curve",
+    "band": "by frequency",
+    "amplitude": "by displacement",
+    "axis": "by axis",
+    "time": "by time",
+}
+
+
+@dataclass(frozen=True)
+class Traces:
+    """A piece as it is drawn: time (N,) s, then command, measured, simulated and augmented (None: nothing added), (N, A) each.
+
+    band: half of the interval (N, A) that 90 % of the residual lie in where only noise, the tolerance of the coefficients and the
+    model's own error are at work; NaN in rows that do not count.
+    """
+
+    time: Array
+    command: Array
+    measured: Array
+    simulated: Array
+    augmented: Array | None
+    band: Array
+
+
+def write_page(
+    path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
+) -> None:
+    """Write the page of a diagnosis.
+
+    Parameters
+    ----------
+    path
+        HTML file to write.
+    document
+        The diagnosis' gap report.
+    diagnosis
+        The diagnosis itself, for the figures.
+    better
+        The augmented model; None where nothing was added.
+    origins
+        Where the diagnosis comes from: bags, model, command.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    pieces, unit = _traces(diagnosis, better), document["gap"]["unit"]
+    signals = [
+        figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 620)
+        for index, piece in enumerate(pieces)
+        for axis, name in enumerate(diagnosis.model.axes)
+    ]
+    weighed = document["candidates"][:MOST_CANDIDATES]
+    write_template(
+        path,
+        "diagnose/templates/gap.html",
+        "Where simulation and record part",
+        sentence(dict(document)),
+        origins=origins,
+        chain=chain_picture(document),
+        effects=[_effect_row(effect) for effect in document["effects"]],
+        meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
+        rivals=[_rival_row(row) for row in rejected(diagnosis, MOST_REJECTED)],
+        augmented=better is not None,
+        signals=signals,
+        pieces_drawn=len(pieces),
+        pieces=len(diagnosis.problem.pieces),
+        waterfall=figure_markup(_waterfall(document), 400),
+        spectrum=figure_markup(_spectrum(pieces, diagnosis, unit), 400),
+        loops=figure_markup(_loops(pieces[0], diagnosis, unit), 760),
+        where=_where(document, len(diagnosis.model.axes)),
+        candidates=figure_markup(_candidates(weighed), 150 + 28 * len(weighed)) if weighed else None,
+        next_experiment=document["next_experiment"],
+        coefficients=[
+            (row.name, f"{row.before:.5g}", f"{row.after:.5g}", f"{row.deviations:+.1f}")
+            for row in coefficient_changes(diagnosis, MOST_COEFFICIENTS)
+        ],
+        replay=[(block["name"], block["text"]) for block in document["replay"]],
+        notes=document["notes"],
+    )
+
+
+def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
+    """The first pieces, whole, in the measurement's unit."""
+    problem, found = diagnosis.problem, []
+    for index, piece in enumerate(problem.pieces[: max(MOST_FIGURES // len(diagnosis.model.axes), 1)]):
+        whole = type(problem)(
+            problem.model, (type(piece)(piece.command, piece.measurement),), problem.sample_time, problem.hold, problem.sigma
+        )
+        usual = np.concatenate([_usual_zero(part, index, len(piece.command)) for part in diagnosis.parts], axis=1)
+        augmented = None if better is None else whole.rows(whole.simulate(better.chain.stages)) + usual
+        found.append(
+            Traces(
+                np.arange(len(piece.command), dtype=np.float64) * problem.sample_time,
+                piece.command,
+                piece.measurement,
+                whole.rows(whole.simulate(diagnosis.model.chain.stages)) + usual,
+                augmented,
+                np.concatenate([_band(part, index, len(piece.command)) for part in diagnosis.parts], axis=1),
+            )
+        )
+    return found
+
+
+def _usual_zero(part: AxisDiagnosis, index: int, rows: int) -> Array:
+    """Zero and drift (N, A) that a session of the unit usually has, measurement unit."""
+    time, zero = part.problem.sample_time * np.arange(rows, dtype=np.float64)[:, None], np.zeros((rows, len(part.axes)))
+    for stage in part.problem.model.chain.stages:
+        if isinstance(stage, SessionZero):
+            zero = replace(stage, record=index).function(len(part.axes))(zero, time)
+    return zero
+
+
+def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:
+    """Half interval (N, A) of a piece: noise, coefficients within their tolerance, and the model's own error."""
+    problem, linearised = part.problem, part.linearised
+    axes = len(problem.model.axes)
+    own = np.zeros(axes) if problem.own_error is None else problem.own_error
+    uncertain = 1.0 - linearised.scatter.companions if linearised.count else np.zeros(0)
+    energy = (linearised.columns**2 @ uncertain).reshape(-1, axes) * problem.sigma**2 + problem.sigma**2 + own**2
+    counts = [np.ones(len(piece.command), bool) if piece.keep is None else piece.keep for piece in problem.pieces]
+    band = np.full((rows, axes), np.nan)
+    if len(counts[index]) == rows:
+        begin = sum(int(np.count_nonzero(kept)) for kept in counts[:index])
+        band[counts[index]] = LIKELY * np.sqrt(energy[begin : begin + int(np.count_nonzero(counts[index]))])
+    return band
+
+
+def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
+    parts = ([f"stretch {index + 1}"] if pieces > 1 else []) + ([f"axis {axis}"] if len(diagnosis.model.axes) > 1 else [])
+    return ", ".join(parts)
+
+
+def envelope(time: Array, values: Array, bins: int = BINS) -> tuple[Array, Array]:
+    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        Time, s.
+    values : ndarray, shape (N,)
+        Signal, any unit.
+    bins : int
+        Number of bins.
+
+    Returns
+    -------
+    time
+        Times (2 bins,) of the kept samples, s, as float32.
+    values
+        Kept samples (2 bins,), as float32.
+    """
+    if len(values) <= 2 * bins:
+        return time.astype(np.float32), values.astype(np.float32)
+    edges = np.linspace(0, len(values), bins + 1).astype(int)
+    kept = []
+    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        kept += sorted((begin + int(np.argmin(values[begin:end])), begin + int(np.argmax(values[begin:end]))))
+    return time[kept].astype(np.float32), values[kept].astype(np.float32)
+
+
+def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
+    """Signals small, as they nearly coincide; what they differ by large, over the band of what the model does not claim to know."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.34, 0.66])
+    x, half = _thinned_band(piece.time, piece.band[:, axis])
+    look = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
+    figure.add_scatter(x=x, y=-half, showlegend=False, **look, row=2, col=1)
+    name = "noise, tolerance and own error of the model, 90 %"
+    figure.add_scatter(x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look, row=2, col=1)
+    lines = [("measured", piece.measured, MEASURED), ("simulated", piece.simulated, SIMULATED)]
+    if piece.augmented is not None:
+        lines.append(("augmented", piece.augmented, AUGMENTED))
+    for name, values, color in lines:
+        x, y = envelope(piece.time, values[:, axis])
+        figure.add_scatter(x=x, y=y, name=name, legendgroup=name, line={"color": color, "width": 1.2}, row=1, col=1)
+        if name != "measured":
+            x, y = envelope(piece.time, piece.measured[:, axis] - values[:, axis])
+            figure.add_scatter(
+                x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": color, "width": 1.0}, row=2, col=1
+            )
+    figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
+    figure.update_yaxes(title_text=f"residual ({unit})", row=2, col=1)
+    figure.update_xaxes(title_text="time (s)", row=2, col=1)
+    figure.update_layout(title=title, hovermode="x unified")
+    return figure
+
+
+def _thinned_band(time: Array, half: Array) -> tuple[Array, Array]:
+    """The largest half interval of every stretch, as the residual is drawn by its extremes."""
+    edges = np.unique(np.linspace(0, len(time), min(BAND_POINTS, len(time)) + 1).astype(int))
+    counted = np.where(np.isnan(half), 0.0, half)
+    return time[edges[:-1]].astype(np.float32), np.maximum.reduceat(counted, edges[:-1]).astype(np.float32)
+
+
+def _waterfall(document: Mapping[str, Any]) -> go.Figure:
+    """The gap's energy from the simulator as given to what is left: each bar carries what it takes off, in shares of the gap."""
+    rows = taken_off(document)
+    left = 1.0 - sum(share for _, share in rows)
+    gap, unit = document["gap"], document["gap"]["unit"]
+    labels = ["gap", *(f"− {name.replace('_', ' ')}" for name, _ in rows), "left"]
+    values = [100.0, *(-100.0 * share for _, share in rows), 0.0]
+    figure = go.Figure(
+        go.Waterfall(
+            x=labels,
+            y=values,
+            measure=["absolute", *["relative"] * len(rows), "total"],
+            text=[
+                f"100 %, {gap['rms']:.3g} {unit} rms",
+                *(f"−{_percent(share)}" for _, share in rows),
+                f"{_percent(left)}, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
+            ],
+            textposition=["outside", *["inside" if share > 0.2 else "outside" for _, share in rows], "outside"],
+            connector={"line": {"color": "#9aa1ab"}},
+            totals={"marker": {"color": SIMULATED}},
+            decreasing={"marker": {"color": TAKEN_OFF}},
+        )
+    )
+    figure.update_traces(cliponaxis=False)
+    figure.update_yaxes(title_text="share of the gap's energy", ticksuffix=" %", range=[-12.0, 118.0])
+    return figure
+
+
+def taken_off(document: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Shares of the gap's energy that the named effects and the coefficients take off, as the chain's picture has them.
+
+    Parameters
+    ----------
+    document
+        Gap report.
+
+    Returns
+    -------
+    list of tuple
+        Name and share, the effects first.
+    """
+    stage = {row["name"]: row["share"] for row in document["where"]["stage"]}
+    effects = [effect for effect in document["effects"] if effect["shrink"] is not None]
+    whole = sum(share for name, share in stage.items() if name not in ("coefficients", "noise", "unexplained"))
+    rows = [(effect["name"], whole * effect["share"]) for effect in effects]
+    return [*rows, ("coefficients", stage.get("coefficients", 0.0))]
+
+
+def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.Figure:
+    rate, figure = 1.0 / diagnosis.problem.sample_time, go.Figure()
+    axes = diagnosis.model.axes
+    longest = max(pieces, key=lambda piece: len(piece.time))
+    window = min(len(longest.time), max(len(longest.time) // 4, 256))
+    for axis, name in enumerate(axes):
+        lines = [("simulated", longest.simulated, SIMULATED)]
+        if longest.augmented is not None:
+            lines.append(("augmented", longest.augmented, AUGMENTED))
+        suffix = f", {name}" if len(axes) > 1 else ""
+        dash = ("solid", "dot", "dashdot")[axis % 3]
+        for label, values, colour in lines:
+            frequency, power = welch(longest.measured[:, axis] - values[:, axis], rate, nperseg=window, detrend=False)
+            figure.add_scatter(
+                x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line={"color": colour, "width": 1.3, "dash": dash}
+            )
+        floor = float(diagnosis.parts[_part(diagnosis, axis)].problem.sigma[_within(diagnosis, axis)]) * np.sqrt(2.0 / rate)
+        figure.add_scatter(
+            x=frequency[[1, -1]],
+            y=[floor, floor],
+            name="noise floor" + suffix,
+            mode="lines",
+            line={"color": MEASURED, "dash": "dash"},
+        )
+    figure.update_xaxes(type="log", title_text="frequency (Hz)")
+    figure.update_yaxes(type="log", title_text=f"residual ({unit}/√Hz)", exponentformat="power")
+    return figure
+
+
+def _part(diagnosis: Diagnosis, axis: int) -> int:
+    return next(i for i, part in enumerate(diagnosis.parts) if axis in part.axes)
+
+
+def _within(diagnosis: Diagnosis, axis: int) -> int:
+    return diagnosis.parts[_part(diagnosis, axis)].axes.index(axis)
+
+
+def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
+    """Slow loops of the first piece, and below what the curves differ from the measured one by, which the loops are too large to show."""
+    axes = diagnosis.model.axes
+    figure = make_subplots(
+        rows=2,
+        cols=len(axes),
+        shared_xaxes=True,
+        vertical_spacing=0.05,
+        row_heights=[0.5, 0.5],
+        subplot_titles=[f"axis {name}" for name in axes] if len(axes) > 1 else None,
+    )
+    looks = [
+        ("measured", piece.measured, {"color": MEASURED, "width": 3.0}),
+        ("simulated", piece.simulated, {"color": SIMULATED, "width": 1.6, "dash": "dash"}),
+    ]
+    if piece.augmented is not None:
+        looks.append(("augmented", piece.augmented, {"color": AUGMENTED, "width": 1.6, "dash": "dot"}))
+    for axis in range(len(axes)):
+        chosen = slow_loops(piece.command[:, axis])
+        for name, values, line in looks:
+            x = _joined([piece.command[rows, axis] for rows in chosen])
+            y = _joined([values[rows, axis] for rows in chosen])
+            look = {"name": name, "legendgroup": name, "line": line, "mode": "lines"}
+            figure.add_scatter(x=x, y=y, showlegend=axis == 0, **look, row=1, col=axis + 1)
+            if name != "measured":
+                error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
+                figure.add_scatter(x=x, y=error, showlegend=False, **look, row=2, col=axis + 1)
+    figure.update_xaxes(title_text="command (V)", row=2)
+    figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
+    figure.update_yaxes(title_text=f"measured − curve ({unit})", row=2, col=1)
+    return figure
+
+
+def _joined(loops: Sequence[Array]) -> Array:
+    """Loops one after the other with a break between, thinned."""
+    most = LOOP_POINTS // max(len(loops), 1)
+    parts = [np.append(loop[:: max(len(loop) // most, 1)], np.nan) for loop in loops]
+    return np.concatenate(parts)[:-1].astype(np.float32)
+
+
+def _where(document: Mapping[str, Any], axes: int) -> Markup:
+    """Bars of shares: one group beside the other, axes only where there are several."""
+    names = [name for name in WHERE if axes > 1 or name != "axis"]
+    columns = 2
+    lines = -(-len(names) // columns)
+    counts = [
+        max((len(document["where"][name]) for name in names[i : i + columns]), default=1) for i in range(0, len(names), columns)
+    ]
+    figure = make_subplots(
+        rows=lines,
+        cols=columns,
+        subplot_titles=[f"<b>{WHERE[name]}</b>" for name in names],
+        horizontal_spacing=0.2,
+        vertical_spacing=0.22 / lines,
+        row_heights=counts,
+    )
+    for index, name in enumerate(names):
+        rows = document["where"][name][::-1]
+        share = 100.0 * np.array([row["share"] for row in rows])
+        low, high = 100.0 * np.array([row["ci90"] for row in rows], dtype=float).reshape(-1, 2).T
+        figure.add_bar(
+            x=share,
+            y=[row["name"] for row in rows],
+            orientation="h",
+            marker={"color": SIMULATED},
+            showlegend=False,
+            error_x={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low, "thickness": 1},
+            row=index // columns + 1,
+            col=index % columns + 1,
+        )
+    figure.update_xaxes(range=[0, 105], ticksuffix=" %", nticks=4)
+    figure.update_annotations(font_size=13)
+    return figure_markup(figure, 120 * lines + 24 * sum(counts), 560)
+
+
+def _rival_row(row: Rejected) -> tuple[str, ...]:
+    return (
+        row.name,
+        row.axes,
+        f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}",
+        _percent(row.left),
+        row.why,
+    )
+
+
+def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
+    """Cells of an effect's row."""
+    values = "; ".join(
+        f"{name} {_number(row['value'], row['unit'])} [{_number(row['ci90'][0], row['unit'])} … {_number(row['ci90'][1], row['unit'])}]"
+        for name, row in effect["parameters"].items()
+    )
+    spread = effect["shrink_ci90"]
+    return (
+        effect["name"].replace("_", " "),
+        ", ".join(effect["axis"]),
+        f"{effect['probability']:.2f}",
+        values,
+        _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
+        _share(effect["shrink_reidentified"]),
+        ", ".join(effect["equivalent"]) or "–",
+    )
+
+
+def _candidates(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
+    figure = go.Figure(
+        go.Bar(
+            x=[row["probability"] for row in rows][::-1],
+            y=[row["name"].replace("_", " ") for row in rows][::-1],
+            orientation="h",
+            marker={"color": AUGMENTED},
+            text=[f"{row['probability']:.3f}" for row in rows][::-1],
+        )
+    )
+    figure.update_xaxes(range=[0, 1.05], title_text="probability")
+    return figure
+
+
+def _number(value: float | None, unit: str) -> str:
+    if value is None:
+        return "?"
+    return quantity(value, unit, 4) if unit else f"{value:.4g}"
+
+
+def _percent(share: float) -> str:
+    digits = 0 if abs(share) >= 0.1 else 1 if abs(share) >= 0.01 else 2
+    return f"{100 * share:.{digits}f} %"
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None else f"{100 * value:.1f} %"

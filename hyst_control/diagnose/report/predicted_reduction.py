@@ -1,0 +1,136 @@
+"""Predicted gap reduction on a command that has not been played yet.
+
+A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that
+command exists; the fitted model, effects and coefficients together, takes its place. The gaps of the nominal and of the augmented
+model are computed against it. What the model leaves on clean records, or what even the best explanation leaves, stays in both gaps: no
+effect removes it. So does a line, such as the mains or a vibration: a session has a phase of its own, which nobody knows beforehand, and
+a line of the augmented model would add its energy once more (`augmented_model.without_lines` takes it out for such a comparison).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.run.collect import stated_noise
+from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Gap of the nominal and of the augmented model: rms over all axes, without the noise, measurement unit."""
+
+    rms_before: float
+    rms_after: float
+
+    @property
+    def shrink(self) -> float:
+        """1 - (after / before)²; 0 where no gap is foreseen."""
+        return float(np.clip(1.0 - (self.rms_after / self.rms_before) ** 2, -10.0, 1.0)) if self.rms_before > 0 else 0.0
+
+    def document(self) -> dict[str, float]:
+        """Make its part of a gap report.
+
+        Returns
+        -------
+        dict of str to float
+
+        """
+        return {"rms_before": self.rms_before, "rms_after": self.rms_after, "shrink": self.shrink}
+
+
+def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
+    """Foresee the gap on a command that has not been played yet.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Of records of the same plant.
+    command : ndarray, shape (N, A)
+        V, sampled as the records were.
+
+    Returns
+    -------
+    Foreseen
+
+    Raises
+    ------
+    InputError
+        Where the command has another shape.
+
+    """
+    count = len(diagnosis.model.axes)
+    if command.ndim != 2 or command.shape[1] != count or len(command) < 2 or not np.isfinite(command).all():
+        raise InputError(f"command: must be finite rows of {count} axes, got shape {command.shape}")
+    fitted = {part.axes: _simulated(part, _on(part, command, None), part.coefficients) for part in diagnosis.parts}
+    whole = np.hstack([fitted[part.axes] for part in diagnosis.parts])
+    before = after = 0.0
+    for part in diagnosis.parts:
+        problem, z = _on(part, command, np.delete(whole, part.axes, axis=1)), part.coefficients
+        true = _simulated(part, problem, z, True)
+        nominal, augmented = (_simulated(part, problem, 0.0 * z, effects) for effects in (False, True))
+        lines = _line_energy(part)
+        own = own_error_energy(part, problem.pieces[0].command)
+        before += float(np.sum(np.mean((true - nominal) ** 2, axis=0))) + lines + own
+        after += float(np.sum(np.mean((true - augmented) ** 2, axis=0))) + lines + own
+    return Foreseen(float(np.sqrt(before / count)), float(np.sqrt(after / count)))
+
+
+def own_error_energy(part: AxisDiagnosis, command: Array) -> float:
+    """Compute the energy that the model's own error adds to every gap on a command.
+
+    It is what the model leaves on clean records: as learned on other commands, or carried over from the same one, or stated. Where
+    the best explanation leaves more than that, beyond the noise, it is this remainder.
+
+    Parameters
+    ----------
+    part : AxisDiagnosis
+        Diagnosis of one problem.
+    command : ndarray, shape (N, A)
+        V.
+
+    Returns
+    -------
+    float
+        Sum over the axes of the mean square, measurement unit squared.
+    """
+    problem = part.problem
+    left = problem.rows(part.chosen.solution.residual)
+    remainder = float(np.sum(np.maximum(np.mean(left**2, axis=0) - problem.sigma**2, 0.0)))
+    if part.baseline is None:
+        stated = stated_noise(problem.model)
+        return max(remainder, float(np.sum(np.maximum(stated**2 - problem.sigma**2, 0.0))))
+    return max(remainder, part.baseline.error_energy(command, problem.sample_time))
+
+
+def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:
+    """The problem of these axes on another command; others (N, B): what the other axes measure."""
+    rows = np.ascontiguousarray(command[:, list(part.axes)])
+    return replace(part.problem, pieces=(Piece(rows, np.zeros_like(rows), None, others, foreseen=True),))
+
+
+def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = False) -> Array:
+    """Rows (N, A) of the measurement for coefficients z, with the chosen effects or without."""
+    candidate = part.chosen.candidate
+    stages = part.linearised.scatter.at(z)
+    if candidate is None or not effects:
+        return problem.rows(problem.simulate(stages))
+    x = part.chosen.solution.x
+    flat = problem.simulate(candidate.unknowns().stages(stages, x))
+    for member, where in zip(candidate.members, candidate.slices(), strict=True):
+        if member.is_extra and not member.is_line:
+            flat = flat + replace(member, problem=problem).extra(x[where])
+    return problem.rows(flat)
+
+
+def _line_energy(part: AxisDiagnosis) -> float:
+    """Mean square of the lines that were found, with their harmonics, summed over the axes."""
+    candidate, x = part.chosen.candidate, part.chosen.solution.x
+    if candidate is None:
+        return 0.0
+    lines = [member.extra(x[where]) for member, where in zip(candidate.members, candidate.slices(), strict=True) if member.is_line]
+    return float(np.sum(np.mean(part.problem.rows(np.sum(lines, axis=0)) ** 2, axis=0))) if lines else 0.0

@@ -1,0 +1,124 @@
+"""Remainder of a gap that no known effect explains: how much of it follows the command, where, and the stage that adds this part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.command_features import FEATURES
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.problem.problem import axis_model
+from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.validate.predictability import Predictability, learn_residual, predictability
+from hyst_control.diagnose.verdict import Verdict
+from hyst_control.effects import insert
+from hyst_control.effects.learned_residual import LearnedResidual
+from hyst_control.model_file import Model
+from hyst_control.records.session_zero import without_zero
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """Remainder of the axes whose gap no known effect explains.
+
+    Parameters
+    ----------
+    predictable : Predictability
+        Of the axis on which most is left.
+    stages : mapping of int to LearnedResidual
+        By the index of an axis: what adds the predictable part to its model. Axes that the model mixes have none.
+    shrink : float or None
+        Of the gap beside the effects that are named, with these stages, on blocks not used for the fit; None without a stage.
+    """
+
+    predictable: Predictability
+    stages: Mapping[int, LearnedResidual]
+    shrink: float | None
+
+    def document(self, added: bool) -> dict[str, Any]:
+        """Make its part of a gap report.
+
+        Parameters
+        ----------
+        added : bool
+            Whether the stages were added to the augmented model.
+
+        Returns
+        -------
+        dict of str
+        """
+        parts = {name: [asdict(row) for row in getattr(self.predictable, name)] for name in ("band", "level", "branch")}
+        learned = None if self.shrink is None else {"shrink": self.shrink, "added": added}
+        return {"share": self.predictable.share, **parts, "learned": learned}
+
+
+def remainder_of(diagnosis: Diagnosis) -> Remainder | None:
+    """Measure what is left where no known effect explains the gap.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        All axes.
+
+    Returns
+    -------
+    Remainder or None
+        None where every axis is explained.
+    """
+    unknown = [part for part in diagnosis.parts if part.decision.verdict is Verdict.UNKNOWN]
+    if not unknown:
+        return None
+    worst = max(unknown, key=lambda part: part.decision.remainder)
+    settings = diagnosis.configuration
+    left = worst.problem.rows(worst.chosen.solution.residual)
+    found = predictability(worst.problem, left, settings.budget.bands, settings.baseline.blocks)
+    stages, shrinks = {}, {}
+    for part in unknown:
+        if len(part.axes) == 1:
+            stages[part.axes[0]], shrinks[part.axes[0]] = learn_residual(
+                part.problem, _as_given(diagnosis, part), settings.baseline.blocks
+            )
+    return Remainder(found, stages, shrinks.get(worst.axes[0]))
+
+
+def with_learned_residual(model: Model, remainder: Remainder) -> Model:
+    """Add what follows the command to a model.
+
+    Parameters
+    ----------
+    model : Model
+        With the effects that are named.
+    remainder : Remainder
+        With a stage for an axis at least.
+
+    Returns
+    -------
+    Model
+    """
+    first = next(iter(remainder.stages.values()))
+    absent = replace(first, weights=(0.0,) * FEATURES, constant=0.0)
+    axes = [remainder.stages.get(axis, absent) for axis in range(len(model.axes))]
+    values = {name: [getattr(stage, name) for stage in axes] for name in first.parameters()}
+    stage = first if len(axes) == 1 else LearnedResidual(**{"constant": [0.0] * len(axes), **values})
+    return model.with_stages(insert(model.chain.stages, stage.place, stage))
+
+
+def _as_given(diagnosis: Diagnosis, part: AxisDiagnosis) -> Array:
+    """Residual (M, 1) of one axis with the effects of the best explanation and the coefficients as given."""
+    model = diagnosis.model if len(diagnosis.model.axes) == 1 else axis_model(diagnosis.model, part.axes[0])
+    candidate, x = part.chosen.candidate, part.chosen.solution.x
+    if candidate is None:
+        simulated = part.problem.simulate(model.chain.stages)
+    else:
+        unknowns = candidate.unknowns()
+        simulated = part.problem.simulate(unknowns.stages(model.chain.stages, x))
+        if unknowns.extra is not None:
+            simulated = simulated + unknowns.extra(x)
+    rows = part.problem.rows(part.problem.measured() - simulated)
+    if part.baseline is None:
+        return rows
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in part.problem.pieces)])
+    return np.concatenate([without_zero(rows[a:b])[0] for a, b in zip(edges[:-1], edges[1:], strict=True)])

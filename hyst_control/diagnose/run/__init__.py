@@ -1,0 +1,1 @@
+"""A diagnosis from problem to report."""

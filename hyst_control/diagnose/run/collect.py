@@ -1,0 +1,406 @@
+"""Collection of the evidence from fits and records; measures, and decides nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import dct
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
+from hyst_control.diagnose.evidence import (
+    CompanionEvidence,
+    DistortionEvidence,
+    Evidence,
+    Finding,
+    FlickerEvidence,
+    HumpEvidence,
+    HypothesisEvidence,
+    RecordEvidence,
+    ResidualEvidence,
+)
+from hyst_control.diagnose.model_error.excess_over_error import beyond_own_error
+from hyst_control.diagnose.noise.flicker import flicker
+from hyst_control.diagnose.noise.narrowband import random_vibration
+from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
+from hyst_control.diagnose.problem.per_record_stages import SessionZero
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.record_checks.summary import outliers
+from hyst_control.diagnose.search.beam_search import Found, Scored, strain
+from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.validate.predictability import predictable_share
+from hyst_control.diagnose.validate.unexplained_residual import leftover
+from hyst_control.effects import EFFECTS
+from hyst_control.effects.effect import RecordCheck
+from hyst_control.model_file import Model
+
+
+@dataclass(frozen=True)
+class Collected:
+    """Hypotheses of a search, in the order of the evidence on them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Without residuals.
+    hypotheses : tuple of Scored
+        "No effect", single effects, combinations, coefficients alone.
+
+    """
+
+    evidence: Evidence
+    hypotheses: tuple[Scored, ...]
+
+
+def collect(
+    found: Found,
+    null: float,
+    floor: float,
+    stated: Array,
+    record: Sequence[RecordEvidence],
+    checks: frozenset[RecordCheck],
+    configuration: Configuration = CONFIGURATION,
+) -> Collected:
+    """Collect the evidence of a search.
+
+    Parameters
+    ----------
+    found : Found
+        Fits of all hypotheses.
+    null : float
+        Threshold of the simulated null, nats.
+    floor : float
+        Practical size (rms), in units of the noise.
+    stated : ndarray, shape (A,)
+        Noise (rms, measurement unit) that the model states, 0 where it states none.
+    record : sequence of RecordEvidence
+        By axis.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    Collected
+
+    """
+    problem = found.linearised.problem
+    hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
+    size = len(found.linearised.measured)
+    rows = size // len(problem.model.axes)
+    lower, upper = configuration.noise.band
+    evidence = Evidence(
+        tuple(_hypothesis(found, scored, configuration.policy.many_tolerances) for scored in hypotheses),
+        found.temper,
+        found.linearised.count,
+        null,
+        floor,
+        max(
+            stated_energy(known_error(problem, stated), problem.sigma),
+            1.0 + problem.own_energy,
+        ),
+        tuple(float(value) for value in problem.sigma),
+        tuple(float(value) for value in stated),
+        rows,
+        0.5 * (upper - lower) * rows,
+        tuple(record),
+        checks,
+        problem.weight,
+        problem.slowest is not None and problem.own_error is None,
+        problem.own_spectrum is not None,
+        frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
+        problem.is_carried,
+        frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
+        problem.carried_share,
+        tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
+    )
+    return Collected(evidence, hypotheses)
+
+
+def _local_energy(problem: Problem, none: Scored, scored: Scored) -> float:
+    """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
+
+    In units of the model's own error and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
+    lacks a part leaves just that in the clean records too.
+    """
+    if problem.own_spectrum is None or scored is none:
+        return float("inf")
+    axes = len(problem.model.axes)
+    before, after = (dct(one.solution.residual.reshape(-1, axes), norm="ortho", axis=0) for one in (none, scored))
+    changed = (before - after) ** 2
+    return float(np.sum(changed * before**2) / max(float(np.sum(changed)), 1e-300))
+
+
+def residual_evidence(
+    problem: Problem,
+    scored: Scored,
+    findings: Sequence[Finding],
+    checks: frozenset[RecordCheck],
+    configuration: Configuration = CONFIGURATION,
+    beside: tuple[CompanionEvidence, ...] = (),
+    distorted: tuple[DistortionEvidence, ...] = (),
+    passed: float = 1.0,
+) -> ResidualEvidence:
+    """Measure what a hypothesis leaves.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    scored : Scored
+        Fit of the hypothesis.
+    findings : sequence of Finding
+        Of the record: what a lattice leaves is none of the hypothesis' fault.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    configuration : Configuration
+        All values.
+    beside : tuple of CompanionEvidence
+        Companions, as the hypothesis has them.
+    distorted : tuple of DistortionEvidence
+        Distortion tests of its effects.
+    passed : float
+        Energy with which its effects pass on the model's own error, as a factor.
+
+    Returns
+    -------
+    ResidualEvidence
+
+    """
+    steps = np.zeros(len(problem.model.axes))
+    for finding in findings:
+        if finding.check is RecordCheck.VALUE_LATTICE:
+            steps[finding.axis] = finding.value
+    rows = problem.rows(scored.solution.residual)
+    counted = [outliers(rows[:, axis], configuration.checks) for axis in range(len(problem.model.axes))]
+    return ResidualEvidence(
+        float(np.mean(leftover(problem, scored, steps) ** 2)),
+        tuple(
+            # What is left has all of its white noise in it: the upper spectrum of a short record says more by chance.
+            min(white_noise(problem, rows, axis, configuration.noise), float(np.sqrt(np.mean(rows[:, axis] ** 2))))
+            for axis in range(len(problem.model.axes))
+        ),
+        tuple(count for count, _ in counted),
+        tuple(rms for _, rms in counted),
+        _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
+        1.0 if problem.slowest is None else _predictable(problem, rows, configuration.baseline.blocks),
+        beside,
+        distorted,
+        passed,
+        _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in checks else None,
+    )
+
+
+def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
+    """Measure the zero and the drift of a session as a hypothesis has them.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem.
+    scored : Scored
+        Fit of the hypothesis.
+    usual : ndarray, shape (A, 3)
+        Departure from the known zero up to which one is usual, measurement unit; NaN where nothing says what is.
+    temper : float
+        Weight of a sample.
+
+    Returns
+    -------
+    tuple of CompanionEvidence
+        By record, axis and effect.
+
+    """
+    variances = np.diag(scored.solution.covariance) / temper
+    effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
+    found = []
+    for coefficient, z, variance in zip(linearised.scatter.coefficients, scored.solution.z, variances, strict=False):
+        if coefficient.field != SessionZero.FIELD or coefficient.index[-1] not in effects:
+            continue
+        _, axis, degree = coefficient.index
+        companion = effects[degree].companion
+        assert companion is not None
+        size = linearised.scatter.size(coefficient)
+        departure = size * float(z)
+        found.append(
+            CompanionEvidence(
+                effects[degree].name,
+                companion.parameter,
+                axis,
+                companion.factor * departure,
+                abs(companion.factor) * size * float(np.sqrt(variance)),
+                abs(companion.factor) * float(usual[axis, degree]),
+                abs(departure) / float(np.sqrt(2.0 * degree + 1.0)),
+            )
+        )
+    return tuple(found)
+
+
+def _predictable(problem: Problem, rows: Array, blocks: int) -> float:
+    """Share of the remainder (M, A) that follows the command."""
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    commands = [piece.counted(piece.command) for piece in problem.pieces]
+    return predictable_share(commands, [rows[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)], blocks)
+
+
+def stated_noise(model: Model) -> Array:
+    """Noise that a model file states.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit; 0 where none is stated.
+
+    """
+    stated = np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))
+    return np.broadcast_to(stated, (len(model.axes),)).copy()
+
+
+def known_error(problem: Problem, stated: Array) -> Array:
+    """Choose what a model is known to leave beside the whitened error: its stated noise, or its own error.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    stated : ndarray, shape (A,)
+        Noise (rms) that the model states, measurement unit.
+
+    Returns
+    -------
+    ndarray, shape (A,)
+        Rms, measurement unit.
+    """
+    if problem.own_spectrum is not None:
+        return np.zeros_like(stated)  # fits have it in their weights
+    return stated if problem.own_error is None else np.maximum(stated, problem.own_error)
+
+
+def stated_energy(stated: Array, noise: Array) -> float:
+    """Energy that a model itself says it leaves.
+
+    Parameters
+    ----------
+    stated, noise : ndarray, shape (A,)
+        Noise (rms, measurement unit) that it states, and that was measured.
+
+    Returns
+    -------
+    float
+        In noise energies, at least 1.
+
+    """
+    return max(float(np.mean((stated / noise) ** 2)), 1.0)
+
+
+def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSettings, rests: bool = True) -> float:
+    """White noise of an axis in the residuals of all pieces.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residuals : ndarray, shape (M, A)
+        Measurement unit.
+    axis : int
+        Index in the problem.
+    settings : NoiseSettings
+        Values of the configuration.
+    rests : bool
+        Whether stretches at rest count, and differences between periods of the command.
+
+    Returns
+    -------
+    float
+        Rms, measurement unit.
+
+    """
+    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
+    left = [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    commands = [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None
+    found = noise_of(left, commands, settings)
+    return min(found, _between_periods(problem, left, axis, settings)) if rests else found
+
+
+def _between_periods(problem: Problem, left: Sequence[Array], axis: int, settings: NoiseSettings) -> float:
+    """White noise of an axis by differences between periods; infinite where the commands do not repeat.
+
+    Rows that do not count have noise as well. But where a clean record is carried over, its noise is in the residual, and elsewhere in
+    none of the record.
+    """
+    pieces = problem.pieces
+    if not problem.is_carried:
+        return noise_between_periods(
+            [piece.measurement[:, axis] for piece in pieces], [piece.command for piece in pieces], settings
+        )
+    if any(piece.keep is not None and np.count_nonzero(np.diff(piece.keep)) > 2 for piece in pieces):
+        return np.inf
+    return noise_between_periods(left, [piece.counted(piece.command) for piece in pieces], settings)
+
+
+def _hypothesis(found: Found, scored: Scored, believed: float) -> HypothesisEvidence:
+    solution, problem = scored.solution, found.linearised.problem
+    size = len(solution.residual)
+    energy = float(solution.residual @ solution.residual) / size
+    farthest = float(np.max(np.abs(solution.z), initial=0.0)) * scored.tolerances
+    taken_up = float("inf")
+    if not scored.inflated:
+        columns, scatter = found.linearised.columns, found.linearised.scatter
+        far = np.where(scatter.companions > 0.0, 0.0, solution.z) * max(1.0 - believed / max(farthest, 1e-300), 0.0)
+        taken_up = float(np.mean((solution.residual + columns @ far) ** 2)) - energy
+    return HypothesisEvidence(
+        scored.names,
+        scored.inflated,
+        scored.score,
+        solution.misfit,
+        energy,
+        strain(solution),
+        farthest=farthest,
+        at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
+        local=_local_energy(problem, found.none, scored),
+        beyond=0.0 if problem.own_spectrum is None else beyond_own_error(problem, solution.residual),
+        taken_up=taken_up,
+        axes=() if scored.candidate is None or len(problem.model.axes) == 1 else tuple(m.axis for m in scored.candidate.members),
+    )
+
+
+def _has_holes(piece: Piece) -> bool:
+    """True where the rows that count are not one stretch: a warm-up is none that is missed."""
+    if piece.keep is None:
+        return False
+    return int(np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int)))) > 2
+
+
+def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:
+    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
+        return None
+    command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
+    seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)
+    if problem.own_spectrum is not None:  # the own error may fall with frequency too
+        return seen if float(np.mean(scored.solution.residual**2)) > 1.0 else None
+    return replace(seen, gain=problem.weight * seen.gain)
+
+
+def _hump(problem: Problem, scored: Scored, configuration: Configuration) -> HumpEvidence | None:
+    """A vibration whose phase wanders in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
+        return None
+    commands = [
+        piece.command if piece.driven_beside is None else np.hstack([piece.command, piece.driven_beside])
+        for piece in problem.pieces
+    ]
+    driving = np.concatenate([piece.counted(command) for piece, command in zip(problem.pieces, commands, strict=True)])
+    measured = np.concatenate([piece.counted(piece.measurement)[:, 0] for piece in problem.pieces])
+    residual, in_noise = scored.solution.residual, problem.in_noise(scored.solution.residual)
+    simulated = measured - in_noise * float(problem.sigma[0])
+    seen = random_vibration(residual, in_noise, driving, simulated, problem.sample_time, configuration.hump)
+    return None if seen is None else replace(seen, gain=problem.weight * seen.gain, misfit=problem.weight * seen.misfit)

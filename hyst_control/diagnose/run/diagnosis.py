@@ -1,0 +1,497 @@
+"""Diagnosis of records against a model: the gap between measurement and simulation, and the effects that explain it.
+
+`problem_of` turns records into a problem, `diagnose` runs all steps on it: noise, record checks, threshold, search, evidence, decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
+from hyst_control.diagnose.decide.policy import contenders, decide
+from hyst_control.diagnose.decide.record_findings import not_received
+from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
+from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.model_error.same_command import as_clean_command
+from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
+from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
+from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
+from hyst_control.diagnose.record_checks.spectral_lines import lines
+from hyst_control.diagnose.record_checks.summary import effect_found_by, held_at_one_value
+from hyst_control.diagnose.run.collect import (
+    collect,
+    companions,
+    residual_evidence,
+)
+from hyst_control.diagnose.run.prepare import clean_rows, is_used, nominal_residuals, prepare, with_noise
+from hyst_control.diagnose.search.beam_search import Found, Scored, search
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.null_distribution import threshold
+from hyst_control.diagnose.validate.constancy import distortions
+from hyst_control.diagnose.validate.cross_validation import holds, widens
+from hyst_control.diagnose.validate.error_gain import passed_error
+from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
+from hyst_control.diagnose.verdict import Decision, Verdict
+from hyst_control.effects.effect import RecordCheck
+from hyst_control.errors import InputError
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
+
+VETOES = 6
+"""Explanations in turn that are dropped: clean records ask for them too, they widen the gap as given, or they leave more than no effect
+does on blocks that they were not fitted to."""
+
+
+@dataclass(frozen=True)
+class AxisDiagnosis:
+    """Diagnosis of one problem: an axis, or all axes of a model that mixes them.
+
+    Parameters
+    ----------
+    axes : tuple of int
+        Indices in the model.
+    problem : Problem
+        Records and model of these axes.
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    found : Found
+        Result of the search, with the fits of all hypotheses.
+    hypotheses : tuple of Scored
+        Hypotheses in the order of the evidence.
+    evidence : Evidence
+        Numbers that the decision is based on.
+    decision : Decision
+        Verdict, its reasons, and the effects that are named.
+    baseline : Baseline, optional
+        Clean records or stated discrepancy that were used.
+
+    """
+
+    axes: tuple[int, ...]
+    problem: Problem
+    linearised: Linearised
+    found: Found
+    hypotheses: tuple[Scored, ...]
+    evidence: Evidence
+    decision: Decision
+    baseline: Baseline | None = None
+
+    @property
+    def chosen(self) -> Scored:
+        """The best explanation."""
+        return self.hypotheses[self.decision.chosen]
+
+    @property
+    def listed(self) -> tuple[Scored, ...]:
+        """Explanations that the data cannot distinguish from the best one, best first, including it."""
+        return tuple(self.hypotheses[index] for index in self.decision.listed)
+
+    @property
+    def coefficients(self) -> Array:
+        """Deviations (K,) of the best explanation's coefficients from the nominal ones, in tolerances."""
+        return self.chosen.solution.z * self.chosen.tolerances
+
+    def gap(self) -> Array:
+        """Compute the gap of the nominal model.
+
+        Returns
+        -------
+        ndarray, shape (M, A)
+            Measured minus simulated from the command as it was recorded, measurement unit.
+
+        """
+        recorded = as_recorded(self.problem)
+        if recorded is not self.problem:
+            return recorded.rows(recorded.measured() - recorded.simulate(recorded.model.chain.stages))
+        return self.problem.rows(self.linearised.measured - self.linearised.simulate(np.zeros(self.linearised.count)))
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Diagnosis of all axes together.
+
+    Parameters
+    ----------
+    model : Model
+        Nominal model.
+    problem : Problem
+        Problem of all axes.
+    parts : tuple of AxisDiagnosis
+        One per axis, or a single one if the model mixes the axes.
+    notes : tuple of str
+        Remarks on the records, one sentence each.
+    seed : int
+        Seed of all random numbers.
+    configuration : Configuration
+        Settings of the diagnosis.
+
+    """
+
+    model: Model
+    problem: Problem
+    parts: tuple[AxisDiagnosis, ...]
+    notes: tuple[str, ...]
+    seed: int
+    configuration: Configuration = CONFIGURATION
+
+
+def diagnose(
+    records: Sequence[Record],
+    model: Model | None,
+    seed: int = 0,
+    without: Sequence[str] = (),
+    cache: bool = True,
+    progress: Callable[[str], None] = lambda _: None,
+    warm_up: float = 0.0,
+    configuration: Configuration = CONFIGURATION,
+    baseline: Sequence[Record] = (),
+) -> Diagnosis:
+    """Diagnose records against a model.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records with command and measurement.
+    model : Model or None
+        Nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are tried.
+    seed : int
+        Seed of all random numbers.
+    without : sequence of str
+        Names of effects that are not tried.
+    cache : bool
+        True to keep the threshold of the null distribution between runs.
+    progress : callable
+        Called with the name of each step.
+    warm_up : float
+        Beginning of each record that is simulated but not counted, s; see `problem_of`.
+    configuration : Configuration
+        Settings of the diagnosis.
+    baseline : sequence of Record
+        Clean records of the same plant, or of plants of the same type.
+
+    Returns
+    -------
+    Diagnosis
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+
+    """
+    model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
+    parts = []
+    axis = 0
+    for part, known, bare in beside:
+        axes = tuple(range(axis, axis + len(part.model.axes)))
+        found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
+        if _may_hide_a_line(found, configuration):
+            by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
+            if _exceeds_own_error(by_spectrum, without, configuration):
+                # Only a line by itself would be taken from it.
+                singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
+                again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
+                found = again if _is_a_line(again) else found
+        parts.append(found)
+        axis += len(axes)
+    notes += [note for part in parts for note in _outlier_notes(part)]
+    problem = replace(problem, slowest=parts[0].problem.slowest)
+    return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
+
+
+def with_clean(
+    records: Sequence[Record],
+    model: Model | None,
+    warm_up: float,
+    configuration: Configuration,
+    baseline: Sequence[Record],
+    without: Sequence[str] = (),
+) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
+    """Make the problems of records beside clean ones.
+
+    Parameters
+    ----------
+    records, model, warm_up, configuration, baseline, without
+        As in `diagnose`.
+
+    Returns
+    -------
+    model : Model
+        Nominal model; one whose output is 0 where there is none.
+    problem : Problem
+        Of all axes.
+    notes : list of str
+        Remarks on the records.
+    parts : list of tuple
+        By axis, or a single one if the model mixes the axes: its problem, its baseline, and whether there is no model.
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+
+    """
+    bare = model is None
+    if model is None:
+        if not baseline:
+            raise InputError("needs a model or a baseline, and has neither: give --model, --baseline or both")
+        model = no_model(records[0])
+    problem, notes = problem_of(records, model, warm_up, configuration)
+    clean = split(_clean_problem(baseline, problem, warm_up, configuration)) if baseline else None
+    parts = []
+    looked_for = is_used(RecordCheck.COMMAND_LATTICE, without) and not bare
+    if looked_for and clean is not None:
+        clean = [_without_roughness(part, configuration) for part in clean]
+    for index, part in enumerate(split(problem)):
+        if looked_for:
+            part = _without_roughness(part, configuration)
+            if clean is not None:
+                part = as_clean_command(part, clean[index], configuration.baseline)
+        beside = _beside(part, clean[index] if clean else None, configuration)
+        if bare and (beside is None or not beside.carried):
+            raise InputError(
+                "baseline: no clean record has the new record's command, which is needed where there is no model: give --model, or a "
+                "clean record of the same command"
+            )
+        parts.append((part, beside, bare))
+    return model, problem, notes, parts
+
+
+def problem_of(
+    records: Sequence[Record], model: Model, warm_up: float = 0.0, configuration: Configuration = CONFIGURATION
+) -> tuple[Problem, list[str]]:
+    """Make one problem from records, cut into gapless pieces, and estimate its noise.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records with command and measurement.
+    model : Model
+        Nominal model.
+    warm_up : float
+        Beginning of each record that is simulated but not counted, s; needed for records that do not begin at rest.
+    configuration : Configuration
+        Settings of the diagnosis.
+
+    Returns
+    -------
+    problem : Problem
+        All pieces, with the noise of each axis.
+    notes : list of str
+        Remarks on the records, one sentence each.
+
+    Raises
+    ------
+    InputError
+        If the records cannot be used.
+
+    """
+    least_rows = configuration.record.least_rows
+    if not 0.0 <= warm_up < np.inf:
+        raise InputError(f"warm-up: must be >= 0 s, got {warm_up!r}")
+    pieces, notes, sample_times, holds = [], [], set(), set()
+    for record in records:
+        check_units(model, record.signal("measurement").unit, record.source)
+        check_command(record)
+        stretches = record.aligned(("command", "measurement"), allow_gaps=True)
+        used = [stretch for stretch in stretches if len(stretch.time) >= least_rows]
+        if not used:
+            raise InputError(f"{record.source}: no gapless stretch of {least_rows} samples: record longer, or mend the transport")
+        if len(stretches) > 1:
+            notes.append(f"{record.source}: ticks are missing between {len(stretches)} stretches; only the first starts settled")
+        notes += record.notes
+        for i, stretch in enumerate(used):
+            command, measurement = stretch.values["command"], stretch.values["measurement"]
+            if measurement.shape[1] != len(model.axes) or command.shape[1] != len(model.axes):
+                raise InputError(
+                    f"{record.source}: has {command.shape[1]} commands and {measurement.shape[1]} measurements, the model "
+                    f"{len(model.axes)} axes ({', '.join(model.axes)}): give the model of this plant"
+                )
+            if not np.ptp(command):
+                raise InputError(f"{record.source}: the command never moves: record with an excitation")
+            dead = [axis for axis, span in zip(model.axes, np.ptp(measurement, axis=0), strict=True) if not span]
+            if dead:
+                raise InputError(f"{record.source}: the measurement of {', '.join(dead)} never moves: check sensor and import")
+            keep = None
+            if i or stretch.amid:
+                # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
+                keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
+            elif warm_up:
+                keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
+                if np.count_nonzero(keep) < least_rows:
+                    raise InputError(
+                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {least_rows} "
+                        "are due: shorten the warm-up or record longer"
+                    )
+            pieces.append(Piece(command, measurement, keep))
+            sample_times.add(stretch.sample_time)
+        holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)
+    if len({float(f"{step:.6g}") for step in sample_times}) > 1:
+        raise InputError(
+            f"records have different sample times ({', '.join(f'{step:g} s' for step in sorted(sample_times))}): "
+            "diagnose them one by one"
+        )
+    if len(holds) > 1:
+        raise InputError("some records hold the command (zoh), others do not (foh): diagnose them one by one")
+    problem = Problem(model, tuple(pieces), sample_times.pop(), holds.pop(), np.ones(len(model.axes)))
+    valid = model.valid.get("command")
+    if valid:
+        commands = np.concatenate([piece.command for piece in pieces])
+        outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
+        if outside > 0:
+            notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
+    if not model.uncertainty and (idle := idle_tolerances(model)):
+        notes.append(f"tolerance of {', '.join(idle)}: no parameter of the model's chain scatters by this name; see the model file")
+    return with_noise(problem, nominal_residuals(problem), configuration), notes
+
+
+def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:
+    """Baseline from clean records, or else from the model file's discrepancy; None without either."""
+    if clean is not None:
+        return with_baseline(problem, clean, configuration.baseline)
+    return with_discrepancy(problem, configuration.baseline) if problem.model.discrepancy else None
+
+
+def _clean_problem(baseline: Sequence[Record], problem: Problem, warm_up: float, configuration: Configuration) -> Problem:
+    clean, _ = problem_of(baseline, problem.model, warm_up, configuration)
+    if abs(clean.sample_time - problem.sample_time) > 1e-6 * problem.sample_time:
+        raise InputError(
+            f"baseline: has a sample time of {clean.sample_time:g} s, the record {problem.sample_time:g} s: record both at one rate"
+        )
+    return clean
+
+
+def _axis(
+    problem: Problem,
+    baseline: Baseline | None,
+    sensor_side: bool,
+    axes: tuple[int, ...],
+    seed: int,
+    without: Sequence[str],
+    cache: bool,
+    progress: Callable[[str], None],
+    configuration: Configuration,
+) -> AxisDiagnosis:
+    thresholds = configuration.policy
+    prepared = prepare(problem, baseline, without, configuration, progress)
+    problem, linearised, checks, findings = prepared.problem, prepared.linearised, prepared.checks, prepared.findings
+    floor = prepared.floor
+    members = prepared.members(sensor_side)
+    progress("records without a gap")
+    null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
+    found = search(linearised, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+    collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
+
+    def with_residuals(evidence: Evidence) -> Evidence:
+        return evidence.with_residuals(
+            {
+                index: residual_evidence(
+                    problem,
+                    collected.hypotheses[index],
+                    findings,
+                    checks,
+                    configuration,
+                    companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+                    distortions(linearised, collected.hypotheses[index], found.temper),
+                    passed_error(linearised, collected.hypotheses[index]),
+                )
+                for index in contenders(evidence, thresholds)
+                if evidence.hypotheses[index].residual is None
+            }
+        )
+
+    def tested(evidence: Evidence) -> Evidence:
+        # A test that fails may bring up another contender, which is then tested in turn.
+        while any(evidence.hypotheses[index].residual is None for index in contenders(evidence, thresholds)):
+            evidence = with_residuals(evidence)
+        return evidence
+
+    evidence = tested(collected.evidence)
+    decision = decide(evidence, thresholds)
+    rows, clean = None if baseline is None else clean_rows(baseline, problem), None
+    for _ in range(VETOES if evidence.whitened else 0):
+        best = collected.hypotheses[decision.chosen]
+        if best.candidate is None:
+            break
+        if rows is not None and clean is None:
+            clean = CleanRecords(rows)
+        known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
+        # Beside a clean record of the same command no coefficient is free, and a gap that the fits weigh by its spectrum is none as given.
+        follows = known or (not evidence.carried and widens(linearised, best, found.none))
+        if not follows and holds(linearised, best, found.none, configuration.reduction):
+            break
+        dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
+        evidence = tested(evidence.without(dropped))
+        decision = decide(evidence, thresholds)
+    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
+
+
+def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:
+    """True where a line stands out of what the model leaves, and is no gap beside the size of the error that its file states.
+
+    That size says nothing of the frequency: slow errors would hide a hum of many times what the model leaves there.
+    """
+    baseline = found.baseline
+    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
+        return False
+    left = found.linearised.unexplained(found.found.none.solution.residual)
+    return "spectrum" in found.problem.model.discrepancy and any(
+        lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
+    )
+
+
+def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration: Configuration) -> bool:
+    """True where a line by itself gains as much beside the own error's spectrum as any claim has to beyond the null."""
+    prepared = prepare(baseline.problem, baseline, without, configuration)
+    candidates = [Candidate((member,)) for member in prepared.members(False) if member.is_line]
+    nothing = fit(prepared.linearised).misfit
+    return any(
+        nothing - fit(prepared.linearised, one.unknowns(), one.starts()[0]).misfit > configuration.policy.margin
+        for one in candidates
+    )
+
+
+def _is_a_line(found: AxisDiagnosis) -> bool:
+    """True where effects that have lines are the sure explanation. Of others a spectrum from other records tells too little."""
+    names = frozenset() if found.chosen.candidate is None else frozenset(found.chosen.candidate.names)
+    return found.decision.verdict is Verdict.EFFECT and bool(names) and names <= _line_effects()
+
+
+def _line_effects() -> frozenset[str]:
+    effects = (effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE))
+    return frozenset(effect.name for effect in effects if effect is not None)
+
+
+def _without_roughness(problem: Problem, configuration: Configuration) -> Problem:
+    """The same problem with smooth commands where the plant did not receive the roughness of the recorded ones."""
+    found: list[RoughnessEvidence | None] = []
+    for axis in range(len(problem.model.axes)):
+        seen, smooth = roughness_evidence(problem, axis)
+        missing = seen is not None and not_received(seen, configuration.policy)
+        if missing:
+            problem = with_commands(problem, axis, smooth)
+        found.append(seen if missing else None)
+    if not any(found):
+        return problem
+    problem = replace(problem, roughness=tuple(found))
+    return with_noise(problem, nominal_residuals(problem), configuration)
+
+
+def _outlier_notes(part: AxisDiagnosis) -> list[str]:
+    model, rows = part.problem.model, part.evidence.rows
+    tests = [held_at_one_value(seen) for seen in part.evidence.record]
+    return [
+        f"{axis}: in {seen.stuck} stretches the measurement stands on one and the same value while the command moves: a dead band of "
+        "the sensor, or the end of its range"
+        for axis, seen, test in zip(model.axes, part.evidence.record, tests, strict=True)
+        if test in part.decision.distortions
+    ] + [
+        f"{model.axes[one.axis]}: {one.count} single samples ({one.count / rows:.2%}) stand out of the noise: outliers, "
+        f"{one.rms:.3g} {model.units['measurement']} rms"
+        for one in part.decision.outliers
+    ]

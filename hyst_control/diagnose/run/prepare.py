@@ -1,0 +1,347 @@
+"""One axis before any effect is tried: its noise, its coefficients fitted alone, and what the record itself shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import Configuration
+from hyst_control.diagnose.decide.policy import practical_floor
+from hyst_control.diagnose.decide.record_findings import detected
+from hyst_control.diagnose.evidence import Finding, RecordEvidence
+from hyst_control.diagnose.model_error.baseline import Baseline
+from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
+from hyst_control.diagnose.record_checks.spectral_lines import lines
+from hyst_control.diagnose.record_checks.summary import effect_found_by, lattice_of, record_evidence
+from hyst_control.diagnose.run.collect import (
+    known_error,
+    stated_energy,
+    stated_noise,
+    white_noise,
+)
+from hyst_control.diagnose.search.candidate import Member
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearised, Solution, fit
+from hyst_control.effects import EFFECTS
+from hyst_control.effects.effect import PLACES, RecordCheck
+
+
+def nominal_residuals(problem: Problem) -> Array:
+    """Subtract the simulation of the nominal model from the measurement.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+
+    Returns
+    -------
+    ndarray, shape (M, A)
+        Of the rows that count, measurement unit.
+
+    """
+    return problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages))
+
+
+def with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
+    """Estimate the noise from the upper end of the residuals' spectrum.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residuals : ndarray, shape (M, A)
+        Of the rows that count, measurement unit.
+    configuration : Configuration
+        Settings of the diagnosis.
+
+    Returns
+    -------
+    Problem
+        The same problem with that noise.
+
+    """
+    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    stated, sigma = stated_noise(problem.model), []
+    for axis in range(residuals.shape[1]):
+        lattice = lattice_of(measured[:, axis], configuration.checks)
+        # On a quantized measurement, stretches at rest hide the noise.
+        noise = white_noise(problem, residuals, axis, configuration.noise, rests=not lattice)
+        # The rounding error counts as noise too, but it follows the signal: the upper spectrum shows little of it.
+        rounded = float(np.hypot(lattice / np.sqrt(12.0), stated[axis])) if lattice else 0.0
+        sigma.append(max(noise, configuration.noise.least * float(np.ptp(measured[:, axis])), rounded, 1e-12))
+    return replace(problem, sigma=np.array(sigma))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Problem of an axis before any effect is tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        With its noise, and without rows that hold no measurement of their own.
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    without : tuple of str
+        Effects that are not tried.
+    checks : frozenset of RecordCheck
+        Checks whose effect is in the catalogue.
+    record : tuple of RecordEvidence
+        By axis.
+    findings : tuple of Finding
+        Repeated samples and lattices.
+    suggested : callable
+        Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them.
+    stated : ndarray, shape (A,)
+        Noise that the model states, rms, measurement unit.
+    floor : float
+        Rms that an effect must take off to be worth naming, in units of the noise.
+    leaves : float
+        Energy that the model itself says it leaves, in noise energies.
+
+    """
+
+    problem: Problem
+    linearised: Linearised
+    without: tuple[str, ...]
+    checks: frozenset[RecordCheck]
+    record: tuple[RecordEvidence, ...]
+    findings: tuple[Finding, ...]
+    suggested: Callable[[], Mapping[str, Sequence[float]]]
+    stated: Array
+    floor: float
+    leaves: float
+
+    def members(self, sensor_side: bool) -> list[Member]:
+        """List the effects to try.
+
+        Parameters
+        ----------
+        sensor_side : bool
+            True for those behind the mechanics only.
+
+        Returns
+        -------
+        list of Member
+
+        """
+        members = catalogue(self.problem, self.suggested(), self.without)
+        return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
+
+
+def prepare(
+    problem: Problem,
+    baseline: Baseline | None,
+    without: Sequence[str],
+    configuration: Configuration,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Prepared:
+    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of an axis, or of all axes of a model that mixes them.
+    baseline : Baseline or None
+        Clean records or stated discrepancy.
+    without : sequence of str
+        Names of effects that are not tried.
+    configuration : Configuration
+        Settings of the diagnosis.
+    progress : callable
+        Called with the name of each step.
+
+    Returns
+    -------
+    Prepared
+
+    Raises
+    ------
+    InputError
+        If the model cannot be simulated on the record.
+
+    """
+    thresholds = configuration.policy
+    if baseline is not None:
+        problem = with_noise(baseline.problem, nominal_residuals(baseline.problem), configuration)
+        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
+    stated = stated_noise(problem.model)
+    own = known_error(problem, stated)
+    checks = frozenset(check for check in RecordCheck if is_used(check, without))
+    progress("coefficients of the model")
+    scatter = within_own_error(scatter_of(problem.model), problem)
+    clean = None if baseline is None else clean_rows(baseline, problem)
+    if clean is not None:
+        scatter = pinned(scatter, clean)
+    linearised = Linearised(problem, scatter)
+    none = fit(linearised)
+    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
+    if baseline is not None and baseline.clean is not None:
+        record = _beside_usual(record, baseline.clean, configuration)
+    findings = detected(record, checks, thresholds)
+    suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
+    # The first noise estimate still contained spectral leakage from the gap.
+    problem = replace(with_noise(problem, problem.rows(none.residual), configuration), steps=_steps(problem, findings))
+    repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
+    problem = _without_repeats(problem, repeated)
+    linearised = Linearised(problem, scatter)
+    problem = without_truncation(linearised, findings, configuration)
+    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
+    if repeated:
+        problem = with_noise(problem, problem.rows(fit(linearised).residual), configuration)
+        linearised = Linearised(problem, scatter)
+    floor = _floor(problem, own, configuration)
+    if baseline is not None:
+        least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
+        floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
+    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
+    return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+
+
+def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
+    """The clean records' rows on which the model's own error was measured, with its spectrum.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        Of the problem.
+    problem : Problem
+        The new records, with the spectrum of the model's own error.
+
+    Returns
+    -------
+    Problem or None
+        None where the error is carried over, or stated by a model file.
+    """
+    if baseline.error_rows is None or problem.own_spectrum is None:
+        return None
+    return replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise)
+
+
+def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
+    """Steps of the lattices that were found, by axis, measurement unit; 0 where there is none."""
+    found = {one.axis: one.value for one in findings if one.check is RecordCheck.VALUE_LATTICE}
+    return tuple(found.get(axis, 0.0) for axis in range(len(problem.model.axes)))
+
+
+def _suggested(
+    problem: Problem, linearised: Linearised, none: Solution, baseline: Baseline | None, configuration: Configuration
+) -> dict[str, list[float]]:
+    """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
+    found = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    if baseline is None or baseline.clean is None:
+        return found
+    clean_rows = np.split(nominal_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
+    return beyond_clean(found, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
+
+
+def _counts(problem: Problem) -> list[int]:
+    """Rows that count, by record."""
+    return [len(piece.counted(piece.command)) for piece in problem.pieces]
+
+
+def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:
+    """The evidence on a record with what the clean records show of the same, which is normal."""
+    usual = record_evidence(clean, nominal_residuals(clean), configuration.checks, configuration.noise)
+    return tuple(
+        replace(
+            new,
+            # Repeats that are few enough for chance are normal as well.
+            usual_repeated=old.repeated
+            if old.step
+            else max(_repeats(piece.counted(piece.measurement)[:, axis]) for piece in clean.pieces),
+            usual_step=old.step,
+            usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
+            usual_stuck=old.stuck,
+        )
+        for axis, (new, old) in enumerate(zip(record, usual, strict=True))
+    )
+
+
+def _repeats(values: Array) -> float:
+    """Share of samples (N,) that repeat the one before."""
+    return float(np.mean(np.diff(values) == 0.0))
+
+
+def is_used(check: RecordCheck, without: Sequence[str]) -> bool:
+    """Tell whether the effect that a check finds is in the catalogue.
+
+    Parameters
+    ----------
+    check : RecordCheck
+        The check.
+    without : sequence of str
+        Names of effects that are not tried.
+
+    Returns
+    -------
+    bool
+        True if so.
+
+    """
+    effect = effect_found_by(check)
+    return effect is not None and effect.name not in without
+
+
+def _floor(problem: Problem, stated: Array, configuration: Configuration) -> float:
+    """Least rms that matters in practice, in units of the noise."""
+    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
+    # Whitened vectors are measured by own error and noise together.
+    unit = problem.sigma if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
+    return practical_floor(np.ptp(measured, axis=0), steps, stated, unit, configuration.policy)
+
+
+def without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
+    """Take back the half step by which a converter rounded down or up.
+
+    Only where the constant that fits best beside the coefficients is that half step: any other one is an offset.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    findings : sequence of Finding
+        Lattices of the axes among them.
+    configuration : Configuration
+        Settings of the diagnosis.
+
+    Returns
+    -------
+    Problem
+        The problem, with other measurements where a converter truncates.
+
+    """
+    problem = linearised.problem
+    shift = np.zeros(len(problem.model.axes))
+    gap = linearised.unexplained(linearised.measured - linearised.nominal)
+    for finding in findings:
+        if finding.check is RecordCheck.VALUE_LATTICE:
+            constant = np.zeros((len(gap) // len(shift), len(shift)))
+            constant[:, finding.axis] = 1.0 / problem.sigma[finding.axis]
+            column = problem.whitened(constant.reshape(-1))
+            steps = float(column @ gap / (column @ linearised.unexplained(column))) / finding.value
+            if abs(abs(steps) - 0.5) < configuration.checks.truncation:
+                shift[finding.axis] = -0.5 * np.sign(steps) * finding.value
+    if not shift.any():
+        return problem
+    return replace(problem, pieces=tuple(replace(piece, measurement=piece.measurement + shift) for piece in problem.pieces))
+
+
+def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:
+    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement."""
+    if not axes:
+        return problem
+    pieces = []
+    for piece in problem.pieces:
+        same = np.zeros(len(piece.command), bool)
+        same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
+        pieces.append(replace(piece, keep=~same if piece.keep is None else piece.keep & ~same))
+    return replace(problem, pieces=tuple(pieces))

@@ -1,0 +1,1 @@
+"""Candidates of the catalogue, their fits, the search among them, and the null threshold."""

@@ -1,0 +1,519 @@
+"""Search for the effects that explain a gap: every candidate against the nominal model, then combinations by a beam search.
+
+The weight of a candidate is its evidence (Laplace) relative to "no effect":
+
+    score = τ (Φ_0 - Φ_c) - ½ log det(1 + τ (I_c - 1)) - log(number of effects) - log(realizations of the effect)
+
+τ ≤ 1 reduces the weight of the misfit when even the best explanation leaves more than noise: that residual is correlated along
+the record, so its samples are not independent.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import cho_factor
+from scipy.optimize import minimize_scalar
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
+from hyst_control.diagnose.decide.policy import strained as are_strained
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.fit import Linearised, Solution, fit, refined
+from hyst_control.diagnose.search.pair_screening import joint_pairs
+from hyst_control.diagnose.search.starts import Begun, begin, finish, merged_start, misfit_of, promising_pairs
+from hyst_control.errors import InputError
+from hyst_control.parallel import map_forked
+from hyst_control.records.correlation import correlation_length
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Hypothesis with its fit and its score.
+
+    Parameters
+    ----------
+    candidate : Candidate or None
+        Effects; None for "no effect" and for coefficients alone.
+    solution : Solution
+        The fit.
+    score : float
+        Evidence over "no effect", nats.
+    inflated : bool
+        Whether it is coefficients alone, beyond their tolerance.
+    tolerances : float
+        Size of the fit's unit of the coefficients, in tolerances.
+
+    """
+
+    candidate: Candidate | None
+    solution: Solution
+    score: float
+    inflated: bool = False
+    tolerances: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects, none for the nominal model."""
+        return () if self.candidate is None else self.candidate.names
+
+
+@dataclass(frozen=True)
+class Found:
+    """Hypotheses that a search fitted on one problem.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    none : Scored
+        No effect.
+    parameters : Scored
+        Coefficients alone.
+    singles, combinations : tuple of Scored
+        Single effects and combinations, best first.
+    temper : float
+        Weight of a sample.
+
+    """
+
+    linearised: Linearised
+    none: Scored
+    parameters: Scored
+    singles: tuple[Scored, ...]
+    combinations: tuple[Scored, ...]
+    temper: float
+
+
+def inflated(linearised: Linearised, factor: float) -> Linearised:
+    """The same columns with every tolerance multiplied; companions stay as they are.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    factor : float
+        Of the tolerances.
+
+    Returns
+    -------
+    Linearised
+
+    """
+    wide = copy(linearised)
+    factors = np.where(linearised.scatter.companions > 0, 1.0, factor)
+    wide.scatter = replace(
+        linearised.scatter,
+        coefficients=tuple(
+            replace(c, tolerance=c.tolerance * float(f)) for c, f in zip(linearised.scatter.coefficients, factors, strict=True)
+        ),
+    )
+    wide.columns, wide.gram = linearised.columns * factors, linearised.gram * np.outer(factors, factors)
+    wide.factor = cho_factor(wide.gram + np.eye(wide.count)) if wide.count else None
+    return wide
+
+
+def search(
+    linearised: Linearised,
+    members: Sequence[Member],
+    threshold: float,
+    floor: float,
+    leaves: float = 1.0,
+    progress: Callable[[str], None] = lambda _: None,
+    configuration: Configuration = CONFIGURATION,
+) -> Found:
+    """Fit and weigh all candidates.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    members : sequence of Member
+        Catalogue as it is used.
+    threshold : float
+        Score (nats) by which a further effect must be better.
+    floor : float
+        Rms, in units of the noise, that it must take off.
+    leaves : float
+        Energy, in noise energies, that the model itself says it leaves.
+    progress : callable
+        Is told the names of what was fitted.
+    configuration : Configuration
+        All values.
+
+    Returns
+    -------
+    Found
+
+    """
+    settings, thresholds = configuration.search, configuration.policy
+    beam, depth = settings.beam, settings.depth
+    whitened = linearised.problem.own_spectrum is not None
+    if leaves >= thresholds.own_error_energy or whitened:
+        depth = min(depth, settings.depth_with_own_error)
+        beam = max(beam, settings.beam_with_own_error)
+    strained = partial(_strained, thresholds=thresholds)
+    side_by_side = whitened and len(linearised.problem.model.axes) == 1
+    none = Scored(None, settled(linearised), 0.0)
+    wide = inflated(linearised, settings.inflation)
+    parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
+    # Every effect is as likely as any other before the record is seen, however many realizations it has.
+    realizations = Counter(member.name for member in members)
+    alternatives = np.log(max(len(realizations), 1))
+    members = _screened(linearised, members, settings.realizations)
+    without = none.solution.misfit
+    begun = begin(linearised, [(one, one.starts()) for one in map(_alone, members)], settings)
+    for one in begun:
+        progress(one.candidate.names[0])
+    size = len(linearised.measured)
+    leading, waiting = _leading(begun, size), begun
+    for size_reached in range(1, depth):
+        if not leading:
+            break
+        best = leading[0].ends[0]
+        excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
+        # The spectrum of the own error is an upper one: what is below it may hold an effect yet.
+        nothing_left = _beyond_noise(best) < excess and not whitened
+        if nothing_left and not strained(best):
+            break  # nothing but noise is left, and no coefficients were strained for it
+        if whitened and without - best.misfit < threshold:
+            break  # there is no gap to explain
+        # Beside the own error several effects are alike, and the two at work need not lead alone.
+        joint = (
+            joint_pairs(linearised, members, settings.joint_pairs, settings.joint_starts)
+            if size_reached == 1 and side_by_side
+            else []
+        )
+        grown = _grown(linearised, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
+        if not grown:
+            break
+        end = grown[0].ends[0]
+        gain = min(best.misfit, without) - end.misfit
+        taken_off = 2.0 * gain / (size * linearised.problem.weight)
+        relieved = strained(best) and not strained(end)
+        if gain * temper_of(linearised.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
+            break
+        leading = _leading(grown, size)
+        waiting = waiting + grown
+    finished = _contenders(linearised, waiting, without, threshold, configuration)
+    fits = [item for item in finished if len(item[0].members) == 1]
+    combinations = [item for item in finished if len(item[0].members) > 1]
+    for candidate, solution in _pruned(linearised, combinations):
+        (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
+    everything = [solution for _, solution in fits + combinations] + [none.solution]
+    fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
+    temper = temper_of(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
+
+    def scored(candidate: Candidate, solution: Solution) -> Scored:
+        count = len(candidate.members)
+        # Every parameter beyond the first may also follow the model's own error, which is no white noise.
+        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
+        gain = temper * (none.solution.misfit - solution.misfit)
+        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
+        # criterion of Schwarz (1978) is the most that parameters cost.
+        most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
+        among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
+        return Scored(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
+
+    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
+        return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
+
+    wider = (
+        0.5
+        * (
+            np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
+            - np.linalg.slogdet(np.eye(wide.count) + temper * linearised.gram)[1]
+        )
+        if wide.count
+        else 0.0
+    )
+    parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
+    return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
+
+
+def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> list[Member]:
+    """The members, of those of an effect without anything to fit only the `most` that come closest to the record."""
+    ready = [member for member in members if not member.size]
+    if len(ready) <= most:
+        return list(members)
+    nominal = np.zeros(linearised.count)
+
+    def left(i: int) -> float:
+        try:
+            simulated = linearised.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
+        except InputError:
+            return np.inf
+        return misfit_of(linearised, linearised.measured - simulated)
+
+    order = np.argsort(list(map_forked(left, len(ready))))
+    kept = {id(ready[i]) for i in order[:most]}
+    return [member for member in members if member.size or id(member) in kept]
+
+
+def _alone(member: Member) -> Candidate:
+    return Candidate((member,))
+
+
+def _leading(found: Sequence[Begun], rows: int) -> list[Begun]:
+    """The best realization of every explanation, best first: a line that swells, of fifty parameters, has to be as much better.
+
+    By Schwarz's criterion (1978); otherwise it would take up what a second effect explains by one parameter.
+    """
+
+    def spent(one: Begun) -> float:
+        return 0.5 * float(np.log(rows)) * sum(member.size for member in one.candidate.members if member.is_line)
+
+    best: dict[tuple[object, ...], Begun] = {}
+    for one in sorted(found, key=lambda one: one.misfit + spent(one)):
+        best.setdefault(tuple(member.variant for member in one.candidate.members), one)
+    return list(best.values())
+
+
+def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]) -> list[Begun]:
+    """Candidates that were begun, without those that are finished."""
+    done = {id(candidate) for candidate, _ in finished}
+    return [one for one in begun if id(one.candidate) not in done]
+
+
+def _contenders(
+    linearised: Linearised, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
+) -> list[tuple[Candidate, Solution]]:
+    """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
+    settings, found, best = configuration.search, list[tuple[Candidate, Solution]](), without
+    begun = sorted(begun, key=lambda one: one.misfit)
+    while begun:
+        within = _within(min(best, begun[0].misfit), without, settings)
+        # What gains less than half of what a claim needs can be left as it is.
+        least = min(within, without - settings.promise * threshold)
+        near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found else begun[:1])
+        if not near:
+            break
+        ends = _freed(linearised, finish(linearised, near, best), without, configuration)
+        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
+        limit = best if found else within
+        hopeful = [min(one.misfit, solution.misfit) <= limit for one, (_, solution) in zip(near, ends, strict=True)]
+        found += _refined(linearised, ends, hopeful, configuration.policy)
+        best = min([best, *(solution.misfit for _, solution in found)])
+        begun = begun[len(near) :]
+    return found
+
+
+def _within(best: float, without: float, settings: SearchSettings) -> float:
+    """Misfit up to which a fit beside linear coefficients may be as good as the best."""
+    return best + max(settings.slack * (without - best), settings.near)
+
+
+def _beyond_noise(solution: Solution) -> float:
+    """Energy that a fit leaves beyond the noise's, as a share of it."""
+    return float(solution.residual @ solution.residual) / len(solution.residual) - 1.0
+
+
+def _strained(solution: Solution, thresholds: Thresholds) -> bool:
+    return are_strained(strain(solution), len(solution.z), thresholds)
+
+
+def strain(solution: Solution) -> float:
+    """Misfit that is the coefficients' distance from the nominal ones.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a fit.
+
+    Returns
+    -------
+    float
+        Nats.
+
+    """
+    return 0.5 * float(solution.z @ solution.z)
+
+
+def _grown(
+    linearised: Linearised,
+    parents: Sequence[Begun],
+    members: Sequence[Member],
+    least: float,
+    settings: SearchSettings,
+    progress: Callable[[str], None],
+    joint: Sequence[tuple[Candidate, Array]] = (),
+) -> list[Begun]:
+    """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
+    promising = map_forked(
+        lambda i: promising_pairs(linearised, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
+    )
+    wanted: list[tuple[Candidate, list[Array]]] = []
+    for parent, found in zip(parents, promising, strict=True):
+        for index, start in found:
+            pair = parent.candidate.with_member(members[index])
+            if not any(_same(pair, other) for other, _ in wanted):
+                wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
+    wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
+    begun = begin(linearised, wanted, settings)
+    for one in begun:
+        progress("+".join(one.candidate.names))
+    return begun
+
+
+def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+    """The best combination without each of its effects: what was grown step by step may have come to do without one of the first."""
+    if not found:
+        return []
+    candidate, solution = min(found, key=lambda item: item[1].misfit)
+    places = candidate.slices()
+    candidates = [candidate.without(dropped) for dropped in range(len(places))]
+
+    def solved(dropped: int) -> Solution | None:
+        unknowns = candidates[dropped].unknowns()
+        start = np.concatenate([solution.x[place] for place in places[:dropped] + places[dropped + 1 :]])
+        try:
+            return refined(linearised, unknowns, fit(linearised, unknowns, start, solution.z))
+        except InputError:
+            return None
+
+    solutions = map_forked(solved, len(candidates))
+    return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
+
+
+def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
+    """½ log of how much narrower the data make the parameters than the prior has them, `most` nats at most."""
+    if not len(solution.information):
+        return 0.0
+    eye = np.eye(len(solution.information))
+    sign, value = np.linalg.slogdet(eye + temper * (solution.information - eye))
+    return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
+
+
+def temper_of(problem: Problem, residual: Array) -> float:
+    """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
+
+    Where the spectrum of the model's own error is known, its size and correlation together count, which are its density at low
+    frequencies: a record of less noise than the clean ones leaves slow residuals, which are small.
+
+    Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
+    its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and model.
+    residual : ndarray, shape (M,)
+        In units of the noise.
+
+    Returns
+    -------
+    float
+        At most 1.
+    """
+    size = float(np.mean(residual**2))
+    length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
+    density = size * length if problem.own_spectrum is not None else max(size, 1.0) * length
+    return min(1.0 / max(density, 1.0) / problem.weight, 1.0)
+
+
+def settled(linearised: Linearised, z: Array | None = None) -> Solution:
+    """The fit of the coefficients alone, gone on with columns taken where it ended.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    z : ndarray, shape (K,), optional
+        Where to begin, in tolerances; 0 unless given.
+
+    Returns
+    -------
+    Solution
+
+    """
+    return refined(linearised, None, fit(linearised, z=z))
+
+
+def _refined(
+    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
+) -> list[tuple[Candidate, Solution]]:
+    """The fits, the hopeful ones gone on with."""
+    chosen = [i for i, one in enumerate(hopeful) if one]
+    better = map_forked(lambda i: _settled(linearised, *found[chosen[i]], thresholds), len(chosen))
+    gone_on = dict(zip(chosen, better, strict=True))
+    return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
+
+
+def _settled(linearised: Linearised, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
+    """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
+    unknowns = candidate.unknowns()
+    best = refined(linearised, unknowns, solution)
+    if not _strained(best, thresholds):
+        return best
+    try:
+        alone = fit(_held(linearised), unknowns, best.x)
+        again = refined(linearised, unknowns, fit(linearised, unknowns, alone.x))
+    except InputError:
+        return best
+    return min(best, again, key=lambda one: one.misfit)
+
+
+def _held(linearised: Linearised) -> Linearised:
+    """The same problem with coefficients that a fit leaves where they are."""
+    held = copy(linearised)
+    held.columns, held.gram = np.zeros_like(linearised.columns), np.zeros_like(linearised.gram)
+    return held
+
+
+def _freed(
+    linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
+) -> list[tuple[Candidate, Solution]]:
+    """The fits, of which some of one parameter begin again, where it alone does best.
+
+    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there,
+    worse than without the effect or with strained coefficients.
+    """
+    settings = configuration.search
+    stuck = [
+        i
+        for i, (candidate, solution) in enumerate(fits)
+        if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
+    ]
+
+    alone = list(map_forked(lambda i: _best_alone(linearised, fits[stuck[i]][0], settings.scanned), len(stuck)))
+    again = map_forked(lambda i: _begun_again(linearised, fits[stuck[i]][0], alone[i]), len(stuck))
+    freed = dict(zip(stuck, again, strict=True))
+    return [
+        (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
+        for i, (candidate, solution) in enumerate(fits)
+    ]
+
+
+def _begun_again(linearised: Linearised, candidate: Candidate, start: Array) -> Solution | None:
+    try:
+        return fit(linearised, candidate.unknowns(), start)
+    except InputError:
+        return None
+
+
+def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
+    """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
+    unknowns, nominal = candidate.unknowns(), np.zeros(linearised.count)
+
+    def misfit(value: float) -> float:
+        try:
+            residual = linearised.measured - linearised.simulate(nominal, unknowns, np.array([value]))
+        except InputError:
+            return np.inf
+        size = float(residual @ residual)
+        return size if np.isfinite(size) else np.inf
+
+    values = np.linspace(unknowns.lower[0], unknowns.upper[0], count)
+    best = int(np.argmin([misfit(value) for value in values]))
+    bounds = values[max(best - 1, 0)], values[min(best + 1, count - 1)]
+    return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": count}).x])
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    return [(m.variant, m.fixed, m.place) for m in one.members] == [(m.variant, m.fixed, m.place) for m in other.members]

@@ -1,0 +1,469 @@
+"""Fitting a model with candidate effects to records, its scattered coefficients marginalized.
+
+The penalized misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that
+their broad prior is N(x0, 1) with heavier tails, ρ(a) = ½ c² log(1 + a²/c²), c = `TAIL`: how large an effect is
+is known by no more than the order of its size):
+
+    Φ(z, x) = ½ w ‖y - ŷ(z, x)‖² + ½ ‖z‖² + Σ ρ(x - x0)
+
+(w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
+J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
+only the effect's few columns are renewed. `refined` renews them all.
+
+Beside a large gap such steps lead astray where the effect is the wrong one: the coefficients would have to leave their tolerance many
+times over. A fit beside linear coefficients takes ŷ(z, x) = ŷ(0, x) + J z instead, and has the best z for every x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from hyst_control.chain.stage import Array, Stage
+from hyst_control.diagnose.problem.coefficient_prior import Scatter
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.errors import InputError
+
+STEP = 0.05
+"""Difference step for z: a twentieth of a standard deviation."""
+
+RAN_AWAY = 1e60
+"""Residual from which a chain is taken to be unstable."""
+
+TAIL = 3.0
+"""Size of a parameter, in usual deviations, from which its prior falls more slowly than a normal one."""
+
+LEAST_GAIN = 0.02
+"""Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
+
+LEAST_APPROACH = 0.05
+"""Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
+
+ROUGHLY = 50.0
+"""Factor on the least gain of a step beside linear coefficients: they are right to about a per cent, so finer steps say nothing."""
+
+LENGTHS = (1.0, 0.5, 0.25, 0.1)
+"""Lengths of a step that are tried, in full steps."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
+
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients, one or by parameter (P,).
+    known_columns(x, wanted): which parameters have columns ∂ŷ/∂x (M, P') that are known without a run of the whole chain, and these, at
+    least those that are wanted.
+    """
+
+    stages: Callable[[tuple[Stage, ...], Array], tuple[Stage, ...]]
+    extra: Callable[[Array], Array] | None
+    lower: Array
+    upper: Array
+    centre: Array
+    step: float | Array = 0.02
+    known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
+
+    def difference(self, x: Array, p: int) -> float:
+        """Step of the difference quotient by parameter p from x (P,): upwards, but inwards from the upper bound."""
+        step = float(np.broadcast_to(self.step, x.shape)[p])
+        return step if x[p] + step <= self.upper[p] else -step
+
+
+@dataclass(frozen=True)
+class Solution:
+    """End of a fit: misfit Φ, z (K,), x (P,), residual (M,) in units of the noise, and the covariance of (z, x)."""
+
+    misfit: float
+    z: Array
+    x: Array
+    residual: Array
+    covariance: Array
+    information: Array
+    """(P, P): of x, z marginalized."""
+
+
+class Linearised:
+    """The columns J (M, K) of a model's scattered coefficients on its records, prepared once for all fits."""
+
+    def __init__(
+        self, problem: Problem, scatter: Scatter, z: Array | None = None, unknowns: Unknowns | None = None, x: Array | None = None
+    ) -> None:
+        """About the nominal coefficients, or about others, with effects at x where unknowns are given."""
+        self.problem, self.scatter = problem, scatter
+        self.count = len(scatter.coefficients)
+        self.measured = problem.measured()
+        centre = np.zeros(self.count) if z is None else z
+        self.nominal = self.simulate(centre, unknowns, x)
+        if not is_bounded(self.nominal):
+            raise InputError("model: its simulation of the record grows without limit: check its dynamics")
+        self.columns = np.empty((len(self.nominal), self.count), order="F")  # a column's values side by side: it is faster
+        for k in range(self.count):
+            self.columns[:, k] = self._column(centre, k, unknowns, x)
+        self.gram = problem.weight * (self.columns.T @ self.columns)
+        self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
+
+    def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
+        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
+        for step in (STEP, -STEP):
+            moved = centre.copy()
+            moved[k] += step
+            try:
+                column = (self.simulate(moved, unknowns, x) - self.nominal) / step
+            except InputError:
+                continue
+            if is_bounded(column):
+                return column
+        return np.zeros_like(self.nominal)
+
+    def explaining(self, residual: Array) -> Array:
+        """The coefficients z (K,) that the columns explain most of a residual (M,) by, shrunk by their prior."""
+        if not self.count:
+            return np.zeros(0)
+        return np.asarray(cho_solve(self.factor, self.problem.weight * (self.columns.T @ residual)), dtype=np.float64)
+
+    def unexplained(self, vectors: Array) -> Array:
+        """Remove from vectors what the scattered coefficients explain, shrunk by their prior.
+
+        Parameters
+        ----------
+        vectors : ndarray, shape (M,) or (M, P)
+            In units of the noise.
+
+        Returns
+        -------
+        ndarray
+            The rest, of the same shape.
+        """
+        if not self.count:
+            return vectors
+        explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
+        return np.asarray(vectors - explained, dtype=np.float64)
+
+    def unexplained_products(self, vectors: Array) -> Array:
+        """Inner products of vectors and what `unexplained` leaves of them, without computing that.
+
+        Parameters
+        ----------
+        vectors : ndarray, shape (M, P)
+            In units of the noise.
+
+        Returns
+        -------
+        ndarray, shape (P, P)
+        """
+        products = vectors.T @ vectors
+        if self.count:
+            along = self.columns.T @ vectors
+            products -= self.problem.weight * (along.T @ cho_solve(self.factor, along))
+        return np.asarray(products, dtype=np.float64)
+
+    def companions(self, z: Array) -> Array:
+        """The companions' values of z (K,), the coefficients at the nominal ones."""
+        return z * self.scatter.companions if self.count else z
+
+    def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
+        """Simulate all records.
+
+        Parameters
+        ----------
+        z : ndarray, shape (K,)
+            Nuisance coefficients, in standard deviations.
+        unknowns : Unknowns or None
+            Parameters to fit besides z; None: z alone.
+        x : ndarray of shape (P,) or None
+            Scaled parameters of the unknowns; unused without them.
+
+        Returns
+        -------
+        ndarray, shape (M,)
+            Output with the unknowns' effects, in units of the noise.
+
+        Raises
+        ------
+        InputError
+            Where a stage refuses the values.
+        """
+        try:
+            stages = self.scatter.at(z)
+            if unknowns is None:
+                return self.problem.simulate(stages)
+            assert x is not None, "unknowns without their values"
+            output = self.problem.simulate(unknowns.stages(stages, x))
+            return output if unknowns.extra is None else output + unknowns.extra(x)
+        except InputError:
+            raise
+        except (ArithmeticError, ValueError) as error:  # linear algebra of values beyond all bounds, among others
+            raise InputError(f"these values cannot be simulated ({error})") from None
+
+
+def fit(
+    linearised: Linearised,
+    unknowns: Unknowns | None = None,
+    start: Array | None = None,
+    z: Array | None = None,
+    rounds: int = 8,
+    measured: Array | None = None,
+    weight: Array | None = None,
+    rival: float = np.inf,
+    linear: bool = False,
+) -> Solution:
+    """Minimize Φ over z and x by damped Gauss-Newton steps.
+
+    A step that does not lower Φ is shortened a few times; the fit then ends at the last point. So it does where it is far behind
+    another and comes no nearer.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem and columns of its coefficients.
+    unknowns : Unknowns or None
+        Parameters to fit besides z; None: z alone.
+    start : ndarray of shape (P,) or None
+        Start of x, clipped to its bounds.
+    z : ndarray of shape (K,) or None
+        Start of z; None: 0.
+    rounds : int
+        Largest number of steps.
+    measured : ndarray of shape (M,) or None
+        Replaces the record's own measurement, in units of the noise.
+    weight : ndarray of shape (M,) or None
+        1 for values that count, 0 for others; None: all count.
+    rival : float
+        Φ of the best other fit.
+    linear : bool
+        Whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients that it
+        has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this output.
+
+    Returns
+    -------
+    Solution
+        Point with the least Φ that was reached.
+    """
+    y = linearised.measured if measured is None else measured
+    x = np.zeros(0)
+    if start is not None and len(start):
+        assert unknowns is not None, "a start without unknowns"
+        x = np.clip(start, unknowns.lower, unknowns.upper)
+    z = np.zeros(linearised.count) if z is None else z
+    count, size = linearised.count, len(x)
+    fitted = unknowns if size else None
+    columns, gram, sample_weight = linearised.columns, linearised.gram, linearised.problem.weight
+    if weight is not None:
+        columns = columns * weight[:, None]
+        gram = sample_weight * (columns.T @ columns)
+
+    def residual_of(z: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Residual, the z that it belongs to, and the simulated output."""
+        output = linearised.simulate(nominal if linear else z, unknowns, x)
+        found = y - output
+        if linear and is_bounded(found):
+            z = linearised.explaining(found)
+            found -= columns @ z
+        # chosen, not multiplied: 0 times what ran away to infinity is no number
+        return (found if weight is None else np.where(weight > 0, found, 0.0)), z, output
+
+    def misfit_of(residual: Array, z: Array, x: Array) -> float:
+        prior = x if fitted is None else x - fitted.centre
+        if not is_bounded(residual):
+            return np.inf
+        return 0.5 * float(sample_weight * (residual @ residual) + z @ z) + _prior_misfit(prior)
+
+    nominal = np.zeros(count)
+    residual, z, output = residual_of(z, x)
+    misfit = misfit_of(residual, z, x)
+    normal = np.eye(count + size)
+    for _ in range(rounds):
+        enough = max((ROUGHLY if linear else 1.0) * (LEAST_GAIN + 1e-5 * misfit), LEAST_APPROACH * (misfit - rival))
+        if fitted is None:
+            design, away = np.zeros((len(y), 0)), x
+        else:
+            try:
+                design = effect_columns(linearised, fitted, nominal if linear else z, x, output, weight)
+                away = x - fitted.centre
+            except InputError:
+                break  # next to these values the chain cannot be simulated
+        # The best z for x leaves nothing that a step of z alone would take off.
+        pull = np.zeros(count) if linear else sample_weight * (columns.T @ residual) - z
+        normal, right = _normal(columns, gram, design, residual, pull, away, sample_weight)
+        step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        if fitted is not None:
+            step = _within(normal, right, step, x, fitted, count)
+        promise = float(right @ step - 0.5 * step @ normal @ step)
+        if promise < enough:
+            break  # a linear step would gain next to nothing
+        better = False
+        for shorter in LENGTHS:
+            if shorter * (2.0 - shorter) * promise < enough:
+                break
+            new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
+            if fitted is not None:
+                new_x = np.clip(new_x, fitted.lower, fitted.upper)
+            try:
+                new_residual, new_z, new_output = residual_of(new_z, new_x)
+            except InputError:
+                continue
+            new = misfit_of(new_residual, new_z, new_x)
+            if np.isfinite(new) and new < misfit:
+                better = True
+                break
+        if not better:
+            break
+        gained = misfit - new
+        z, x, residual, output, misfit = new_z, new_x, new_residual, new_output, new
+        if gained < enough:
+            break
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    information = np.zeros((0, 0))
+    if fitted is not None:
+        # Of the parameters' evidence the prior's part is that of its middle: 1.
+        beyond = 1.0 - _prior_weight(x - fitted.centre)
+        information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
+    return Solution(misfit, z, x, residual, covariance, information)
+
+
+def effect_columns(
+    linearised: Linearised,
+    unknowns: Unknowns,
+    z: Array,
+    x: Array,
+    base: Array,
+    weight: Array | None = None,
+    chosen: Sequence[int] | None = None,
+) -> Array:
+    """Derivatives ∂ŷ/∂x of the effects' parameters: known ones, else difference quotients, taken inwards at a bound.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem and columns of its coefficients.
+    unknowns : Unknowns
+        Parameters of the effects.
+    z : ndarray, shape (K,)
+        Nuisance coefficients.
+    x : ndarray, shape (P,)
+        Scaled parameters.
+    base : ndarray, shape (M,)
+        Output there, in units of the noise; known where the weight is not 0.
+    weight : ndarray of shape (M,) or None
+        1 for values that count, 0 for others; None: all count.
+    chosen : sequence of int, optional
+        Indices of the parameters; all unless given.
+
+    Returns
+    -------
+    ndarray, shape (M, P')
+        A column for every chosen parameter.
+
+    Raises
+    ------
+    InputError
+        Where the chain cannot be simulated next to these values.
+    """
+    chosen = range(len(x)) if chosen is None else chosen
+    found = np.zeros((len(base), len(chosen)))
+    place = {p: column for column, p in enumerate(chosen)}
+    known: list[int] = []
+    if unknowns.known_columns is not None:
+        known, columns = unknowns.known_columns(x, place)
+        inside = [i for i, p in enumerate(known) if p in place]
+        if inside:
+            found[:, [place[known[i]] for i in inside]] = columns if len(inside) == len(known) else columns[:, inside]
+    counted = slice(None) if weight is None else weight > 0
+    for p in [p for p in chosen if p not in known]:
+        step = unknowns.difference(x, p)
+        moved = x.copy()
+        moved[p] += step
+        column = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]
+        if not is_bounded(column):
+            raise InputError("the chain grows without limit next to these values")
+        found[counted, place[p]] = column
+    return found if weight is None else found * weight[:, None]
+
+
+def is_bounded(values: Array) -> bool:
+    """False for what an unstable chain gives.
+
+    Parameters
+    ----------
+    values : ndarray
+        In units of the noise.
+
+    Returns
+    -------
+    bool
+    """
+    return bool(np.max(np.abs(values), initial=0.0) < RAN_AWAY)
+
+
+def _normal(
+    columns: Array, gram: Array, design: Array, residual: Array, pull: Array, away: Array, weight: float
+) -> tuple[Array, Array]:
+    count, size = columns.shape[1], design.shape[1]
+    normal = np.empty((count + size, count + size))
+    cross = weight * (columns.T @ design)
+    normal[:count, :count], normal[:count, count:], normal[count:, :count] = gram, cross, cross.T
+    normal[count:, count:] = weight * (design.T @ design)
+    prior = _prior_weight(away)
+    normal[np.diag_indices(count + size)] += np.concatenate([np.ones(count), prior])
+    return normal, np.concatenate([pull, weight * (design.T @ residual) - prior * away])
+
+
+def _prior_misfit(away: Array) -> float:
+    """Misfit Σ ρ of parameters (P,) that are so far from the prior's middle."""
+    return 0.5 * TAIL**2 * float(np.sum(np.log1p((away / TAIL) ** 2)))
+
+
+def _prior_weight(away: Array) -> Array:
+    """Weights (P,) with which squares have the prior's slope there."""
+    return np.asarray(1.0 / (1.0 + (away / TAIL) ** 2), dtype=np.float64)
+
+
+def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknowns, count: int) -> Array:
+    """The step with parameters that would leave their bounds held there."""
+    target = x + step[count:]
+    out = np.flatnonzero((target < unknowns.lower) | (target > unknowns.upper))
+    if not len(out):
+        return step
+    held = np.clip(target[out], unknowns.lower[out], unknowns.upper[out]) - x[out]
+    free = np.setdiff1d(np.arange(len(step)), count + out)
+    fresh = np.empty_like(step)
+    fresh[count + out] = held
+    fresh[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free] - normal[np.ix_(free, count + out)] @ held)
+    return fresh
+
+
+def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
+    """Continue a fit with columns taken at its end, until that gains nothing more.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with columns at the nominal coefficients.
+    unknowns : Unknowns or None
+        Parameters to fit besides z; None: z alone.
+    solution : Solution
+        Fit to continue.
+    rounds : int
+        Largest number of new linearizations.
+
+    Returns
+    -------
+    Solution
+        The better of the old and the new fit.
+    """
+    for _ in range(rounds):
+        try:
+            here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)
+            again = fit(here, unknowns, solution.x, solution.z)
+        except InputError:
+            break
+        gained = solution.misfit - again.misfit
+        if gained < 0:
+            break
+        solution = again
+        if gained < 0.5:
+            break
+    return solution

@@ -1,0 +1,323 @@
+"""Fits of candidates: points to begin at, the fits themselves, and the candidates that one more effect makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import SearchSettings
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.fit import LENGTHS, Linearised, Solution, Unknowns, effect_columns, fit, is_bounded
+from hyst_control.errors import InputError
+from hyst_control.parallel import map_forked
+
+FEW = 2
+"""Parameters up to which fits begin at the starts themselves too."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A candidate fitted beside linear coefficients.
+
+    Parameters
+    ----------
+    candidate : Candidate
+        Effects that are fitted together.
+    ends : tuple of Solution
+        Where its best starts lead, best first; at least one.
+    """
+
+    candidate: Candidate
+    ends: tuple[Solution, ...]
+
+    @property
+    def misfit(self) -> float:
+        """Of the best end, nats."""
+        return self.ends[0].misfit
+
+
+def begin(linearised: Linearised, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
+    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    candidates : sequence of (Candidate, sequence of ndarray of shape (P,))
+        Effects that are fitted together, and scaled parameters to begin at.
+    settings : SearchSettings
+        Numbers of starts and steps.
+
+    Returns
+    -------
+    list of Begun
+        Best first; without those of which no start can be simulated.
+
+    """
+    ends = map_forked(lambda i: _begun(linearised, *candidates[i], settings), len(candidates))
+    found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
+    return sorted(found, key=lambda one: one.misfit)
+
+
+def finish(linearised: Linearised, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
+    """Fit candidates from where they were begun, the chain with all its coefficients as it is.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    begun : sequence of Begun
+        Candidates.
+    rival : float
+        Misfit of the best fit so far.
+
+    Returns
+    -------
+    list of (Candidate, Solution)
+        The best fit of each.
+
+    """
+    found = map_forked(lambda i: _gone_on(linearised, begun[i], rival), len(begun))
+    return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
+
+
+def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
+    """Fits from those starts that a linear step makes most of, the coefficients' columns as they are: best first."""
+    unknowns = candidate.unknowns()
+    starts = (
+        _nearby(linearised, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
+    )
+    if len(starts) > settings.followed:
+        ranked: list[tuple[float, int, Array]] = []
+        for start in starts:
+            try:
+                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start, settings)
+                ranked.append((left, len(ranked), there))
+            except InputError:
+                continue
+        leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
+        if len(starts[0]) == 1:
+            starts = leading + _nearest(linearised, unknowns, starts)
+        elif len(starts[0]) <= FEW:
+            # Beside a great gap the first step, in all coefficients too, may lead to the end of a range: begin where the starts are too.
+            starts = [*leading, *starts]
+        else:
+            starts = leading
+    tried: list[Solution] = []
+    for start in starts:
+        try:
+            tried.append(fit(linearised, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
+        except InputError:
+            continue
+    return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
+
+
+def _gone_on(linearised: Linearised, begun: Begun, rival: float) -> Solution:
+    """The best of the fits that were begun, each gone on with while it may reach the best other one.
+
+    One that promises less than the other leaves is not stopped on its way, however far behind its coefficients begin.
+    """
+    unknowns = begun.candidate.unknowns()
+    ends: list[Solution] = []
+    for solution in begun.ends:
+        behind = rival if solution.misfit > rival else np.inf
+        try:
+            ends.append(fit(linearised, unknowns, solution.x, _possible(linearised, unknowns, solution), rival=behind))
+        except InputError:
+            continue  # next to the nominal coefficients it could be simulated, but not at these
+        rival = min(rival, ends[-1].misfit)
+    return min(ends or begun.ends, key=lambda one: one.misfit)
+
+
+def _possible(linearised: Linearised, unknowns: Unknowns, begun: Solution) -> Array:
+    """The coefficients (K,) that a fit beside linear ones promises, as far as the chain follows them: beside a great gap they may be
+    many tolerances away."""
+
+    def left(length: float) -> float:
+        z = length * begun.z
+        try:
+            residual = linearised.measured - linearised.simulate(z, unknowns, begun.x)
+        except InputError:
+            return np.inf
+        return 0.5 * float(linearised.problem.weight * (residual @ residual) + z @ z) if is_bounded(residual) else np.inf
+
+    if left(1.0) <= 2.0 * begun.misfit:
+        return begun.z
+    return min((1.0, *LENGTHS[1:], 0.0), key=left) * begun.z
+
+
+def _nearest(linearised: Linearised, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
+    """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
+    nominal = np.zeros(linearised.count)
+
+    def left(start: Array) -> float:
+        try:
+            return misfit_of(linearised, linearised.measured - linearised.simulate(nominal, unknowns, start))
+        except InputError:
+            return np.inf
+
+    return [min(starts, key=left)]
+
+
+def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
+    """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record.
+
+    The misfit of such a parameter has a narrow minimum without a slope around it: a scan over the width that a spectrum leaves, and two
+    more around its best value.
+    """
+    index = next((i for i, parameter in enumerate(member.parameters) if parameter.suggested), None)
+    if index is None:
+        return starts
+    lower, upper = unknowns.lower[index], unknowns.upper[index]
+    nominal = np.zeros(linearised.count)
+    span = np.ptp(np.concatenate([piece.command for piece in member.problem.pieces])) / member.parameters[index].scale
+
+    def left(start: Array, value: float) -> float:
+        x = start.copy()
+        x[index] = np.clip(value, lower, upper)
+        try:
+            return misfit_of(linearised, linearised.measured - linearised.simulate(nominal, unknowns, x))
+        except InputError:
+            return np.inf
+
+    scanned = [
+        (left(start, value), value, start)
+        for start in starts
+        for value in start[index] + 0.75 * start[index] ** 2 / span * np.linspace(-1.0, 1.0, 2 * count + 1)
+    ]
+    _, best, start = min(scanned, key=lambda item: item[0])
+    width = 0.75 * start[index] ** 2 / span / count
+    for _ in range(2):
+        values = best + width * np.linspace(-1.0, 1.0, count + 1)
+        best = float(values[int(np.argmin([left(start, value) for value in values]))])
+        width *= 2.0 / count
+    nearest = start.copy()
+    nearest[index] = np.clip(best, lower, upper)
+    return [nearest]
+
+
+def promising_pairs(
+    linearised: Linearised,
+    candidate: Candidate,
+    solution: Solution,
+    members: Sequence[Member],
+    least: float,
+    settings: SearchSettings,
+) -> list[tuple[int, Array]]:
+    """Find the effects that a linear step on top of a candidate makes most of.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    candidate : Candidate
+        What is fitted already.
+    solution : Solution
+        Its fit.
+    members : sequence of Member
+        Effects that may be added.
+    least : float
+        Misfit that one of them must take off.
+    settings : SearchSettings
+        Number of effects that are kept.
+
+    Returns
+    -------
+    list of (int, ndarray)
+        Index of each effect and the start to begin at, the most promising first.
+
+    """
+    found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
+    nominal = np.zeros(linearised.count)
+    before = misfit_of(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
+    for index, member in enumerate(members):
+        if any(member.excludes(other) for other in candidate.members):
+            continue
+        best = None
+        pair = candidate.with_member(member)
+        unknowns = pair.unknowns()
+        starts = member.starts()
+        for start in starts[:: max(len(starts) // settings.screened, 1)]:
+            x = merged_start(pair, candidate, solution.x, member, start)
+            try:
+                left, there = _after_step(linearised, unknowns, pair, member, x, settings)
+                gain = before - left
+            except InputError:
+                continue
+            if best is None or gain > best[0]:
+                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
+        if best is not None and best[0] > max(least, found.get(member.variant, (-np.inf,))[0]):
+            found[member.variant] = best[0], index, best[1]
+    return [(index, start) for _, index, start in sorted(found.values(), key=lambda item: -item[0])[: settings.promising]]
+
+
+def _after_step(
+    linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
+) -> tuple[float, Array]:
+    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
+    and where it leads."""
+    nominal = np.zeros(linearised.count)
+    simulated = linearised.simulate(nominal, unknowns, x)
+    residual = linearised.measured - simulated
+    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
+    chosen = list(range(place.start, place.stop))
+    if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
+        # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
+        chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
+    if not is_bounded(residual):
+        raise InputError("the chain grows without limit at these values")
+    design = effect_columns(linearised, unknowns, nominal, x, simulated, chosen=chosen)
+    products, weight = linearised.unexplained_products(np.column_stack([design, residual])), linearised.problem.weight
+    normal, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
+    there = x.copy()
+    step = np.linalg.solve(normal + np.eye(len(right)) / weight, right)
+    there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
+    return 0.5 * weight * (energy - float(right @ step)), there
+
+
+def misfit_of(linearised: Linearised, residual: Array) -> float:
+    """Half the squared size of a residual, coefficients marginalized.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        The problem with the columns of its coefficients.
+    residual : ndarray, shape (N,)
+        Whitened.
+
+    Returns
+    -------
+    float
+        The misfit; infinite where a chain ran away.
+
+    """
+    if not is_bounded(residual):
+        return np.inf
+    return 0.5 * linearised.problem.weight * float(linearised.unexplained_products(residual[:, None])[0, 0])
+
+
+def merged_start(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:
+    """Join the parameters of a candidate and the start of the effect that is added to it.
+
+    Parameters
+    ----------
+    pair, candidate : Candidate
+        With and without the new effect.
+    x : ndarray, shape (P,)
+        Scaled parameters of the candidate.
+    member : Member
+        The new effect.
+    start : ndarray, shape (Q,)
+        Its scaled parameters.
+
+    Returns
+    -------
+    ndarray, shape (P + Q,)
+        Scaled parameters of the pair.
+
+    """
+    parts = iter(zip(candidate.members, candidate.slices(), strict=True))
+    return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])

@@ -1,0 +1,254 @@
+"""Gap reduction by an explanation, on blocks of the record that neither chose nor fitted it, relative to the noise floor.
+
+    shrink = 1 - (E_after² - floor²) / (E_before² - floor²)
+
+raw: the nominal model as given before, and with the effects added after; re-identified: its coefficients fitted within their
+tolerance on both sides. Every other block is fitted and the rest evaluated; then the two sets of blocks change roles. Companions (a
+session's zero, its initial memory) are free on the blocks that are evaluated too: what they are there, other blocks do not say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import factorial
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
+from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.errors import InputError
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Squared errors on samples that did not fit, in noise energies.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (M,)
+        Of the nominal model, and with the effects.
+    before_fitted, after_fitted : ndarray, shape (M,)
+        The same with coefficients fitted.
+
+    """
+
+    before: Array
+    after: Array
+    before_fitted: Array
+    after_fitted: Array
+
+
+def held_out(
+    linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction
+) -> HeldOut:
+    """Squared errors of an explanation by two-fold blocked cross-validation.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        The explanation.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    HeldOut
+
+    """
+    count = len(linearised.measured)
+    fold = (np.arange(count) * settings.blocks // count) % 2
+    unknowns = scored.candidate.unknowns() if scored.candidate else None
+    in_noise = linearised.problem.in_noise
+    as_given = linearised.simulate(linearised.companions(none.solution.z))
+    before, after, before_fitted, after_fitted = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
+    within = (
+        Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
+    )
+    for held in (0, 1):
+        weight = (fold != held).astype(float)
+        rows = fold == held
+
+        def left(within: Linearised, simulated: Array, rows: Array = rows) -> Array:
+            companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
+            columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
+            return _beside_companions(columns, in_noise(linearised.measured - simulated)[rows]) ** 2
+
+        alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        before[rows] = left(without, as_given)
+        before_fitted[rows] = left(without, linearised.simulate(alone.z))
+        if unknowns is None:
+            after[rows], after_fitted[rows] = before[rows], before_fitted[rows]
+            continue
+        both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
+        after_fitted[rows] = left(within, linearised.simulate(both.z, unknowns, both.x))
+        after[rows] = left(within, linearised.simulate(linearised.companions(both.z), unknowns, both.x))
+    return HeldOut(before, after, before_fitted, after_fitted)
+
+
+def _beside_companions(columns: Array, residual: Array) -> Array:
+    """A residual (N,) without what columns (N, K) explain of it within their priors."""
+    if not columns.shape[1]:
+        return residual
+    gram = columns.T @ columns + np.eye(columns.shape[1])
+    return np.asarray(residual - columns @ np.linalg.solve(gram, columns.T @ residual), dtype=np.float64)
+
+
+def holds(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
+    """Check that effects leave less than no effect does on blocks that they were not fitted to.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        Explanation by effects.
+    none : Scored
+        No effect.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    bool
+        In units of noise and own error together.
+    """
+    assert scored.candidate is not None
+    unknowns = scored.candidate.unknowns()
+    fold = (np.arange(len(linearised.measured)) * settings.blocks // len(linearised.measured)) % 2
+    before = after = 0.0
+    for held in (0, 1):
+        weight, rows = (fold != held).astype(float), fold == held
+        alone = fit(linearised, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        both = fit(linearised, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
+        columns = linearised.columns[rows][:, linearised.scatter.companions > 0]
+        before += float(np.sum(_beside_companions(columns, (linearised.measured - linearised.simulate(alone.z))[rows]) ** 2))
+        left = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows]
+        after += float(np.sum(_beside_companions(columns, left) ** 2))
+    return after < before
+
+
+def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
+    """Check whether effects, added to the model as given, make the gap larger.
+
+    Beside clean records, which leave the coefficients little to make up for, such effects are not there: together with the
+    coefficients they follow the model's own error. Without clean records a true effect may happen to hide a part of what the
+    coefficients do.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        Explanation by effects.
+    none : Scored
+        No effect.
+
+    Returns
+    -------
+    bool
+    """
+    assert scored.candidate is not None
+    in_noise = linearised.problem.in_noise
+    columns = [in_noise(column) for column in linearised.columns[:, linearised.scatter.companions > 0].T]
+    companions = np.stack(columns, axis=1) if columns else np.zeros((len(linearised.measured), 0))
+
+    def gap(simulated: Array) -> float:
+        return float(np.sum(_beside_companions(companions, in_noise(linearised.measured - simulated)) ** 2))
+
+    before = gap(linearised.simulate(linearised.companions(none.solution.z)))
+    companion = linearised.companions(scored.solution.z)
+    return gap(linearised.simulate(companion, scored.candidate.unknowns(), scored.solution.x)) > before
+
+
+def shrink(
+    before: Array, after: Array, seed: int, settings: ReductionSettings = CONFIGURATION.reduction
+) -> tuple[float, tuple[float, float]]:
+    """Shrink and its interval by a moving-block bootstrap.
+
+    Parameters
+    ----------
+    before, after : ndarray, shape (M,)
+        Squared errors in noise energies.
+    seed : int
+        Of the bootstrap.
+    settings : ReductionSettings
+        Values of the configuration.
+
+    Returns
+    -------
+    value : float
+        At most 1.
+    ci90 : tuple of float
+        90 % interval.
+
+    """
+
+    def ratio(b: float, a: float) -> float:
+        return float(np.clip(1.0 - (a - 1.0) / max(b - 1.0, 1e-12), -10.0, 1.0))
+
+    value = ratio(float(before.mean()), float(after.mean()))
+    length = max(len(before) // (2 * settings.blocks), 1)
+    sums = np.stack([np.concatenate([[0.0], np.cumsum(series)]) for series in (before, after)])
+    random = np.random.default_rng(seed)
+    starts = random.integers(0, len(before) - length + 1, (settings.resamples, 2 * settings.blocks))
+    means = (sums[:, starts + length] - sums[:, starts]).sum(axis=-1) / (length * 2 * settings.blocks)
+    drawn = [ratio(b, a) for b, a in means.T]
+    low, high = np.quantile(drawn, [0.05, 0.95])
+    return value, (float(min(low, value)), float(max(high, value)))
+
+
+def shares(linearised: Linearised, scored: Scored) -> list[float]:
+    """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted.
+
+    Parameters
+    ----------
+    linearised : Linearised
+        Problem with the columns of its coefficients.
+    scored : Scored
+        An explanation by effects.
+
+    Returns
+    -------
+    list of float
+        By effect; they add up to 1.
+
+    """
+    candidate, solution = scored.candidate, scored.solution
+    assert candidate is not None
+    count = len(candidate.members)
+    if count == 1:
+        return [1.0]
+    parts = candidate.slices()
+
+    def taken_off(members: tuple[int, ...]) -> float:
+        if members not in known:
+            if members:
+                subset = type(candidate)(tuple(candidate.members[i] for i in members))
+                x = np.concatenate([solution.x[parts[i]] for i in members])
+                try:
+                    simulated = linearised.simulate(solution.z, subset.unknowns(), x)
+                except InputError:  # an effect that cannot stand without another one of them
+                    simulated = linearised.simulate(solution.z)
+            else:
+                simulated = linearised.simulate(solution.z)
+            known[members] = -float(np.sum((linearised.measured - simulated) ** 2))
+        return known[members]
+
+    known: dict[tuple[int, ...], float] = {}
+    values = np.zeros(count)
+    for i in range(count):
+        others = [j for j in range(count) if j != i]
+        for size in range(count):
+            for subset in combinations(others, size):
+                weight = factorial(size) * factorial(count - size - 1) / factorial(count)
+                values[i] += weight * (taken_off(tuple(sorted((*subset, i)))) - taken_off(subset))
+    values = np.maximum(values, 0.0)
+    return list(values / values.sum()) if values.sum() > 0 else [1.0 / count] * count

@@ -1,0 +1,255 @@
+"""Predictable part of a residual: the part of its energy that the command determines.
+
+A residual has two parts. One varies from run to run although the command is the same; no model can explain it. The other follows the
+command; the model lacks an effect. To separate them, the residual is regressed on features of the command's past. The regression is
+fitted on some blocks of the record and judged on the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.command_features import CommandFeatures
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.effects.learned_residual import LearnedResidual
+
+RIDGE = 1e-6
+"""Ridge of the regression, as a share of the features' energy."""
+LEVELS = ("lower third", "middle third", "upper third")
+BRANCHES = ("rising", "falling", "resting")
+RESTING = 0.02
+"""Share of the command's largest rate under which it counts as resting."""
+LEAST_EXCESS = 0.02
+"""Least share of the residual's energy beyond the noise that a part of it must have to be listed."""
+
+
+@dataclass(frozen=True)
+class PartOfResidual:
+    """Part of a residual: a band, a level or a branch.
+
+    Parameters
+    ----------
+    name : str
+        What it is.
+    share : float
+        Its share of the residual's energy beyond the noise.
+    predictable : float
+        Part of this that follows the command, on blocks not used for the fit.
+    """
+
+    name: str
+    share: float
+    predictable: float
+
+
+@dataclass(frozen=True)
+class Predictability:
+    """Part of a residual that follows the command.
+
+    Parameters
+    ----------
+    share : float
+        Of its energy beyond the noise, on blocks not used for the fit; 0 to 1.
+    band, level, branch : tuple of PartOfResidual
+        The same by frequency, by level of the command and by its direction.
+    """
+
+    share: float
+    band: tuple[PartOfResidual, ...]
+    level: tuple[PartOfResidual, ...]
+    branch: tuple[PartOfResidual, ...]
+
+
+def predictable_share(commands: Sequence[Array], residuals: Sequence[Array], blocks: int) -> float:
+    """Compute the share of a residual's energy that features of the command predict on blocks not used for the fit.
+
+    Parameters
+    ----------
+    commands : sequence of ndarray, shape (N, A)
+        Commands of all records, V.
+    residuals : sequence of ndarray, shape (N, A)
+        Residuals of the same records, any unit.
+    blocks : int
+        Number of blocks that the records are divided into; each is predicted from all others.
+
+    Returns
+    -------
+    float
+        0 to 1; 0 if the features predict the residual no better than its mean does.
+    """
+    target = np.concatenate(residuals)
+    left = _held_out(np.concatenate(_designs(commands, 1.0)), target, blocks)
+    total = float(np.sum((target - target.mean(axis=0)) ** 2))
+    return float(np.clip(1.0 - np.sum(left**2) / total, 0.0, 1.0)) if total > 0 else 0.0
+
+
+def predictability(problem: Problem, residual: Array, bands: Sequence[float], blocks: int) -> Predictability:
+    """Find which part of a residual follows the command, and where.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records, their noise, and the model.
+    residual : ndarray, shape (M, A)
+        What an explanation leaves at the rows that count, measurement unit.
+    bands : sequence of float
+        Upper edges of the frequency bands but the last, Hz.
+    blocks : int
+        Number of blocks that the records are divided into; each is predicted from all others.
+
+    Returns
+    -------
+    Predictability
+    """
+    commands = [piece.command for piece in problem.pieces]
+    counted = [np.flatnonzero(np.ones(len(piece.command)) if piece.keep is None else piece.keep) for piece in problem.pieces]
+    designs = _designs(commands, problem.sample_time)
+    left = _held_out(np.concatenate([d[rows] for d, rows in zip(designs, counted, strict=True)]), residual, blocks)
+    groups = {
+        "level": (LEVELS, np.concatenate([_levels(u)[rows] for u, rows in zip(commands, counted, strict=True)])),
+        "branch": (BRANCHES, np.concatenate([_branches(u)[rows] for u, rows in zip(commands, counted, strict=True)])),
+    }
+    noise = problem.sigma**2
+    split = {
+        name: [
+            (label, _energy(residual, at == i), _energy(left, at == i), float(np.sum(at == i, axis=0) @ noise))
+            for i, label in enumerate(labels)
+        ]
+        for name, (labels, at) in groups.items()
+    }
+    before, after = _excess(residual, noise), _excess(left, noise)
+    return Predictability(
+        _ratio(before, after),
+        _parts(_by_band(problem, residual, left, [len(rows) for rows in counted], bands), before),
+        _parts(split["level"], before),
+        _parts(split["branch"], before),
+    )
+
+
+def learn_residual(problem: Problem, residual: Array, blocks: int) -> tuple[LearnedResidual, float]:
+    """Learn the part of a residual that follows the command, as a stage of a model of one axis.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records of one axis and their noise.
+    residual : ndarray, shape (M, 1)
+        What the model leaves at the rows that count, measurement unit.
+    blocks : int
+        Number of blocks that the records are divided into; each is predicted from all others.
+
+    Returns
+    -------
+    stage : LearnedResidual
+        Learned from all blocks.
+    shrink : float
+        1 - (energy left / energy before), both beyond the noise, on blocks that were not learned from.
+    """
+    commands = [np.ascontiguousarray(piece.command[:, 0]) for piece in problem.pieces]
+    features = CommandFeatures.of(commands, problem.sample_time)
+    designs = []
+    for command, piece in zip(commands, problem.pieces, strict=True):
+        rows = features.rows(command, problem.sample_time, causal=True)
+        if problem.hold == "zoh":  # a measurement follows the command of the tick before
+            rows = np.concatenate([rows[:1], rows[:-1]])
+        designs.append(piece.counted(np.column_stack([np.ones(len(rows)), rows])))
+    design = np.concatenate(designs)
+    left = _held_out(design, residual, blocks)
+    gram, right = design.T @ design, design.T @ residual[:, 0]
+    weights: Array = np.asarray(np.linalg.solve(gram + _ridge(gram), right), dtype=np.float64)
+    stage = LearnedResidual.of(features, weights[1:], float(weights[0]))
+    return stage, _ratio(_excess(residual, problem.sigma**2), _excess(left, problem.sigma**2), -10.0)
+
+
+def _designs(commands: Sequence[Array], sample_time: float) -> list[Array]:
+    """Features (N, F) of the commands of every record: a constant, then those of every axis."""
+    scales = [
+        CommandFeatures.of([np.ascontiguousarray(u[:, axis]) for u in commands], sample_time)
+        for axis in range(commands[0].shape[1])
+    ]
+    return [
+        np.column_stack(
+            [np.ones(len(u)), *(one.rows(np.ascontiguousarray(u[:, axis]), sample_time) for axis, one in enumerate(scales))]
+        )
+        for u in commands
+    ]
+
+
+def _held_out(design: Array, target: Array, blocks: int) -> Array:
+    """Rest (M, A) of a target after a regression, each block predicted from all others."""
+    fold = np.arange(len(target)) * blocks // max(len(target), 1)
+    left = np.zeros(target.shape)
+    grams = [design[fold == block].T @ design[fold == block] for block in range(blocks)]
+    rights = [design[fold == block].T @ target[fold == block] for block in range(blocks)]
+    gram, right = sum(grams, np.zeros_like(grams[0])), sum(rights, np.zeros_like(rights[0]))
+    for block in range(blocks):
+        weights = np.linalg.solve(gram - grams[block] + _ridge(gram), right - rights[block])
+        left[fold == block] = target[fold == block] - design[fold == block] @ weights
+    return left
+
+
+def _ridge(gram: Array) -> Array:
+    return np.asarray(RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram)), dtype=np.float64)
+
+
+def _levels(command: Array) -> Array:
+    """Third of its range (N, A) in which a command is, 0 to 2."""
+    low, high = command.min(axis=0), command.max(axis=0)
+    place = (command - low) / np.maximum(high - low, 1e-300)
+    return np.asarray(np.clip(np.floor(3.0 * place), 0.0, 2.0))
+
+
+def _branches(command: Array) -> Array:
+    """Direction (N, A) of a command, as its place in `BRANCHES`."""
+    rate = np.gradient(command, axis=0)
+    least = RESTING * np.max(np.abs(rate), axis=0)
+    return np.asarray(np.where(np.abs(rate) <= least, 2.0, np.where(rate > 0, 0.0, 1.0)))
+
+
+def _by_band(
+    problem: Problem, residual: Array, left: Array, counts: Sequence[int], bands: Sequence[float]
+) -> list[tuple[str, float, float, float]]:
+    """Name, energy before and after, and the noise's energy of every frequency band."""
+    nyquist = 0.5 / problem.sample_time
+    edges = [0.0, *(edge for edge in bands if edge < nyquist), nyquist]
+    found = np.zeros((len(edges) - 1, 2))
+    begin = 0
+    for count in counts:
+        at = np.clip(np.searchsorted(edges, np.fft.rfftfreq(count, problem.sample_time), side="right") - 1, 0, len(edges) - 2)
+        for column, rows in enumerate((residual, left)):
+            power = np.abs(np.fft.rfft(rows[begin : begin + count], axis=0)) ** 2
+            power[1 : (count + 1) // 2] *= 2.0  # the bins of negative frequencies
+            found[:, column] += np.bincount(at, power.sum(axis=1) / count, minlength=len(edges) - 1)
+        begin += count
+    noise = sum(counts) * float(np.sum(problem.sigma**2)) / nyquist
+    names = [f"{low:g} to {high:g} Hz" for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    return [
+        (name, before, after, noise * (high - low))
+        for name, (before, after), low, high in zip(names, found.tolist(), edges[:-1], edges[1:], strict=True)
+    ]
+
+
+def _parts(rows: Sequence[tuple[str, float, float, float]], whole: float) -> tuple[PartOfResidual, ...]:
+    """Parts with a share of the energy beyond the noise."""
+    return tuple(
+        PartOfResidual(name, (before - noise) / whole, _ratio(before - noise, after - noise))
+        for name, before, after, noise in rows
+        if whole > 0 and before - noise > LEAST_EXCESS * whole
+    )
+
+
+def _energy(rows: Array, where: Array) -> float:
+    return float(np.sum(rows[where] ** 2))
+
+
+def _excess(rows: Array, noise: Array) -> float:
+    """Energy beyond the noise's."""
+    return float(np.sum(rows**2) - len(rows) * np.sum(noise))
+
+
+def _ratio(before: float, after: float, least: float = 0.0) -> float:
+    return float(np.clip(1.0 - after / before, least, 1.0)) if before > 0 else 0.0

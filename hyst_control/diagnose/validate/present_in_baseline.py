@@ -1,0 +1,76 @@
+"""Effects that clean records show as well: parts that the model never had, and nothing that has changed.
+
+Beside clean records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the
+clean records too, with the very parameters that the new record asks for, was there before: a further mode that the identification
+left out looks new wherever a command excites it more. The coefficients are free within their uncertainty on both sides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.fit import Linearised, is_bounded
+from hyst_control.errors import InputError
+from hyst_control.records.session_zero import without_zero
+
+
+class CleanRecords:
+    """Clean records of other commands, with what the coefficients of the nominal model can move on them."""
+
+    def __init__(self, problem: Problem) -> None:
+        """Simulate the coefficients' columns; problem: with the noise and the spectrum of the model's own error."""
+        self.problem = problem
+        self.linearised = Linearised(problem, scatter_of(problem.model))
+        columns = np.empty_like(self.linearised.columns)
+        for k, column in enumerate(self.linearised.columns.T):
+            columns[:, k] = self._without_zero(column)
+        self.columns, self.gram = columns, columns.T @ columns + np.eye(columns.shape[1])
+        self.nominal = self._misfit(self.linearised.nominal)
+
+    def show(self, scored: Scored, least: float) -> frozenset[str]:
+        """Find the effects of an explanation that the clean records ask for, too.
+
+        Parameters
+        ----------
+        scored : Scored
+            Explanation of the new records.
+        least : float
+            Misfit (nats) that an effect must take off the clean records.
+
+        Returns
+        -------
+        frozenset of str
+            Names of the effects; lines in the spectrum, whose phase is that of a record, are none of them.
+        """
+        assert scored.candidate is not None, "no effect"
+        stages, found = self.problem.model.chain.stages, set()
+        for member, part in zip(scored.candidate.members, scored.candidate.slices(), strict=True):
+            if member.is_extra:
+                continue
+            try:
+                simulated = self.problem.simulate(Candidate((member,)).unknowns().stages(stages, scored.solution.x[part]))
+            except InputError:
+                continue  # no clean record would have come out of it
+            if self.nominal - self._misfit(simulated) > least:
+                found.add(member.name)
+        return frozenset(found)
+
+    def _misfit(self, simulated: Array) -> float:
+        """Half the squares that the coefficients leave of a residual (M,); infinite where a chain ran away."""
+        residual = self.linearised.measured - simulated
+        if not is_bounded(residual):
+            return np.inf
+        residual = self._without_zero(residual)
+        right = self.columns.T @ residual
+        return 0.5 * float(residual @ residual - right @ np.linalg.solve(self.gram, right))
+
+    def _without_zero(self, flat: Array) -> Array:
+        """A vector (M,) without the zero and the drift of each record."""
+        axes = len(self.problem.model.axes)
+        edges = np.cumsum([len(piece.counted(piece.measurement)) * axes for piece in self.problem.pieces])[:-1]
+        return np.concatenate([without_zero(rows.reshape(-1, axes))[0].reshape(-1) for rows in np.split(flat, edges)])

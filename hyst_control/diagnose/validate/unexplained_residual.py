@@ -1,0 +1,55 @@
+"""Residual of an explanation, without what the explanation's own effects leave unmodeled.
+
+A converter's rounding error follows the signal and is not white noise. A vibration of varying frequency has sidebands that a few
+polynomials cannot remove, about its frequency and about the overtones that what shakes has as well. Neither shows an unknown effect.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.chain.parameter import Array
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.search.beam_search import Scored
+
+
+def leftover(problem: Problem, scored: Scored, lattice: Array) -> Array:
+    """Remove from an explanation's residual what its own effects leave by nature.
+
+    Parameters
+    ----------
+    problem : Problem
+        Records and noise of the axes.
+    scored : Scored
+        The fitted explanation.
+    lattice : ndarray, shape (A,)
+        Quantization step of the measurement by axis, measurement unit; 0 without one.
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        In units of the noise.
+    """
+    rows = scored.solution.residual.reshape(-1, len(problem.model.axes))
+    if scored.candidate is not None:
+        for member, where in zip(scored.candidate.members, scored.candidate.slices(), strict=True):
+            if member.is_line and member.line.skirt:
+                frequency = member.values(scored.solution.x[where])["frequency"]
+                for harmonic in (*member.line.harmonics, *member.line.overtones):
+                    rows = _without_band(
+                        problem, rows, 0 if member.axis is None else member.axis, harmonic * frequency, member.line.skirt
+                    )
+    half = 0.5 * lattice / problem.sigma
+    return (np.sign(rows) * np.maximum(np.abs(rows) - half, 0.0)).reshape(-1)
+
+
+def _without_band(problem: Problem, rows: Array, axis: int, frequency: float, skirt: float) -> Array:
+    rows, begin = rows.copy(), 0
+    for piece in problem.pieces:
+        count = len(piece.counted(piece.measurement))
+        spectrum = np.fft.rfft(rows[begin : begin + count, axis])
+        at = np.fft.rfftfreq(count, problem.sample_time)
+        spectrum[np.abs(at - frequency) <= max(skirt * frequency, 2.0 * at[1])] = 0.0
+        rows[begin : begin + count, axis] = np.fft.irfft(spectrum, count)
+        begin += count
+    return rows

@@ -1,0 +1,1 @@
+"""Reports of a fit: errors, explained share, choice of family, consistency of records."""

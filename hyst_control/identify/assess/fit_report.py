@@ -1,0 +1,159 @@
+"""Figures of merit of an identified model on records, and noise and whiteness of the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Dataset, RecordRow
+from hyst_control.identify.data.fit_windows import before
+from hyst_control.model_file import Model, simulate
+from hyst_control.records.quantization_step import quantization_step
+from hyst_control.records.row_store import blocks, largest_size, mean_square, spread_parts
+from hyst_control.records.session_zero import without_zero
+
+NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
+"""Rows from which noise and bandwidth are taken: those of longer records in parts spread over them."""
+
+
+def residual(model: Model, data: Dataset) -> Array:
+    """Measured minus simulated output.
+
+    Rows before the hysteresis memory is filled are left out where the record's start is unknown.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        The record.
+
+    Returns
+    -------
+    Array
+        Residual (N, A) in the measurement unit.
+    """
+    memory, begin = before(data)
+    error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
+    np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
+    return error
+
+
+def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
+    """Score a model on records.
+
+    Parameters
+    ----------
+    model
+        The model.
+    datasets
+        The records.
+
+    Returns
+    -------
+    rows : list of RecordRow
+        One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
+        paper Eq. 10); nrmse_centered the same with the means removed; nrmse_own_zero with the record's own zero, drift and curvature
+        removed, which stand beside it.
+    residuals : list of Array
+        Measured minus simulated (N, A) per record.
+    """
+    rows: list[RecordRow] = []
+    residuals = []
+    for data in datasets:
+        error = residual(model, data)
+        residuals.append(error)
+        rest, own = without_zero(error)
+        for axis, (name, whole) in enumerate(zip(data.axes, data.range, strict=True)):
+            span = float(whole) or 1.0
+            e = error[:, axis]
+            rows.append(
+                {
+                    "name": data.name,
+                    "axis": name,
+                    "samples": len(e),
+                    "rmse": float(np.sqrt(mean_square(e))),
+                    "nrmse": 100.0 * float(np.sqrt(mean_square(e))) / span,
+                    "nrmse_centered": 100.0 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span,
+                    "nrmse_own_zero": 100.0 * float(np.sqrt(mean_square(rest[:, axis]))) / span,
+                    "zero": float(own[axis, 0]),
+                    "drift": float(own[axis, 1]),
+                    "curvature": float(own[axis, 2]),
+                    "nme": 100.0 * largest_size(e) / span,
+                    "unit": data.unit,
+                    "whiteness": lag_one(e),
+                }
+            )
+    return rows, residuals
+
+
+def lag_one(error: Array) -> float:
+    """Correlation of neighboring residuals: 0 for white noise, near 1 where the model lacks something slow.
+
+    Parameters
+    ----------
+    error
+        Residual (N,).
+
+    Returns
+    -------
+    float
+        Correlation, -1 to 1.
+    """
+    mean, power, product = np.mean(error), 0.0, 0.0
+    for part in blocks(len(error)):
+        centered = error[part.start : part.stop + 1] - mean  # one row of the next block, the last block's apart
+        own = centered[: part.stop - part.start]
+        power += float(own @ own)
+        product += float(centered[1:] @ centered[:-1])
+    return product / power if power > 0 else 0.0
+
+
+def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) -> list[float]:
+    """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little.
+
+    Parameters
+    ----------
+    residuals
+        Residuals (N, A) of every record.
+    datasets
+        The records: noise is never less than their rounding, which at rest does not show.
+
+    Returns
+    -------
+    list[float]
+        Noise (A), rms in the measurement unit.
+    """
+    stacked = np.concatenate(
+        [np.diff(error[part], 3, axis=0) for error in residuals for part in spread_parts(len(error), NOISE_ROWS)]
+    )
+    sigma = np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)
+    for data in datasets:
+        sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement[:NOISE_ROWS].T])
+    return [float(value) for value in sigma]
+
+
+def command_bandwidth(data: Dataset) -> float:
+    """Frequency below which 99.9 % of the power of the command's motion lies.
+
+    Parameters
+    ----------
+    data
+        The record.
+
+    Returns
+    -------
+    float
+        Frequency, Hz.
+    """
+    mean, parts = data.command.mean(axis=0), spread_parts(len(data.command), SPECTRUM_ROWS)
+    length = parts[0].stop
+    power = np.zeros(length // 2 + 1)
+    for part in parts:
+        power += np.sum(np.abs(np.fft.rfft(data.command[part] - mean, axis=0)) ** 2, axis=1)
+    if power.sum() == 0:
+        return 0.0
+    cumulative = np.cumsum(power) / power.sum()
+    return float(np.searchsorted(cumulative, 0.999) / (length * data.sample_time))

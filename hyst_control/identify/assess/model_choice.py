@@ -1,0 +1,125 @@
+"""Choice between model families by their error on rows that were not fitted, with a table of what was tried."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from hyst_control import progress
+from hyst_control.errors import InputError
+from hyst_control.identify.data.dataset import Fit, TriedRow
+
+AS_GOOD = 0.01
+"""The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
+POOR = 0.5
+"""Held-out NRMSE, % of the range, above which the families of the second choice are tried as well."""
+USELESS = "its simulation of the whole records explains less than a constant and a gain"
+"""Why a family that does well on held-out rows is passed over."""
+
+
+def best_family(
+    families: Sequence[str],
+    identify: Callable[[str], Fit],
+    second: Sequence[str] = (),
+    explains: Callable[[Fit], bool] = lambda fit: True,
+) -> Fit:
+    """Identify every family and take the plainest of those that do best on held-out rows.
+
+    Parameters
+    ----------
+    families
+        Names of the families.
+    identify
+        Fit of a family, whose report has `held_out_nrmse`.
+    second
+        Names of the families that are tried where the best of the others leaves more than `POOR`.
+    explains
+        Whether a fit's simulation of the whole records is of use: one that is not is taken only where no family's is.
+
+    Returns
+    -------
+    Fit
+        The chosen one; its report's `tried` has a row per family.
+
+    Raises
+    ------
+    InputError
+        The records suit none of the families: what the first of them says.
+    """
+    rows: list[TriedRow] = []
+    fits: dict[str, Fit] = {}
+    useful: set[str] = set()
+    errors: list[InputError] = []
+
+    def attempt(family: str) -> None:
+        progress.step(f"try {family}")
+        begin = time.perf_counter()
+        try:
+            fits[family] = identify(family)
+        except InputError as error:
+            errors.append(error)
+            rows.append(_row(family, None, time.perf_counter() - begin, str(error)))
+        else:
+            of_use = explains(fits[family])
+            useful.update([family] if of_use else [])
+            rows.append(_row(family, fits[family], time.perf_counter() - begin, "" if of_use else USELESS))
+
+    def scored() -> dict[str, float]:
+        """Held-out errors by family, of those whose simulation is of use; of all where none is."""
+        errors = {row["family"]: row["held_out_nrmse"] for row in rows if row["held_out_nrmse"] is not None}
+        return {name: error for name, error in errors.items() if name in useful} or errors
+
+    for family in families:
+        attempt(family)
+    if not fits:
+        raise errors[0]
+    if not useful or min(scored().values()) > POOR:
+        for family in second:
+            attempt(family)
+    scores = scored()
+    limit = (1.0 + AS_GOOD) * min(scores.values())
+    counts = {row["family"]: row["parameters"] for row in rows}
+    chosen = min(
+        (family for family, score in scores.items() if score <= limit), key=lambda family: (counts[family], scores[family])
+    )
+    for row in rows:
+        row["chosen"] = row["family"] == chosen
+    fit = fits[chosen]
+    return replace(fit, report={**fit.report, "tried": rows})
+
+
+def _row(family: str, fit: Fit | None, seconds: float, refused: str) -> TriedRow:
+    return {
+        "family": family,
+        "structure": "; ".join(fit.report.get("structure", [])) if fit else "",
+        "parameters": len(fit.report["parameters"]) if fit else 0,
+        "held_out_nrmse": max(fit.report["held_out_nrmse"]) if fit else None,
+        "seconds": seconds,
+        "chosen": False,
+        "refused": refused,
+        "structures": fit.report.get("structures", []) if fit else [],
+    }
+
+
+def choice_lines(rows: Sequence[TriedRow]) -> list[str]:
+    """The table of what was tried, as text.
+
+    Parameters
+    ----------
+    rows
+        A row per family.
+
+    Returns
+    -------
+    list of str
+        Lines of equal columns; the chosen family is marked.
+    """
+    width = max(len(row["family"]) for row in rows)
+    lines = [f"  {'family':{width + 2}}  parameters  held-out NRMSE  seconds  structure"]
+    for row in rows:
+        mark = "*" if row["chosen"] else " "
+        error = "-" if row["held_out_nrmse"] is None else f"{row['held_out_nrmse']:.3f} %"
+        words = row["refused"] or row["structure"] or "no dynamics"
+        lines.append(f"  {mark} {row['family']:{width}}  {row['parameters']:10d}  {error:>14}  {row['seconds']:7.1f}  {words}")
+    return lines

@@ -1,0 +1,1 @@
+"""Records prepared for a fit: windows, rests, initial memory, drift, excited band."""

@@ -1,0 +1,125 @@
+"""Band of frequencies in which records tell something about the dynamics behind a hysteresis.
+
+A pole far beyond what the command excites is not seen but made up: a lag of the hysteresis model at 50 Hz looks as well like a pole at
+100 kHz. The band ends where the command's part of the motion beyond a frequency sinks into the noise, or becomes so small a share of the
+motion that it is within the error of any hysteresis model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.records.quantization_step import quantization_step
+
+SEGMENT = 0.25
+"""Length (s) of the segments that are looked at: a step among long loops is seen in its own."""
+ABOVE_NOISE = 5.0
+"""Amplitude of the motion beyond a frequency, in amplitudes of the noise there."""
+LEAST_SHARE = 0.005
+"""The same as a share of the segment's whole motion: what hysteresis models leave is rarely less."""
+QUIETEST = 0.05
+"""Share of the spectrum that is taken for noise alone."""
+LOW_SHARE = 0.02
+"""Share of a command's power that lies below what counts as its lowest frequency."""
+REACH = 6.0
+"""Multiple of the band's end up to which a pole is fitted: a lag there still turns the phase at the end by 10 degrees, one further beyond
+is not distinguished from a delay. Nor may a nearer bound stop the search on its way: at 3 the lag of the tour's record was lost, whose
+final place is within the band."""
+
+
+def excited_band(windows: Sequence[Window]) -> float:
+    """Highest frequency that the command excites enough to tell the dynamics there.
+
+    Parameters
+    ----------
+    windows
+        Records of one axis.
+
+    Returns
+    -------
+    float
+        Hz.
+    """
+    slope = max(np.ptp(window.measurement) for window in windows) / max(np.ptp(window.command) for window in windows)
+    return max(_band(window, float(slope)) for window in windows)
+
+
+def lowest_frequency(commands: Sequence[Array], sample_time: float) -> float:
+    """Lowest frequency of commands: the share `LOW_SHARE` of their power lies below it.
+
+    Parameters
+    ----------
+    commands
+        By record, (N,) or (N, A), any unit.
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    float
+        Hz; the least of all records.
+    """
+    found = []
+    for command in commands:
+        columns = command.reshape(len(command), -1)
+        rows = (columns - columns.mean(axis=0)) * np.hanning(len(columns))[:, None]
+        power = np.sum(np.abs(np.fft.rfft(rows, axis=0)) ** 2, axis=1)
+        share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+        lowest = max(int(np.argmax(share >= LOW_SHARE)), 1)
+        found.append(lowest / (len(rows) * sample_time))
+    return min(found)
+
+
+def measurement_noise(values: Array, sample_time: float) -> float:
+    """White noise of a measurement: the level that its spectrum nowhere falls below, but at least that of its rounding.
+
+    Parameters
+    ----------
+    values
+        Measurement (N,).
+    sample_time
+        Sample time, s.
+
+    Returns
+    -------
+    float
+        rms, in the measurement's unit.
+    """
+    size, taper = _segment(len(values), sample_time)
+    power = np.mean([_power(values[begin : begin + size], taper) for begin in _begins(len(values), size)], axis=0)
+    level = float(np.quantile(power[1:], QUIETEST)) / float(np.sum(taper**2))
+    return max(float(np.sqrt(level)), quantization_step(values) / float(np.sqrt(12.0)))
+
+
+def _band(window: Window, slope: float) -> float:
+    size, taper = _segment(len(window.command), window.sample_time)
+    noise = measurement_noise(window.measurement, window.sample_time) ** 2 * float(np.sum(taper**2))
+    frequencies = np.fft.rfftfreq(size, window.sample_time)
+    share = np.linspace(1.0, 1.0 / len(frequencies), len(frequencies))
+    highest = 0.0
+    for begin in _begins(len(window.command), size):
+        moving = _power(window.command[begin : begin + size], taper)
+        beyond = np.cumsum(moving[::-1])[::-1] * 2.0 / size * slope**2
+        told = (beyond > ABOVE_NOISE**2 * noise * share) & (beyond > LEAST_SHARE**2 * beyond[0])
+        if beyond[0] > 0.0 and np.any(told):
+            highest = max(highest, float(frequencies[np.flatnonzero(told)[-1]]))
+    return highest
+
+
+def _segment(rows: int, sample_time: float) -> tuple[int, Array]:
+    """Rows of a segment, and its window."""
+    size = min(max(int(SEGMENT / sample_time), 16), rows)
+    return size, np.hanning(size)
+
+
+def _begins(rows: int, size: int) -> range:
+    return range(0, rows - size + 1, max(size // 2, 1))
+
+
+def _power(values: Array, taper: Array) -> Array:
+    power: Array = np.abs(np.fft.rfft(taper * (values - np.mean(values)))) ** 2
+    return power

@@ -1,0 +1,256 @@
+"""Initial memory of a record: the turning points that a hysteresis remembers when the record begins.
+
+A record may begin at rest on the virgin curve, amid a motion, or in a periodic steady state. The memory is found from the record itself,
+before any family is fitted: play operators with a common set of weights are fitted to the record (a linear problem), once for each of a
+few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to both extremes are the
+same for all of them, because those extremes wipe out what came before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Beginning, BeginningRow, Dataset
+from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
+from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.records.row_store import all_finite, total_variation
+
+OPERATORS, ROWS, TURNS = 12, 2000, 9
+"""Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
+AT_ZERO = 0.01
+"""Share of the largest command up to which a record begins at 0 V."""
+DOUBT = 1.1
+"""Factor by which the square error may be larger than that of a record on its virgin curve, or of one preceded by itself."""
+LITTLE, HALF = 0.9, 0.5
+"""Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
+LEG = 0.05
+"""Time of a smooth way between two remembered turning points, s."""
+
+VIRGIN, FILLED = "at rest at 0 V, on the virgin curve", "unknown: counted from where both extremes have been met"
+PERIODIC, ESTIMATED = "periodic: preceded by itself", "amid a motion: turning points before it estimated"
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Memory of one axis.
+
+    Parameters
+    ----------
+    turns
+        Turning points (M,), V, from the farthest one to the first command.
+    virgin
+        Rest at 0 V.
+    periodic
+        The record itself precedes it.
+    """
+
+    turns: Array
+    virgin: bool = False
+    periodic: bool = False
+
+
+def with_beginning(data: Dataset) -> Dataset:
+    """Find how a record begins, where its start is "auto".
+
+    Parameters
+    ----------
+    data
+        The record.
+
+    Returns
+    -------
+    Dataset
+        The record with its start known; the record itself where it is said.
+    """
+    if data.start != "auto":
+        return data
+    if not (all_finite(data.command) and all_finite(data.measurement)):
+        return replace(data, start="settled")  # who uses it refuses such a record, or shows it
+    axes = range(data.command.shape[1])
+    closed = closed_loop(data)
+    memories = [estimated_memory(data.command[:, axis], data.measurement[:, axis], closed=closed) for axis in axes]
+    if all(memory.virgin for memory in memories):
+        return replace(data, start="settled")
+    filled = max(memory_filled(data.command[:, axis]) for axis in axes)
+    remaining = min(share_of_motion(data.command[:, axis], filled) for axis in axes)
+    if remaining < LITTLE and all(memory.periodic for memory in memories):
+        beginning = Beginning(PERIODIC, data.command, 0)
+    elif remaining >= HALF:
+        beginning = Beginning(FILLED, None, filled)
+    else:
+        beginning = Beginning(ESTIMATED, smooth_way([memory.turns for memory in memories], data), 0)
+    return replace(data, start="unknown", beginning=beginning)
+
+
+def beginning_rows(datasets: Sequence[Dataset]) -> list[BeginningRow]:
+    """Describe how records begin, for the report.
+
+    Parameters
+    ----------
+    datasets
+        Records whose start is known.
+
+    Returns
+    -------
+    list[BeginningRow]
+        A row a record.
+    """
+    rows: list[BeginningRow] = []
+    for data in datasets:
+        if data.start == "settled":
+            rows.append({"name": data.name, "assumed": VIRGIN, "first_row": 0})
+            continue
+        known = data.beginning
+        if known is None:
+            filled = max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
+            closed = closed_loop(data)
+            known = Beginning(PERIODIC if closed else FILLED, None, 0 if closed else filled)
+        rows.append({"name": data.name, "assumed": known.assumed, "first_row": known.row})
+    return rows
+
+
+def share_of_motion(command: Array, row: int) -> float:
+    """Share of a command's way that lies behind a row; 1 where it rests.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    row
+        The row.
+
+    Returns
+    -------
+    float
+        Share, 0 to 1.
+    """
+    whole = total_variation(command)
+    return total_variation(command, row) / whole if whole else 1.0
+
+
+def estimated_memory(command: Array, measurement: Array, *, closed: bool = False) -> Memory:
+    """Estimate the memory with which one axis of a record begins.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    measurement
+        Measurement (N,).
+    closed
+        The record ends where it began, and may be preceded by itself.
+
+    Returns
+    -------
+    Memory
+        The memory with the smallest error of play operators; the virgin state, or else a period before, where no other is clearly
+        better.
+    """
+    first, low, high = float(command[0]), float(command.min()), float(command.max())
+    at_zero = abs(first) <= AT_ZERO * max(abs(low), abs(high))
+    virgin = Memory(np.array([0.0, first]), virgin=True)
+    if low == high:
+        return virgin if at_zero else Memory(np.array([first]), periodic=closed)
+    inner = np.linspace(0.0, 1.0, TURNS + 2)[1:-1]
+    candidates = [Memory(np.array(turns)) for turns in ([high, low, first], [low, high, first])]
+    candidates += [Memory(np.array([high, low, first + share * (high - first), first])) for share in inner if high > first]
+    candidates += [Memory(np.array([low, high, first + share * (low - first), first])) for share in inner if low < first]
+    thresholds = 0.5 * (high - low) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
+    filled = memory_filled(command)
+    early, late = spread_rows(0, filled), spread_rows(filled, len(command))
+    # What follows the first visit to both extremes is the same for every memory.
+    states = play_states(np.array([high, low, first]), thresholds, np.arange(3))[-1]
+    after = followed(command, thresholds, states, late)
+    rows = np.concatenate([early, late])
+    trend = np.stack([np.ones(len(rows)), rows / max(len(command) - 1, 1) - 0.5], axis=1)
+    target = measurement[rows]
+
+    def error(memory: Memory) -> float:
+        states = play_states(memory.turns, thresholds, np.array([len(memory.turns) - 1]))[-1]
+        before = followed(command[: filled + 1], thresholds, states, early)
+        columns = np.hstack([np.concatenate([before, after]), trend])
+        found = np.linalg.lstsq(columns, target, rcond=1e-9)[0]
+        return float(np.sum((target - columns @ found) ** 2))
+
+    errors = [error(memory) for memory in candidates]
+    best = int(np.argmin(errors))
+    period = Memory(np.append(command[turning_points(command)], command[-1]), periodic=True)
+    expected = [virgin] * at_zero + [period] * closed
+    likely = min(expected, key=error, default=None)
+    return likely if likely is not None and error(likely) <= DOUBT * errors[best] else candidates[best]
+
+
+def spread_rows(begin: int, end: int) -> NDArray[np.int64]:
+    """At most `ROWS` rows from `begin` to `end` - 1, evenly spread."""
+    return np.unique(np.linspace(begin, max(end - 1, begin), min(max(end - begin, 1), ROWS)).astype(np.int64))
+
+
+def play_states(turns: Array, thresholds: Array, rows: NDArray[np.int64]) -> Array:
+    """Outputs (R, n) of play operators of `thresholds` (n,) at some `rows` (R,) of a sequence of `turns` (M,), V, from rest at 0 V."""
+    return followed(turns, thresholds, np.zeros(len(thresholds)), rows)
+
+
+@njit(cache=True, error_model="numpy")
+def followed(command: Array, thresholds: Array, states: Array, rows: NDArray[np.int64]) -> Array:
+    """Follow play operators along a command and keep some rows.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    thresholds
+        Thresholds (n,), V.
+    states
+        Outputs (n,) before the command, V.
+    rows
+        Increasing rows (R,) to keep.
+
+    Returns
+    -------
+    Array
+        Outputs (R, n), V.
+    """
+    kept = np.empty((rows.size, thresholds.size))
+    present = states.copy()
+    index = 0
+    for row in range(rows[-1] + 1 if rows.size else 0):
+        u = command[row]
+        for i in range(thresholds.size):
+            present[i] = max(u - thresholds[i], min(u + thresholds[i], present[i]))
+        if row == rows[index]:
+            for i in range(thresholds.size):  # one by one: the check of a whole row's shape takes two seconds to compile
+                kept[index, i] = present[i]
+            index += 1
+    return kept
+
+
+def smooth_way(turns: Sequence[Array], data: Dataset) -> Array:
+    """Commands that lead through turning points to a record's first command, slow enough not to excite the dynamics.
+
+    Parameters
+    ----------
+    turns
+        Turning points (M,) of every axis, V, the last of them the first command.
+    data
+        The record.
+
+    Returns
+    -------
+    Array
+        Commands (R, A), V, which end at rest.
+    """
+    rows = int(np.clip(LEG / data.sample_time, 16, 2000))
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows + 1) / rows)
+    most = max(len(each) for each in turns)
+    columns = []
+    for each in turns:
+        points = np.concatenate([np.full(most - len(each), each[0]), each])
+        legs = [points[i] + (points[i + 1] - points[i]) * rise for i in range(most - 1)]
+        columns.append(np.concatenate([points[:1], *legs, np.full(rows, points[-1])]))
+    return np.ascontiguousarray(np.stack(columns, axis=1))

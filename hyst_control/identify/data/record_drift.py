@@ -1,0 +1,74 @@
+"""Drift of records for families whose search does not estimate it: it is removed from the records before the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Dataset
+
+LAGS, ROWS = 64, 50_000
+"""Taps of the response that stands for the plant, and rows at most to which it is fitted."""
+WORTHWHILE = 0.03
+"""Share of what that response leaves of a record that the drift must explain to be removed."""
+DISTINCT = 0.2
+"""Share of a ramp that the command must not explain for a drift to be told from the plant's answer."""
+
+
+def without_drift(datasets: Sequence[Dataset]) -> list[Dataset]:
+    """Remove the drift of every record in which it shows.
+
+    A slow ramp has power at every low frequency, where a linear model takes it for poles of the plant.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    list[Dataset]
+        The records, drifting ones with as much of a ramp removed as a finite impulse response of the command leaves in them.
+    """
+    cleaned = []
+    for data in datasets:
+        slope = drift(data.command, data.measurement)
+        ramp = np.linspace(-1.0, 1.0, len(data.command))[:, None] * slope
+        cleaned.append(replace(data, measurement=data.measurement - ramp) if np.any(slope) else data)
+    return cleaned
+
+
+def drift(command: Array, measurement: Array) -> Array:
+    """Drift of a record, beside what follows the command.
+
+    Parameters
+    ----------
+    command
+        Commands (N, A), V.
+    measurement
+        Measurements (N, A).
+
+    Returns
+    -------
+    Array
+        Drift (A,) from the middle of the record to its end, in the measurement's unit; 0 where it explains next to nothing.
+    """
+    lags = min(LAGS, max(len(command) // 8, 1))
+    rows = np.unique(np.linspace(lags, len(command) - 1, min(ROWS, len(command) - lags)).astype(int))
+    taps = [command[rows - lag] for lag in range(lags)]
+    time = (2.0 * rows / (len(command) - 1) - 1.0)[:, None]
+    plain = np.hstack([*taps, np.ones((len(rows), 1))])
+    # The ramp, and the measurement, without what the command and a constant explain of them.
+    left = np.hstack([time, measurement[rows]])
+    left = left - plain @ np.linalg.lstsq(plain, left, rcond=1e-9)[0]
+    ramp, rest = left[:, 0], left[:, 1:]
+    energy = float(ramp @ ramp)
+    if energy < DISTINCT * float(np.sum((time - time.mean()) ** 2)):
+        return np.zeros(measurement.shape[1])
+    slope = ramp @ rest / energy
+    explained = slope**2 * energy
+    found: Array = np.where(explained > WORTHWHILE * np.sum(rest**2, axis=0), slope, 0.0)
+    return found

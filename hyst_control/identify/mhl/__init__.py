@@ -1,0 +1,1 @@
+"""The MHL family: Madelung curves, rate correction, delay and linear dynamics."""

@@ -1,0 +1,456 @@
+"""Identification of Madelung hysteresis from slow loops: the curves f0, g0 of any record, nested loops included.
+
+The curves are polynomials (MHL paper Eq. 1, 2) or monotone piecewise cubics. Closure is built into the parameters, and
+monotony into the search as linear inequalities, so that every fit is a model that loads and has an inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, cast
+
+import numpy as np
+
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.stage import Array, per_axis_scalars
+from hyst_control.errors import InputError
+from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report, check_records
+from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
+from hyst_control.identify.families.estimator import Estimator, register
+from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
+from hyst_control.identify.families.shared_options import nuisance_option
+from hyst_control.identify.mhl.madelung_curves import Curves, Ends, curve_errors
+from hyst_control.identify.solve.gram_sums import NUISANCES, Window
+from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
+from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
+from hyst_control.model_file import Model
+from hyst_control.records.row_store import blocks
+
+NEAR = 0.05
+"""Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""
+
+
+@dataclass(frozen=True)
+class CurveOptions(Options):
+    """Options of the curves' form.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range.
+    input_scale
+        Command at the upper end, V; None: the largest of the records.
+    input_offset
+        Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there.
+    """
+
+    degree: int = option(
+        5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
+    )
+    knots: tuple[float, ...] | None = option(
+        None,
+        NUMBERS,
+        "knots of piecewise cubics in place of polynomials, increasing from 0 to 1 of the range of the curves",
+        lower=0.0,
+        upper=1.0,
+    )
+    input_scale: float | None = option(
+        None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
+    )
+    input_offset: float | None = option(
+        None, NUMBER, "command at the lower end of the curves, in place of the lowest one of the records", unit="V"
+    )
+
+    @property
+    def curves(self) -> Curves:
+        """The form of the curves."""
+        return Curves(self.degree, self.knots)
+
+    def check(self) -> None:
+        if self.input_scale is not None and self.input_scale <= (self.input_offset or 0.0):
+            raise InputError(
+                f"input_scale: must be > {self.input_offset or 0:g} V, the lower end of the curves, got {self.input_scale:g}"
+            )
+        _ = self.curves
+
+
+@dataclass(frozen=True)
+class MadelungOptions(CurveOptions):
+    """Options of a fit of Madelung curves.
+
+    Parameters
+    ----------
+    nuisance
+        Offset or drift that each record may add.
+    """
+
+    nuisance: str = nuisance_option("linear")
+
+
+@register
+class MadelungCurves(Estimator[MadelungOptions]):
+    """Madelung hysteresis without dynamics."""
+
+    name = "madelung"
+    sentence = "Madelung hysteresis without dynamics, and the sensor's zero: rising curves from slow loops, nested ones included"
+    Options = MadelungOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
+        check_records(datasets)
+        axes = [fit_records(whole_records(datasets, axis, weighted=False), options) for axis in range(len(datasets[0].axes))]
+        return assemble(datasets, axes, options.method)
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Curves of one axis.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    solution
+        Their parameters, in units of output_scale.
+    ends
+        Commands at the ends of the curves.
+    output_scale
+        Scale of the output (measurement unit).
+    sign
+        Sign of the response, 1 or -1.
+    offset
+        Zero of the measurement (measurement unit).
+    """
+
+    curves: Curves
+    solution: Solution
+    ends: Ends
+    output_scale: float
+    sign: float
+    offset: float
+
+    @property
+    def stage(self) -> Madelung:
+        """The axis' hysteresis."""
+        return self.curves.stage(self.solution.parameters, self.ends, self.output_scale)
+
+
+def fit_records(windows: Sequence[Window], options: MadelungOptions) -> AxisFit:
+    """Identify the curves of one axis from whole records.
+
+    From 0 V at the lower end the first loading is the ascending branch. From anywhere else it is no branch of the major loop, and the
+    rows before the command has met both its extremes do not count.
+
+    Parameters
+    ----------
+    windows
+        The records.
+    options
+        Options of the fit.
+
+    Returns
+    -------
+    AxisFit
+        Curves, scales, sign and zero.
+    """
+    ends = curve_ends(windows, options)
+    if ends.lower != 0.0:
+        windows = [
+            window if window.memory is not None else replace(window, skip=max(window.skip, virgin_rows(window.command)))
+            for window in windows
+        ]
+    return fit_axis(windows, options.curves, ends, options.nuisance)
+
+
+def fit_axis(
+    windows: Sequence[Window],
+    curves: Curves,
+    ends: Ends,
+    nuisance: str,
+    *,
+    inverse: bool = False,
+    passes: int = 40,
+) -> AxisFit:
+    """Identify the curves of one axis.
+
+    Parameters
+    ----------
+    windows
+        Stretches of its records.
+    curves
+        Form of the curves.
+    ends
+        Commands at their ends.
+    nuisance
+        Addition of each record: "none", "offset" or "linear".
+    inverse
+        Command and measurement have changed places, and so has the start.
+    passes
+        Most passes with derivatives.
+
+    Returns
+    -------
+    AxisFit
+        Curves, scales, sign and zero.
+    """
+    sign = response_sign(windows)
+    travel = (
+        max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command))
+        * ends.length
+    )
+    turned = [with_sign(window, sign) for window in windows]
+
+    def stages(vector: Array) -> list[Stage]:
+        return [curves.stage(vector, ends, travel)]
+
+    problem = Parametrization(stages, *curves.constraints())
+    start = curves.start(-0.15 if inverse else 0.15)
+    solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
+    return AxisFit(curves, solution, ends, travel, sign, sign * mean_offset(solution, windows, nuisance))
+
+
+def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
+    """Fit separate curves for the inverse to the major loop of a model of one axis (MHL paper Table 1, right).
+
+    The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
+
+    Parameters
+    ----------
+    stage
+        Hysteresis of one axis, whose curves begin at 0 V.
+    curves
+        Form of the inverse's curves; None: the default polynomials.
+
+    Returns
+    -------
+    Madelung
+        The stage of the inverse.
+    """
+    curves = curves or Curves()
+    input_scale, output_scale = (float(each[0]) for each in per_axis_scalars(stage, 1, "input_scale", "output_scale"))
+    full = output_scale * float(stage.curves(1)[0][0](np.ones(1))[0])
+    x = np.linspace(0.0, 1.0, 401)
+    up, down = (output_scale * curve(x) for curve in stage.curves(1)[0])
+    demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
+    window = Window(demand, command, 1.0, "foh", 0, 0)
+    ends = Ends(0.0, full)
+    found = fit_axis([window], curves, ends, "none", inverse=True)
+    vector = found.solution.parameters / curves.full(found.solution.parameters)
+    return curves.stage(vector, ends, input_scale)
+
+
+def curve_ends(windows: Sequence[Window], options: CurveOptions) -> Ends:
+    """Commands at the ends of the major loop.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    options
+        Options of the fit, which may name the ends.
+
+    Returns
+    -------
+    Ends
+        From the options, else those of the records; records that begin near 0 V begin there.
+
+    Raises
+    ------
+    InputError
+        The options name an upper end that is not above the lower one.
+    """
+    upper = options.input_scale
+    if upper is None:
+        upper = max(float(window.command.max()) for window in windows)
+    lower = options.input_offset
+    if lower is None:
+        lower = min(float(window.command.min()) for window in windows)
+        lower = 0.0 if -0.01 * upper <= lower <= NEAR * upper else lower
+    if upper <= lower:
+        raise InputError(f"input_scale: must be > {lower:g} V, the lower end of the curves, got {upper:g}")
+    return Ends(lower, upper - lower)
+
+
+def response_sign(windows: Sequence[Window]) -> float:
+    """Sign of the response: 1 where the measurement rises with the command, else -1.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+
+    Returns
+    -------
+    float
+        1 or -1.
+    """
+    covariance = 0.0
+    for window in windows:
+        means = window.command.mean(), window.measurement.mean()
+        for part in blocks(len(window.command)):
+            covariance += float((window.command[part] - means[0]) @ (window.measurement[part] - means[1]))
+    return -1.0 if covariance < 0 else 1.0
+
+
+def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:
+    """Mean of the records' offsets, weighted by their numbers of rows.
+
+    Parameters
+    ----------
+    solution
+        Solution of the fit.
+    windows
+        Stretches of the records.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+
+    Returns
+    -------
+    float
+        Offset (measurement unit); 0 without nuisances.
+    """
+    extra = NUISANCES[nuisance]
+    if not extra:
+        return 0.0
+    rows = np.zeros(max(window.group for window in windows) + 1)
+    for window in windows:
+        rows[window.group] += len(window.command) - window.skip
+    return float(np.average(solution.nuisances[::extra], weights=np.maximum(rows, 1e-9)))
+
+
+def merged(stages: Sequence[Madelung]) -> Madelung:
+    """Merge the hysteresis of several axes into one stage.
+
+    Parameters
+    ----------
+    stages
+        A stage an axis.
+
+    Returns
+    -------
+    Madelung
+        The stage with per-axis parameters.
+    """
+    if len(stages) == 1:
+        return stages[0]
+    return Madelung(
+        [cast(Sequence[float], stage.ascending) for stage in stages],
+        [cast(Sequence[float], stage.descending) for stage in stages],
+        [cast(float, stage.input_scale) for stage in stages],
+        [cast(float, stage.output_scale) for stage in stages],
+        knots=stages[0].knots,
+        input_offset=[cast(float, stage.input_offset) for stage in stages] if any(stage.input_offset for stage in stages) else 0.0,
+    )
+
+
+def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
+    """Assemble model and report of a static fit.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        A fit an axis.
+    method
+        Method of the fit.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
+    first = datasets[0]
+    stages: list[Stage] = [merged([axis.stage for axis in axes])]
+    if any(axis.sign < 0 for axis in axes):
+        stages.append(Gain([axis.sign for axis in axes]))
+    if any(axis.offset for axis in axes):
+        stages.append(Offset([axis.offset for axis in axes] if len(axes) > 1 else axes[0].offset))
+    model = Model(
+        name="madelung",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(tuple(stages)),
+        valid={
+            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )
+    rows, residuals = record_rows(model, datasets)
+    parameters: list[ParameterRow] = []
+    tolerances = []
+    for axis, name in zip(axes, first.axes, strict=True):
+        found, tolerance = curve_errors(axis.curves, axis.solution.parameters, axis.solution.covariance)
+        parameters += [{**row, "axis": name} for row in found]
+        tolerances.append(tolerance)
+    tolerance = float(np.round(np.median(tolerances), 6))
+    sigma = noise_sigma(residuals, datasets)
+    known = independent_axes(
+        [(axis.solution.parameters, axis.solution.covariance) for axis in axes],
+        lambda vectors: [
+            merged(
+                [
+                    replace(axis, solution=replace(axis.solution, parameters=vector)).stage
+                    for axis, vector in zip(axes, vectors, strict=True)
+                ]
+            )
+        ],
+        first.axes,
+    )
+    model = replace(
+        model,
+        tolerance={"ascending": min(tolerance, PRIOR), "descending": min(tolerance, PRIOR)},
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
+    report: Report = {
+        "family": "madelung",
+        "method": method,
+        "unit": first.unit,
+        "records": rows,
+        "parameters": parameters,
+        "notes": range_notes(datasets, axes),
+    }
+    return Fit(model, report)
+
+
+class Scaled(Protocol):
+    """One axis whose curves have ends."""
+
+    @property
+    def ends(self) -> Ends:
+        """Commands at the ends of the curves."""
+
+
+def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
+    """Name the part of the curves that the records do not reach, with the excitation that would show it.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axes
+        Scales of every axis.
+
+    Returns
+    -------
+    list[str]
+        A sentence an axis that is not covered.
+    """
+    notes = []
+    for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
+        low = (min(float(data.command[:, index].min()) for data in datasets) - axis.ends.lower) / axis.ends.length
+        high = (max(float(data.command[:, index].max()) for data in datasets) - axis.ends.lower) / axis.ends.length
+        if low > NEAR or high < 1.0 - NEAR:
+            notes.append(
+                f"axis {name}: the records span {100 * low:.0f} to {100 * high:.0f} % of {axis.ends.lower:g} to {axis.ends.upper:g} V: "
+                "the curves beyond are a continuation; record a slow loop over the whole drive"
+            )
+    return notes

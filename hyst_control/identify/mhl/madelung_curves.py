@@ -1,0 +1,254 @@
+"""Parametrized curves of Madelung hysteresis: closure in the parameters, monotony as linear inequalities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify.data.dataset import ParameterRow
+
+LEAST_SLOPE = 5e-3
+"""Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
+
+LEAST_TRAVEL = 0.02
+"""Smallest travel of a curve, of what the measurement travels: without one a search on records that no curve explains ends at no curve."""
+
+GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 257))
+"""Points at which the smallest slope of a polynomial is enforced: closest together at the ends, as its turns are."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Commands at the ends of the major loop's curves.
+
+    Parameters
+    ----------
+    lower
+        Command at the lower end, V.
+    length
+        Distance of the upper end, V.
+    """
+
+    lower: float
+    length: float
+
+    @property
+    def upper(self) -> float:
+        """Command at the upper end, V."""
+        return self.lower + self.length
+
+
+@dataclass(frozen=True)
+class Curves:
+    """A pair of curves as a parameter vector, in units of the full output: polynomials, or cubics through values at `knots`.
+
+    Polynomials: p_n ... p_1, then q_n ... q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
+    the descending ones between the first and the last, where both meet.
+
+    Parameters
+    ----------
+    degree
+        Degree of the polynomials.
+    knots
+        Knots of the cubics, from 0 to 1 of the input scale; None: polynomials.
+    """
+
+    degree: int = 5
+    knots: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.knots is None and not 1 <= self.degree <= 12:
+            raise InputError(f"degree: must be from 1 to 12, got {self.degree}")
+        if self.knots is not None:
+            knots = np.array(self.knots, dtype=float)
+            object.__setattr__(self, "knots", tuple(knots.ravel().tolist()))
+            if knots.ndim != 1 or len(knots) < 3 or knots[0] != 0 or knots[-1] != 1 or np.any(np.diff(knots) <= 0):
+                raise InputError(f"knots: must be at least three, strictly increasing from 0 to 1, got {knots.ravel().tolist()}")
+
+    @property
+    def count(self) -> int:
+        """Parameters of the ascending curve; the descending one has one fewer."""
+        return self.degree if self.knots is None else len(self.knots) - 1
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return 2 * self.count - 1
+
+    def full(self, vector: Array) -> float:
+        """Output at the upper end.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        float
+            The output.
+        """
+        return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
+
+    def pair(self, vector: Array) -> tuple[Array, Array]:
+        """Ascending and descending curve in the stage's form, scaled to end at 1.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        ascending : Array
+            Coefficients, or values at the knots.
+        descending : Array
+            The same of the descending curve.
+        """
+        up, down = vector[: self.count], vector[self.count : self.size]
+        full = self.full(vector)
+        if self.knots is None:
+            up = up / full
+            down = np.append(down / full, up.sum() - np.sum(down / full))
+            return up, down
+        return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
+
+    def stage(self, vector: Array, ends: Ends, output_scale: float, inverse: bool = False) -> Madelung:
+        """Construct the stage of a parameter vector.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+        ends
+            Commands at the ends of the curves.
+        output_scale
+            Measurement at which the vector's output is 1.
+        inverse
+            Mark the curves as those of an inverse.
+
+        Returns
+        -------
+        Madelung
+            The stage.
+        """
+        up, down = self.pair(vector)
+        return Madelung(up, down, ends.length, output_scale * self.full(vector), self.knots, inverse, ends.lower)
+
+    def like(self, other: Curves, vector: Array) -> Array:
+        """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots.
+
+        Parameters
+        ----------
+        other
+            The other form.
+        vector
+            Its parameters.
+
+        Returns
+        -------
+        Array
+            Parameters (P,) of this form.
+        """
+        up, down = other.pair(vector)
+        full = other.full(vector)
+        if self.knots is not None:
+            values = [full * np.polyval(np.append(p, 0.0), self.knots) for p in (up, down)]
+            return np.concatenate([values[0][1:], values[1][1:-1]])
+        pad = np.zeros(self.degree - other.degree)
+        return full * np.concatenate([pad, up, pad, down[:-1]])
+
+    def start(self, bulge: float = 0.15) -> Array:
+        """Initial parameters: parabolas x (1 ± bulge (1 - x)), the ascending one below.
+
+        Parameters
+        ----------
+        bulge
+            Bulge of the parabolas.
+
+        Returns
+        -------
+        Array
+            Parameters (P,).
+        """
+        if self.knots is not None:
+            x = np.asarray(self.knots, dtype=float)
+            return np.concatenate([(x - bulge * x * (1 - x))[1:], (x + bulge * x * (1 - x))[1:-1]])
+        if self.degree == 1:
+            return np.ones(1)
+        up, down = np.zeros(self.degree), np.zeros(self.degree)
+        up[-2:], down[-2:] = (bulge, 1.0 - bulge), (-bulge, 1.0 + bulge)
+        return np.concatenate([up, down[:-1]])
+
+    def constraints(self) -> tuple[Array, Array]:
+        """Constraints lhs (C, size) · vector >= rhs (C,) under which both curves rise, and go up by `LEAST_TRAVEL`."""
+        rising = self._rising()
+        travel = np.array([self.full(unit) for unit in np.eye(self.size)])
+        return np.vstack([rising, travel]), np.append(np.zeros(len(rising)), LEAST_TRAVEL)
+
+    def _rising(self) -> Array:
+        """Matrix (C, size) whose product with a vector is not negative where both curves rise."""
+        rows: list[Array] = []
+        if self.knots is not None:
+            steps = np.diff(self.knots)
+            up = np.eye(self.size)[: self.count]
+            down = np.vstack([np.eye(self.size)[self.count :], up[-1]])
+            for values in (up, down):
+                rows.append(np.diff(values, axis=0, prepend=np.zeros((1, self.size))) - LEAST_SLOPE * steps[:, None] * up[-1])
+            return np.concatenate(rows)
+        powers = np.arange(self.degree, 0, -1)
+        slope = powers * GRID[:, None] ** (powers - 1)
+        full = np.concatenate([np.ones(self.degree), np.zeros(self.degree - 1)])
+        up = np.hstack([slope, np.zeros((len(GRID), self.degree - 1))])
+        # q_1 = Σ p - Σ q, and its slope is 1 everywhere.
+        down = np.hstack([np.ones((len(GRID), self.degree)), slope[:, :-1] - 1.0])
+        return np.concatenate([up, down]) - LEAST_SLOPE * full
+
+
+def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
+    """Parameter rows of the curves' coefficients, and the tolerance of the curves as a whole.
+
+    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which, drawn
+    independently per coefficient, scatters the curves as much as the data leave them uncertain.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    vector
+        Their parameters (P,).
+    covariance
+        Covariance (P, P) of the parameters.
+
+    Returns
+    -------
+    rows : list[ParameterRow]
+        A row a coefficient.
+    tolerance : float
+        Relative standard deviation.
+    """
+
+    def coefficients(at: Array) -> Array:
+        return np.concatenate(curves.pair(at))
+
+    nominal = coefficients(vector)
+    jacobian = np.array([(coefficients(vector + 1e-6 * unit) - nominal) / 1e-6 for unit in np.eye(curves.size)]).T
+    spread = jacobian @ covariance[: curves.size, : curves.size] @ jacobian.T
+    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    half = len(nominal) // 2
+    names = [f"{name}[{i}]" for name in ("ascending", "descending") for i in range(half)]
+    rows: list[ParameterRow] = [
+        {"name": name, "value": float(value), "standard_error": float(error), "unit": ""}
+        for name, value, error in zip(names, nominal, errors, strict=True)
+    ]
+    if curves.knots is None:
+        basis = GRID[:, None] ** np.arange(half, 0, -1)
+        certain = [np.trace(basis @ spread[part, part] @ basis.T) for part in (slice(0, half), slice(half, None))]
+        independent = [np.sum((basis * nominal[part]) ** 2) for part in (slice(0, half), slice(half, None))]
+        return rows, float(np.sqrt(max(sum(certain), 0.0) / sum(independent)))
+    used = nominal > 0
+    return rows, float(np.sqrt(np.mean((errors[used] / nominal[used]) ** 2)))

@@ -1,0 +1,482 @@
+"""Identification of the modified Hammerstein-like model (MHL paper, Eq. 1-5): delay, Madelung hysteresis and rate correction, G(s).
+
+    y = G(s) [ H_S[u(t - τ)] + Ψ ],   Ψ = (k1 u̇ + b1) / (k2 s + b2),   G(0) = 1,   b2 = 1
+
+"joint" fits everything to all records at once; "paper" is the paper's own sequence (`paper_mhl`). `mhl_axis` holds the parameters of an
+axis. G(s) is stable for every parameter vector, the curves rise and close, and the order of G(s) is the one that does best on rows held
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
+from hyst_control.identify.families.estimator import Estimator, register
+from hyst_control.identify.mhl.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
+from hyst_control.identify.mhl.madelung import (
+    curve_ends,
+    fit_axis,
+    mean_offset,
+    response_sign,
+)
+from hyst_control.identify.mhl.madelung_curves import Curves
+from hyst_control.identify.mhl import paper_mhl
+from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.mhl.mhl_model import assemble, chain_model
+from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.simulation_error import (
+    Parametrization,
+    Solution,
+    minimize_simulation_error,
+    short_stretches,
+    simulation_error,
+    thinned,
+)
+from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
+from hyst_control.model_file import Model
+from hyst_control.parallel import map_forked
+
+T = TypeVar("T")
+SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
+STRETCH, SETTLE = 0.06, 0.015
+"""Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
+PAIR_PASSES, PAIR_TRIAL, LAST_PASSES = 12, 4, 3
+"""Most passes of the fit of a further mode, of them those that compare its starts, and over all rows of all records in the end."""
+
+
+@register
+class ModifiedHammersteinLike(Estimator[MhlOptions]):
+    """The modified Hammerstein-like model: one chain per axis and, between several axes, cross-coupling where the records show it."""
+
+    name = "mhl"
+    sentence = (
+        "delay, Madelung hysteresis beside a rate correction, and dynamics G(s), together: the curves rise and close, G(s) is stable for "
+        "every parameter vector, its factors are chosen on held-out rows"
+    )
+    Options = MhlOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
+        check_records(datasets)
+        if options.method == "paper":
+            return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
+        axes: list[AxisFit] = []
+        for index in range(len(datasets[0].axes)):
+            axes.append(fit_joint(axis_windows(datasets, index), options, axes[0] if axes else None))
+        coupling = None
+        if options.cross_coupling and len(axes) > 1:
+            coupling, axes = with_coupling(datasets, axes, options.nuisance)
+        cleaned = datasets
+        if coupling is not None:
+            cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
+        if options.structure is None:
+            model = chain_model(cleaned, axes, "plain")
+            axes = list(map_forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
+        final = map_forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
+        return assemble(datasets, options.method, list(final), coupling)
+
+
+def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
+    """Records of one axis, counted from the end of its virgin curve, which Madelung's rules do not describe.
+
+    On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
+    curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    """
+    records = whole_records(datasets, index, weighted=False)
+    return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in records]
+
+
+def with_coupling(
+    datasets: Sequence[Dataset], axes: list[AxisFit], nuisance: str, rounds: int = 3
+) -> tuple[Coupling | None, list[AxisFit]]:
+    """Coupling, None if the records show none, and the axes fitted without it.
+
+    Both are fitted in turn, since each hides in the other where axes move alike.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    axes
+        Fits of the axes.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    rounds
+        Number of rounds at most.
+    """
+    coupling: Coupling | None = None
+    for _ in range(rounds):
+        plain = chain_model(datasets, axes, "plain")
+        coupling = fit_coupling(plain, datasets, coupling)
+        if coupling is None:
+            break
+        cleaned = without_coupling(plain, coupling, datasets)
+        axes = refined_axes(cleaned, axes, nuisance)
+    return coupling, axes
+
+
+def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
+    """Refine every axis by a few passes, on all cores.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    axes
+        Fits of the axes.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    """
+    return list(map_forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
+
+
+def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
+    """Fit one axis to all its records.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    options
+        Options of the fit.
+    like
+        Fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure.
+    """
+    sign = response_sign(windows)
+    turned = [with_sign(window, sign) for window in windows]
+    ends = curve_ends(windows, options)
+    few = short_stretches(turned, SELECTION_ROWS, STRETCH, SETTLE)
+    # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
+    creeping = any(thinned(window) is not window for window in windows)
+    form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
+    static = fit_axis(slowest(few), form, ends, options.nuisance, passes=8)
+    blank = Axis(options.curves, Structure(), ends, static.output_scale, sign, min(window.sample_time for window in windows))
+    curves = static.solution.parameters
+    if like is not None and (options.structure is None or options.structure == like.axis.structure):
+        axis = replace(blank, structure=like.axis.structure)
+        first = curves if form == options.curves else options.curves.like(form, curves)
+        start = np.concatenate([first, like.vector[options.curves.size :]])
+        chosen = minimize_simulation_error(few, axis.parametrization(), start, nuisance=options.nuisance, passes=12)
+    else:
+        axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
+    found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
+    return refined(windows, found, options.nuisance, passes=6)
+
+
+def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
+    """Refine the parameters over stretches of all records.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    found
+        Fit to begin with.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    passes
+        Number of passes of the search.
+    """
+    turned = [with_sign(window, found.axis.sign) for window in windows]
+    many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+    solution = minimize_simulation_error(
+        many, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=passes, everything=True
+    )
+    return replace(found, vector=solution.parameters)
+
+
+def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
+    """Last passes over every row of every record, with the covariance of the parameters and the offset.
+
+    Parameters
+    ----------
+    windows
+        Records of the axis.
+    found
+        Fit to begin with.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    """
+    turned = [with_sign(window, found.axis.sign) for window in windows]
+    solution = minimize_simulation_error(
+        turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True
+    )
+    offset = mean_offset(solution, turned, nuisance)
+    return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
+
+
+def slowest(windows: Sequence[Window]) -> list[Window]:
+    """The windows of the records whose command moves slowest: from them the curves are seen without the dynamics."""
+    speeds: dict[int, list[float]] = {}
+    for window in windows:
+        span = max(float(np.ptp(window.command)), 1e-300)
+        speeds.setdefault(window.group, []).append(float(np.abs(np.diff(window.command)).mean()) / window.sample_time / span)
+    wide = max(float(np.ptp(window.command)) for window in windows)
+    spans = {group: max(float(np.ptp(w.command)) for w in windows if w.group == group) for group in speeds}
+    usable = {group: float(np.mean(speeds[group])) for group in speeds if spans[group] > 0.3 * wide} or {0: 0.0}
+    limit = 3.0 * min(usable.values())
+    kept = [window for window in windows if usable.get(window.group, np.inf) <= limit]
+    groups = {group: number for number, group in enumerate(sorted({window.group for window in kept}))}
+    return [replace(window, group=groups[window.group]) for window in kept]
+
+
+def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: MhlOptions) -> tuple[Axis, Solution]:
+    """Choose the factors of G(s) and fit everything: factors are added one by one as long as the held-out error falls.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    blank
+        Axis without factors of G(s).
+    curves
+        Parameters of the curves to begin with.
+    options
+        Options of the fit; a structure that they name is fitted without a choice.
+    """
+    given = options.structure
+    if given is not None:
+        axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
+        while axis.structure.zeros < given.zeros:
+            axis, best = extended(windows, axis, best, [replace(axis.structure, zeros=axis.structure.zeros + 1)], options)[0]
+        return axis, best
+    plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options, thorough=False)
+    rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
+    axis, best = better(plain, rich)
+    if best is plain[1]:
+        best = minimize_simulation_error(windows, axis.parametrization(), best.parameters, nuisance=options.nuisance, passes=25)
+    while True:
+        # From the plainer to the richer: the first that is worth it.
+        for grown in extended(windows, axis, best, extensions(axis.structure), options):
+            if better((axis, best), grown) is grown:
+                axis, best = grown
+                break
+        else:
+            return axis, best
+
+
+def searched(
+    windows: Sequence[Window], axis: Axis, curves: Array, options: MhlOptions, *, thorough: bool = True
+) -> tuple[Axis, Solution]:
+    """Fit a structure from many starts, with the curves in the form of `axis`; then everything, in the form that is asked for.
+
+    Curves that were fitted to creeping loops are held in the first part; coarse ones are fitted along.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    axis
+        Axis with the structure to fit.
+    curves
+        Parameters of the curves to begin with.
+    options
+        Options of the fit, with the form of the curves that is asked for.
+    thorough
+        False to follow only the best start, and with fewer passes.
+    """
+    held = axis.curves == options.curves
+    if held:
+        problem = Parametrization(
+            lambda vector: axis.stages(np.concatenate([curves, vector])),
+            np.zeros((0, axis.size - len(curves))),
+            np.zeros(0),
+            lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
+        )
+        begin = starts(axis)
+    else:
+        problem, begin = axis.parametrization(), [np.concatenate([curves, start]) for start in starts(axis)]
+    trials = list(
+        map_forked(lambda i: minimize_simulation_error(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin))
+    )
+    whole = replace(axis, curves=options.curves)
+    followed = candidates(trials, -2 - axis.structure.size)[: 2 if thorough else 1]
+
+    def pursued(index: int) -> Solution:
+        solution = followed[index]
+        further = minimize_simulation_error(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
+        vector = further.parameters if not held else np.concatenate([curves, further.parameters])
+        n = axis.curves.size
+        full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
+        start = np.concatenate([full, vector[n:]])
+        passes = 25 if thorough else 6
+        return minimize_simulation_error(windows, whole.parametrization(), start, nuisance=options.nuisance, passes=passes)
+
+    return whole, min(map_forked(pursued, len(followed)), key=lambda solution: solution.fitted)
+
+
+def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
+    """Best trial whose rate part lags and best whose rate part leads, unless one is far better.
+
+    Parameters
+    ----------
+    trials
+        Solutions of the search.
+    share
+        Index of k1 in their parameters.
+    """
+    ordered = sorted(trials, key=lambda solution: solution.fitted)
+    others = [solution for solution in ordered if solution.parameters[share] * ordered[0].parameters[share] < 0]
+    return ordered[:1] + [solution for solution in others[:1] if solution.fitted < 10.0 * ordered[0].fitted]
+
+
+def starts(axis: Axis) -> list[Array]:
+    """Rate parts and dynamics from which the search for an `axis` begins.
+
+    With k1 = κ k2 times the mean slope, H_D's small motions see (1 + (1 + κ) k2 s) / (1 + k2 s). A lag and a zero of G can undo
+    that, and only large motions tell the two apart: so where G has them, every exchange is a start.
+    """
+    structure = axis.structure
+    highest = 0.4 / axis.sample_time
+    frequencies = [f for f in (200.0, 800.0, 3000.0) if f < highest] or [highest / 2]
+    if not (structure.lags and structure.zeros):
+        return [np.concatenate([[share, 0.0], structure.start(f)]) for f in frequencies for share in (-0.2, 0.2)]
+    smaller = replace(structure, lags=structure.lags - 1, zeros=structure.zeros - 1)
+    found = []
+    for frequency in frequencies:
+        dynamics = smaller.start(frequency)
+        for k2 in (3e-4, 1e-3, 3e-3):
+            for share in (-0.5, 0.5):
+                parts = structure.split(structure.grow(smaller, dynamics, frequency))
+                parts["lags"][-1] = -np.log(k2 * (1.0 + share))
+                moved = with_numerator(parts, np.polymul(smaller.rational(dynamics)[0], [k2, 1.0]))
+                found.append(np.concatenate([[share, np.log(k2 / K2_UNIT)], moved]))
+    return found
+
+
+def extended(
+    windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: MhlOptions
+) -> list[tuple[Axis, Solution]]:
+    """Fits of richer structures, each from the parameters of the poorer one, on all cores.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records of the axis.
+    axis
+        Axis with the poorer structure.
+    best
+        Its fit.
+    structures
+        Richer structures.
+    options
+        Options of the fit.
+    """
+    dynamics = axis.split(best.parameters)[2]
+    before = best.parameters[: axis.curves.size + 2]
+    begin: list[tuple[Structure, Array]] = []
+    for structure in structures:
+        begin.append((structure, structure.grow(axis.structure, dynamics, 1000.0)))
+        if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
+            begin.append((structure, lead_and_delay(axis.structure, structure, dynamics)))
+
+    def grown(index: int) -> Solution:
+        structure, start = begin[index]
+        problem = replace(axis, structure=structure).parametrization()
+        return minimize_simulation_error(windows, problem, np.concatenate([before, start]), nuisance=options.nuisance, passes=12)
+
+    solutions = list(map_forked(grown, len(begin)))
+    found = []
+    for structure in structures:
+        own = [solution for (of, _), solution in zip(begin, solutions, strict=True) if of == structure]
+        found.append((replace(axis, structure=structure), min(own, key=lambda solution: solution.fitted)))
+    return found
+
+
+def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:
+    """The `rich` structure with its fit where it lowers the held-out error enough, else the `plain` one."""
+    return rich if rich[1].held_out < (1.0 - WORTHWHILE) * plain[1].held_out else plain
+
+
+def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
+    """Start with one further, fast zero whose lead a longer delay cancels, as there is a minimum on either side of no zero.
+
+    Parameters
+    ----------
+    old
+        Structure without the zero.
+    new
+        Structure with the zero.
+    dynamics
+        Dynamics vector of `old`.
+    """
+    parts = new.split(new.grow(old, dynamics, 1000.0))
+    time = 0.5 / float(np.exp(parts["modes"][:, 0].max()))
+    parts["delay"] = parts["delay"] + time / TAU_UNIT
+    return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
+
+
+def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, index: int, nuisance: str) -> AxisFit:
+    """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the held-out error enough.
+
+    Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone
+    lowers the error, so adding factor by factor never finds them. Cross-coupling must be removed before.
+
+    Parameters
+    ----------
+    model
+        Model of all axes.
+    datasets
+        Records without cross-coupling.
+    found
+        Fit of the axis.
+    index
+        Index of the axis.
+    nuisance
+        Offset or drift that each record may add, as in `MhlOptions`.
+    """
+    axis, dynamics = found.axis, found.axis.split(found.vector)[2]
+    signals = []
+    for data in datasets:
+        error = simulated_rows(model, data)
+        np.subtract(data.measurement, error, out=error)  # in place: a long record's is on a file
+        begin = virgin_rows(data.command[:, index])
+        signals.append((data.command[begin:, index], error[begin:, index]))
+    frequency = unexplained_frequency(signals, axis.sample_time)
+    if axis.structure.modes > 1 or frequency is None:
+        return found
+    turned = [with_sign(window, axis.sign) for window in axis_windows(datasets, index)]
+    # Short stretches would miss the moment at which a sweep passes the frequency.
+    many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+    plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)
+    pairs = [parted_pair(axis.structure, dynamics, frequency, damping) for damping in PAIR_DAMPINGS]
+    richer = replace(axis, structure=pairs[0][0])
+    problem, before = richer.parametrization(), found.vector[: axis.curves.size + 2]
+    starts_of = [np.concatenate([before, upon]) for _, upon in pairs]
+    trials = [minimize_simulation_error(many, problem, start, nuisance=nuisance, passes=PAIR_TRIAL) for start in starts_of]
+    first = min(trials, key=lambda trial: trial.fitted)
+    best = minimize_simulation_error(many, problem, first.parameters, nuisance=nuisance, passes=PAIR_PASSES - PAIR_TRIAL)
+    if not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
+        return found
+    # Stretches may miss the moments that would contradict: the whole records decide.
+    if not simulation_error(turned, problem, best.parameters, nuisance) < simulation_error(
+        turned, axis.parametrization(), found.vector, nuisance
+    ):
+        return found
+    return replace(found, axis=richer, vector=best.parameters)
+
+
+def extensions(structure: Structure) -> list[Structure]:
+    """Structures with one factor more than `structure`, the plainer first."""
+    options = []
+    if structure.zeros + 1 < 2 * structure.modes + structure.lags:
+        options.append(replace(structure, zeros=structure.zeros + 1))
+    if structure.lags == 0:
+        options.append(replace(structure, lags=1))
+    elif structure.modes == 1:
+        options.append(replace(structure, modes=2, zeros=structure.zeros + 1))
+    return options

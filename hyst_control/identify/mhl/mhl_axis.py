@@ -1,0 +1,207 @@
+"""One axis of the modified Hammerstein-like model as a parameter vector, and the options of its fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain import Parallel, Stage
+from hyst_control.chain.linear.linear_stages import Delay, RateCorrection
+from hyst_control.chain.stage import Array
+from hyst_control.identify.families.options import TRUTH, methods_option, option
+from hyst_control.identify.families.shared_options import nuisance_option, structure_option
+from hyst_control.identify.mhl.madelung import CurveOptions
+from hyst_control.identify.mhl.madelung_curves import Curves, Ends
+from hyst_control.identify.solve.simulation_error import Parametrization
+from hyst_control.identify.solve.stable_dynamics import Structure
+
+K2_UNIT = 1e-3
+"""Unit (s) of k2 in the parameter vector, which holds its logarithm."""
+
+
+@dataclass(frozen=True)
+class MhlOptions(CurveOptions):
+    """Options of a fit of the modified Hammerstein-like model.
+
+    Parameters
+    ----------
+    method
+        "joint" or "paper".
+    nuisance
+        Offset or drift that each record may add.
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+    cross_coupling
+        Look for cross-coupling between several axes.
+    """
+
+    method: str = methods_option("joint", "paper")
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
+    cross_coupling: bool = option(True, TRUTH, "look for cross-coupling between several axes", methods=("joint",))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Model of one axis as a parameter vector (P,): curves, rate part (k1 relative to the slope, log k2), dynamics with delay.
+
+    Parameters
+    ----------
+    curves
+        Form of the curves.
+    structure
+        Factors of G(s).
+    ends
+        Commands at the ends of the curves.
+    output_scale
+        Scale of the output (measurement unit).
+    sign
+        Sign of the response, 1 or -1.
+    sample_time
+        Sample time, s.
+    """
+
+    curves: Curves
+    structure: Structure
+    ends: Ends
+    output_scale: float
+    sign: float
+    sample_time: float
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.curves.size + 2 + self.structure.size
+
+    def split(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Split a parameter vector by part.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        curves : Array
+            Parameters of the curves.
+        rate : Array
+            Rate part (2,).
+        dynamics : Array
+            Parameters of G(s) and delay.
+        """
+        n = self.curves.size
+        return vector[:n], vector[n : n + 2], vector[n + 2 :]
+
+    def rate(self, vector: Array) -> tuple[float, float]:
+        """Parameters of the rate correction.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        k1 : float
+            Measurement unit s/V.
+        k2 : float
+            s.
+        """
+        share, log_k2 = self.split(vector)[1]
+        k2 = K2_UNIT * float(np.exp(log_k2))
+        return float(share) * self.output_scale / self.ends.length * k2, k2
+
+    def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
+        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+        b1
+            Offset of the rate correction (measurement unit).
+
+        Returns
+        -------
+        list[Stage]
+            The stages.
+        """
+        curves, _, dynamics = self.split(vector)
+        k1, k2 = self.rate(vector)
+        linear = _dynamics_stages(self.structure, dynamics.tobytes())
+        core = _curve_stage(self.curves, curves.tobytes(), self.ends, self.output_scale)
+        hysteresis = Parallel(((core,), (RateCorrection(k1=k1, k2=k2, b1=b1),)))
+        delays = [stage for stage in linear if isinstance(stage, Delay)]
+        return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
+
+    def limit(self, vector: Array) -> Array:
+        """Move a parameter vector into the range that data can resolve.
+
+        Parameters
+        ----------
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        Array
+            Parameters (P,) within it.
+        """
+        curves, rate, dynamics = self.split(vector)
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
+        return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
+
+    def parametrization(self) -> Parametrization:
+        """Chains, constraints and bounds of the search."""
+        curves, rhs = self.curves.constraints()
+        lhs = np.zeros((len(curves), self.size))
+        lhs[:, : self.curves.size] = curves
+        return Parametrization(self.stages, lhs, rhs, self.limit)
+
+
+# A neighboring vector differs in one parameter: most stages of its chain have been constructed and checked before.
+@lru_cache(256)
+def _curve_stage(curves: Curves, vector: bytes, ends: Ends, output_scale: float) -> Stage:
+    return curves.stage(np.frombuffer(vector), ends, output_scale)
+
+
+@lru_cache(256)
+def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
+    return tuple(structure.stages(np.frombuffer(vector)))
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Fit of one axis.
+
+    Parameters
+    ----------
+    axis
+        Model of the axis.
+    vector
+        Parameters (P,).
+    covariance
+        Their covariance (P, P).
+    offset
+        Zero of the sensor (measurement unit).
+    held_out
+        Mean square error on the rows held out.
+    extra
+        Results of the paper's sequence, by step.
+    """
+
+    axis: Axis
+    vector: Array
+    covariance: Array
+    offset: float
+    held_out: float
+    extra: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def ends(self) -> Ends:
+        """Commands at the ends of the curves."""
+        return self.axis.ends

@@ -1,0 +1,195 @@
+"""Model and report of a fit of the modified Hammerstein-like model (`mhl`) from the fits of its axes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar, cast
+
+import numpy as np
+
+from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
+from hyst_control.chain.memoryless import Gain
+from hyst_control.chain.stage import Array
+from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.mhl.coupling import Coupling
+from hyst_control.identify.mhl.madelung import merged, range_notes
+from hyst_control.identify.mhl.madelung_curves import curve_errors
+from hyst_control.identify.mhl.mhl_axis import AxisFit
+from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
+from hyst_control.model_file import Model
+
+T = TypeVar("T")
+
+
+def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
+    """The axes' chains side by side as one chain with per-axis parameters."""
+
+    def per_axis(values: Sequence[T]) -> T | list[T]:
+        return values[0] if len(values) == 1 else list(values)
+
+    chains = [axis.axis.stages(axis.vector, axis.offset) for axis in axes]
+    delays = [next((cast(float, stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    dynamics = [
+        next((stage for stage in chain if isinstance(stage, TransferFunction)), TransferFunction([1.0], [1.0])) for chain in chains
+    ]
+    parallel = [next(stage for stage in chain if isinstance(stage, Parallel)) for chain in chains]
+    rates = [stage.branches[1][0] for stage in parallel]
+    rate = RateCorrection(**{key: per_axis([getattr(stage, key) for stage in rates]) for key in ("k1", "k2", "b1")})
+    stages: list[Stage] = [Delay(per_axis(delays))] if any(delays) else []
+    hysteresis = merged([cast(Madelung, stage.branches[0][0]) for stage in parallel])
+    stages.append(Parallel(((hysteresis,), (rate,))))
+    num = per_axis([cast(Sequence[float], stage.num) for stage in dynamics])
+    den = per_axis([cast(Sequence[float], stage.den) for stage in dynamics])
+    stages.append(TransferFunction(num, den))
+    if any(axis.axis.sign < 0 for axis in axes):
+        stages.append(Gain(per_axis([axis.axis.sign for axis in axes])))
+    return stages
+
+
+def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Model:
+    """Model of the fitted axes, without noise and tolerances, which the report adds.
+
+    Parameters
+    ----------
+    datasets
+        Records, which give axes, units, sample time and valid range.
+    axes
+        Fits of the axes.
+    method
+        Method of the fit, for the model's name.
+    """
+    first = datasets[0]
+    return Model(
+        name=f"mhl_{method}",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(tuple(chain_stages(axes))),
+        valid={
+            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )
+
+
+def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], coupling: Coupling | None) -> Fit:
+    """Model and report of a fit.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    method
+        "joint" or "paper".
+    axes
+        Fits of the axes.
+    coupling
+        Coupling between the axes, None for none.
+    """
+    model = chain_model(datasets, axes, method)
+    if coupling is not None:
+        model = model.with_stages([*model.chain.stages, coupling.stage])
+    rows, residuals = record_rows(model, datasets)
+    parameters: list[ParameterRow] = []
+    relative: dict[str, list[float]] = {}
+    for axis, name in zip(axes, datasets[0].axes, strict=True):
+        for row in [*curve_rows(axis, relative), *other_rows(axis, datasets[0].unit, relative)]:
+            parameters.append({**row, "axis": name})
+    if coupling is not None:
+        parameters += coupling.rows(datasets[0].axes)
+    sigma = noise_sigma(residuals, datasets)
+    known = independent_axes(
+        [(axis.vector, axis.covariance) for axis in axes],
+        lambda vectors: chain_stages([replace(axis, vector=vector) for axis, vector in zip(axes, vectors, strict=True)]),
+        datasets[0].axes,
+    )
+    physical = {key: value for key, value in known.tolerance.items() if key in ("num", "den")}
+    model = replace(
+        model,
+        tolerance={key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in relative.items()} | physical,
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
+    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
+    notes = range_notes(datasets, axes) + unresolved_parameters(parameters)
+    notes += known.notes("record steps, and loops of full amplitude from 20 Hz up to beyond the resonance")
+    report: Report = {
+        "family": "mhl",
+        "method": method,
+        "unit": datasets[0].unit,
+        "records": rows,
+        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
+        "structure": [axis.axis.structure.describe() for axis in axes],
+        "parameters": parameters,
+        "notes": notes,
+    }
+    extra = [axis.extra for axis in axes]
+    if any(extra):
+        report["steps"] = extra
+    return Fit(model, report)
+
+
+def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[ParameterRow]:
+    """Report rows of the coefficients of the curves of `axis`, with their errors; their tolerance is added to `relative`."""
+    rows, tolerance = curve_errors(axis.axis.curves, axis.axis.split(axis.vector)[0], axis.covariance)
+    for name in ("ascending", "descending"):
+        relative.setdefault(name, []).append(tolerance)
+    return rows
+
+
+def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[ParameterRow]:
+    """Report rows of scale, rate part, delay and G(s), with the errors that follow from the covariance of the search.
+
+    Parameters
+    ----------
+    axis
+        Fit of the axis.
+    unit
+        Measurement unit.
+    relative
+        Relative errors by name of the parameter, to which those of this axis are added.
+    """
+    structure, n = axis.axis.structure, axis.axis.curves.size
+
+    def values(vector: Array) -> Array:
+        num, den = structure.rational(vector[n + 2 :])
+        full = axis.axis.output_scale * axis.axis.curves.full(vector[:n])
+        return np.concatenate([[full], axis.axis.rate(vector), [structure.tau(vector[n + 2 :])], num, den[1:]])
+
+    nominal = values(axis.vector)
+    jacobian = np.array([(values(axis.vector + 1e-6 * unit_) - nominal) / 1e-6 for unit_ in np.eye(len(axis.vector))]).T
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, axis.covariance, jacobian), 0.0))
+    num, den = structure.rational(axis.vector[n + 2 :])
+    names = ["output_scale", "k1", "k2", "tau", *(f"num[{i}]" for i in range(len(num))), *(f"den[{i}]" for i in range(1, len(den)))]
+    units = [unit, f"{unit} s/V", "s", "s"] + [""] * (len(names) - 4)
+    rows: list[ParameterRow] = []
+    for name, value, error, given in zip(names, nominal, errors, units, strict=True):
+        if name == "tau" and not structure.delay:
+            continue
+        rows.append({"name": name, "value": float(value), "standard_error": float(error), "unit": given})
+        if value and error:
+            relative.setdefault(name.split("[")[0], []).append(abs(float(error / value)))
+    rows.append({"name": "b1", "value": float(axis.offset), "standard_error": None, "unit": unit})
+    return rows
+
+
+def unresolved_parameters(parameters: Sequence[ParameterRow]) -> list[str]:
+    """Name the parameters that the data cannot tell, with the excitation that would."""
+    remedies = {
+        "k1": "record loops of full amplitude between 20 and 200 Hz",
+        "k2": "record loops of full amplitude between 20 and 200 Hz",
+        "tau": "record steps or a sweep at a higher sampling rate",
+        "num[0]": "record a sweep or multisine up to beyond the resonance",
+        "den[1]": "record a sweep or multisine up to beyond the resonance",
+    }
+    notes = []
+    for row in parameters:
+        error = row["standard_error"]
+        if row["name"] in remedies and error is not None and error > 0.5 * abs(row["value"]):
+            notes.append(f"axis {row['axis']}: {row['name']} cannot be determined from these data: {remedies[row['name']]}")
+    return notes

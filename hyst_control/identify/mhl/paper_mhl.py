@@ -1,0 +1,483 @@
+"""The MHL paper's own sequence (§2.4, §4.2).
+
+Step → τ, slow loops of variable amplitude → f0, g0, sweep to 100 Hz → k1, k2, sweep to 4 kHz → G(s). Kept to be compared with the
+joint fit: every later step inherits the error of the ones before.
+
+The inverse (Eq. 6, 7) is identified too, not derived: curves of its own (Table 1, right), then Ψ' from u - H_S^-1[y] on the sweep to
+100 Hz as it was recorded. Delay and hold are left in, so Ψ' leads and makes up for them: Ψ of the model, which was fitted with the
+delay removed, lags, and its inverse would have the other sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import RateCorrection
+from hyst_control.chain.linear.symmetric_filter import smooth_weights
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.identify.assess.fit_report import command_bandwidth
+from hyst_control.identify.data.dataset import Dataset, check_records
+from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.mhl.madelung import curve_ends, fit_axis, fit_inverse, merged, response_sign
+from hyst_control.identify.mhl.madelung_curves import Ends
+from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.simulation_error import (
+    Parametrization,
+    Solution,
+    driving_signal,
+    minimize_simulation_error,
+    short_stretches,
+    surviving_turns,
+)
+from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
+from hyst_control.model_file import Model
+
+REST_TIME = 0.02
+"""A command that holds still for this long (s) rests."""
+SLOW, MEDIUM = 5.0, 150.0
+"""Bandwidths (Hz) of the slow loops and of the sweep for the rate correction, at most."""
+PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
+"""The order of Eq. 12."""
+STEP_TIME = 0.05
+"""Length of a step's response that is used, s."""
+REST_KEPT = 0.3
+"""Length of the rest after a motion that is kept, s: it may be all the time in which the other axis moves, and tell nothing."""
+ROWS = 60_000
+FASTEST, SLOWEST = 0.25, 50.0
+"""Samples, between which k2' is looked for: below a quarter of one Tustin's rule makes an alternating filter of Ψ'."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Windows of one axis by their role in the sequence."""
+
+    step: list[Window]
+    slow: list[Window]
+    medium: list[Window]
+    fast: list[Window]
+
+
+def _with_pair(
+    windows: Sequence[Window], curves: Array, rate: Array, plain: Solution, axis: Axis, late: Array, nuisance: str
+) -> tuple[Solution, Structure]:
+    """G(s) with a further mode and zeros next to it, where that lowers the held-out error.
+
+    Eq. 12 has no room for a mode that its notch misses, and its order is the one of its fitting accuracy (§4.2).
+    """
+    smaller = structure = replace(axis.structure, delay=False)
+    whole = np.concatenate([curves, rate, plain.parameters, late])
+    signals = []
+    for window in windows:
+        signal, first = driving_signal(window)
+        simulated = _run(axis.stages(whole), signal, Sampling(window.sample_time, 1, window.hold))[first:]
+        signals.append((window.command[window.skip :], (window.measurement - simulated)[window.skip :]))
+    frequency = unexplained_frequency(signals, axis.sample_time)
+    if frequency is None:
+        return plain, structure
+    groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
+    own = [replace(window, group=groups[window.group]) for window in windows]
+    best = plain
+
+    def problem_of(richer: Structure, size: int) -> Parametrization:
+        tried = replace(axis, structure=replace(richer, delay=True))
+
+        def stages(vector: Array) -> list[Stage]:
+            return tried.stages(np.concatenate([curves, rate, vector, late]))
+
+        def limit(vector: Array) -> Array:
+            return richer.limit(vector, axis.sample_time)
+
+        return Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
+
+    for damping in PAIR_DAMPINGS:
+        richer, start = parted_pair(smaller, plain.parameters, frequency, damping)
+        problem = problem_of(richer, len(start))
+        found = minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+        if found.held_out < (1.0 - WORTHWHILE) * best.held_out:
+            best, structure = found, richer
+    return best, structure
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """u = H_S^-1[y - zero] + (k1 ẏ + b1) / (k2 s + 1) of one axis (Eq. 6, 7), b2 = 1.
+
+    hysteresis: curves from y to V; zero: measurement unit; k1: V s per measurement unit; b1: V; k2: s. rms: V, of what Ψ' leaves on
+    the sweep; before: V, of what there is without it.
+    """
+
+    hysteresis: Madelung
+    zero: float
+    k1: float
+    k2: float
+    b1: float
+    rms: float
+    before: float
+
+
+def inverse_model(
+    datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None, smoothing: int = 0
+) -> Model:
+    """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop, whose hold it makes up for.
+
+    Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    options
+        Options of the fit; the defaults of `MhlOptions` if None.
+    k2
+        Time constant k2', s, where it is given; None to identify it.
+    smoothing
+        Order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none.
+
+    Raises
+    ------
+    InputError
+        The records lack an experiment; the text names it.
+    """
+    check_records(datasets)
+    options = options or MhlOptions()
+    first, axes = datasets[0], range(len(datasets[0].axes))
+    found = []
+    for index in axes:
+        sign = response_sign(whole_records(datasets, index))
+        pieces = sorted_pieces(datasets, index, sign)
+        ends = from_zero(datasets, index, options)
+        static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
+        found.append(
+            fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
+        )
+
+    def per_axis(name: str) -> list[float]:
+        return [float(getattr(inverse, name)) for inverse in found]
+
+    rate = RateCorrection(per_axis("k1"), per_axis("k2"), per_axis("b1"))
+    stages: list[Stage] = [Offset([-zero for zero in per_axis("zero")])]
+    stages.append(Parallel(((merged([inverse.hysteresis for inverse in found]),), (rate,))))
+    signs = [response_sign(whole_records(datasets, index)) for index in axes]
+    if min(signs) < 0:
+        stages.insert(0, Gain(signs))
+    return Model(
+        name="mhl_inverse",
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},  # the device's, as in every model file
+        sample_time=first.sample_time,
+        hold="foh",
+        chain=Chain(tuple(stages)),
+    )
+
+
+def fit_inverse_correction(
+    datasets: Sequence[Dataset],
+    index: int,
+    sign: float,
+    hysteresis: Madelung,
+    zero: float,
+    k2: float | None = None,
+    smoothing: int = 0,
+) -> Inverse:
+    """Fit Ψ' of one axis to u - H_S^-1[y] on the sweeps to 100 Hz as recorded; for every k2', k1' and b1' are linear.
+
+    Ψ' is discretized by Tustin's rule, as in the compensator.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    sign
+        Sign of the response, 1 or -1.
+    hysteresis
+        Inverse curves H_S^-1.
+    zero
+        Zero of the sensor, measurement unit.
+    k2
+        Time constant k2', s, where it is given; None to identify it.
+    smoothing
+        Order of the N without phase behind Ψ', which looks `smoothing` + 1 samples ahead; 0 for none.
+    """
+    weights, ahead = (smooth_weights(smoothing), smoothing + 1) if smoothing else (np.ones(1), 0)
+    targets: list[tuple[Array, Array, list[slice], Sampling]] = []
+    for data in datasets:
+        command = data.command[:, index]
+        rows = [
+            slice(begin, moving)
+            for begin, moving, end in motions(command, data.sample_time)
+            if moving - begin > 2 and SLOW < command_bandwidth(_cut(data, index, begin, end)) <= MEDIUM
+        ]
+        sampling = Sampling(data.sample_time, 1, "foh")
+        y = sign * data.measurement[:, index : index + 1] - zero
+        targets.append((command - _run([hysteresis], y, sampling), y, rows, sampling))
+
+    def left(log_k2: float) -> tuple[float, Array]:
+        """Mean square of what is left and (k1, b1)."""
+        wanted, columns = [], []
+        for target, y, rows, sampling in targets:
+            half, k2 = 0.5 * sampling.sample_time, float(np.exp(log_k2))
+            held = np.append(y[:, 0], np.repeat(y[-1, 0], ahead)) - y[0, 0]
+            led = lfilter(weights, 1.0, lfilter([1.0, -1.0], [k2 + half, half - k2], held))[ahead:]
+            for part in rows:
+                wanted.append(target[part])
+                columns.append(np.column_stack([led[part], np.ones(len(target[part]))]))
+        matrix, goal = np.concatenate(columns), np.concatenate(wanted)
+        solution = np.linalg.lstsq(matrix, goal, rcond=None)[0]
+        return float(np.mean((goal - matrix @ solution) ** 2)), solution
+
+    bounds = np.log(np.array([FASTEST, SLOWEST]) * datasets[0].sample_time)
+    best = np.log(k2) if k2 else minimize_scalar(lambda value: left(value)[0], bounds=bounds, method="bounded").x
+    power, (k1, b1) = left(best)
+    before = np.concatenate([target[part] for target, _, rows, _ in targets for part in rows])
+    return Inverse(hysteresis, zero, float(k1), float(np.exp(best)), float(b1), float(np.sqrt(power)), float(before.std()))
+
+
+def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
+    running = Chain(tuple(stages)).filter(sampling)
+    running.settle(signal[0])
+    return np.asarray(running.process(np.ascontiguousarray(signal)))[:, 0]
+
+
+def from_zero(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Ends:
+    """Commands at the ends of the curves, which begin at 0 V in the paper's sequence.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    options
+        Options of the fit.
+
+    Raises
+    ------
+    InputError
+        They begin elsewhere.
+    """
+    ends = curve_ends(whole_records(datasets, index), options)
+    if ends.lower != 0.0:
+        raise InputError(
+            f"{datasets[0].name}: command: the paper's sequence begins at 0 V, the records of axis {datasets[0].axes[index]} at "
+            f"{ends.lower:g} V: use the joint method"
+        )
+    return ends
+
+
+def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
+    """A part of one axis."""
+    return replace(
+        data, command=data.command[begin:end, index : index + 1], measurement=data.measurement[begin:end, index : index + 1]
+    )
+
+
+def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
+    """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    options
+        Options of the fit.
+    """
+    return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
+
+
+def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> AxisFit:
+    everything = whole_records(datasets, index)
+    sign = response_sign(everything)
+    pieces = sorted_pieces(datasets, index, sign)
+    ends = from_zero(datasets, index, options)
+    structure = options.structure or PAPER_STRUCTURE
+
+    # Step 1: the delay.
+    tau, tau_error = step_delay(pieces.step)
+
+    # Step 2: the curves, from loops so slow that nothing else matters.
+    static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
+    curves = static.solution.parameters
+    inverse = fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
+
+    # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
+    whole = replace(structure, delay=True)
+    axis = Axis(options.curves, whole, ends, static.output_scale, sign, everything[0].sample_time)
+    bare = replace(axis, structure=Structure(delay=True))
+    late = np.array([tau / TAU_UNIT])
+    medium = short_stretches(pieces.medium, ROWS, 0.3, 0.02)
+    rate = _best(
+        medium,
+        lambda vector: bare.stages(np.concatenate([curves, vector, late])),
+        [np.array([share, np.log(k2 / K2_UNIT)]) for share in (-0.2, 0.2) for k2 in (3e-4, 1e-3, 3e-3)],
+        lambda vector: bare.limit(np.concatenate([curves, vector, late]))[curves.size : curves.size + 2],
+        options.nuisance,
+    )
+    fast = short_stretches(pieces.fast, ROWS, 0.3, 0.02)
+    dynamics = _best(
+        fast,
+        lambda vector: axis.stages(np.concatenate([curves, rate.parameters, vector, late])),
+        [structure.start(frequency) for frequency in (300.0, 1000.0, 3000.0) if frequency < 0.4 / axis.sample_time],
+        lambda vector: structure.limit(vector, axis.sample_time),
+        options.nuisance,
+    )
+    if options.structure is None:
+        dynamics, structure = _with_pair(fast, curves, rate.parameters, dynamics, axis, late, options.nuisance)
+        axis = replace(axis, structure=replace(structure, delay=True))
+    covariance = block_diag(static.solution.covariance, rate.covariance, dynamics.covariance, (tau_error / TAU_UNIT) ** 2)
+    steps: dict[str, dict[str, Any]] = {
+        "delay": {"tau": tau, "steps": len(pieces.step)},
+        "inverse": {
+            "ascending": list(inverse.hysteresis.ascending),
+            "descending": list(inverse.hysteresis.descending),
+            "input_scale": inverse.hysteresis.input_scale,
+            "output_scale": inverse.hysteresis.output_scale,
+            "k1": inverse.k1,
+            "k2": inverse.k2,
+            "b1": inverse.b1,
+            "rms": inverse.rms,
+            "rms_without": inverse.before,
+        },
+        "fitted_rms": {
+            name: float(np.sqrt(solution.fitted))
+            for name, solution in (("slow", static.solution), ("medium", rate), ("fast", dynamics))
+        },
+    }
+    vector = np.concatenate([curves, rate.parameters, dynamics.parameters, late])
+    return AxisFit(axis, vector, covariance, static.offset, dynamics.held_out, steps)
+
+
+def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Pieces:
+    """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    index
+        Index of the axis.
+    sign
+        Sign of the response, 1 or -1.
+    """
+    found = Pieces([], [], [], [])
+    group = 0
+    for data in datasets:
+        command, measurement = data.command[:, index], sign * data.measurement[:, index]
+        virgin = virgin_rows(command)
+        for begin, moving, end in motions(command, data.sample_time):
+            jump = moving - begin <= 2
+            lead = int(0.01 / data.sample_time) if jump else 1
+            first = max(begin - lead, 0)
+            end = min(end, begin + int(STEP_TIME / data.sample_time) if jump else moving + int(REST_KEPT / data.sample_time))
+            turns = command[turning_points(command[: first + 1])] if first else np.zeros(0)
+            earlier = np.concatenate([[0.0], turns, command[first : first + 1]])
+            memory = earlier[surviving_turns(earlier)][:-1] if first else None
+            window = Window(
+                np.ascontiguousarray(command[first:end]),
+                np.ascontiguousarray(measurement[first:end]),
+                data.sample_time,
+                data.hold,
+                # A step stands by itself; the curves are those of the major loop, not the virgin one.
+                0 if jump else int(np.clip(virgin - first, 0, end - first - 1)),
+                group,
+                memory=memory,
+            )
+            group += 1
+            bandwidth = command_bandwidth(_cut(data, index, begin, end))
+            kind = found.step if jump else found.slow if bandwidth <= SLOW else found.medium if bandwidth <= MEDIUM else found.fast
+            kind.append(window)
+    names = ", ".join(data.name for data in datasets)
+    for kind, words in (
+        (found.step, "a step between two rests"),
+        (found.slow, f"slow loops (up to {SLOW:g} Hz) of variable amplitude"),
+        (found.medium, "a sweep to 100 Hz"),
+        (found.fast, f"a sweep to beyond {MEDIUM:g} Hz"),
+    ):
+        if not kind:
+            raise InputError(
+                f"{names}: the paper's sequence needs {words} of axis {datasets[0].axes[index]}: add such a record or use the "
+                "joint method"
+            )
+    return found
+
+
+def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
+    """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    sample_time
+        Sample time, s.
+    """
+    span = float(np.ptp(command))
+    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
+    if span == 0 or not len(moving):
+        return []
+    breaks = np.flatnonzero(np.diff(moving) > REST_TIME / sample_time)
+    begins = moving[np.concatenate([[0], breaks + 1])]
+    ends = moving[np.concatenate([breaks, [len(moving) - 1]])] + 1
+    following = np.append(begins[1:], len(command))
+    return [(int(b), int(m), int(e)) for b, m, e in zip(begins, ends, following, strict=True)]
+
+
+def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
+    """Delay (s) and its standard error, from a delayed second-order response fitted to the beginning of each step.
+
+    Parameters
+    ----------
+    windows
+        Steps, each with the rest before it.
+    """
+    structure = Structure(modes=1, delay=True)
+    sample_time = windows[0].sample_time
+    travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows)
+
+    def stages(vector: Array) -> list[Stage]:
+        return [Gain(travel * vector[0]), *structure.stages(vector[1:])]
+
+    def limit(vector: Array) -> Array:
+        return np.concatenate([vector[:1], structure.limit(vector[1:], sample_time)])
+
+    starts = [
+        np.concatenate([[1.0], structure.start(frequency)])
+        for frequency in (300.0, 1000.0, 3000.0)
+        if frequency < 0.4 / sample_time
+    ]
+    # Every step has its own zero, and creep its own drift.
+    plain = [replace(window, memory=None, group=number) for number, window in enumerate(windows)]
+    found = _best(plain, stages, starts, limit, "linear")
+    return structure.tau(found.parameters[1:]), TAU_UNIT * float(np.sqrt(max(found.covariance[-1, -1], 0.0)))
+
+
+def _best(
+    windows: Sequence[Window],
+    stages: Callable[[Array], Sequence[Stage]],
+    starts: Sequence[Array],
+    limit: Callable[[Array], Array],
+    nuisance: str,
+) -> Solution:
+    """The best of several starts, brought to its minimum."""
+    groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
+    own = [replace(window, group=groups[window.group]) for window in windows]
+    size = len(starts[0])
+    problem = Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
+    trials = [minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
+    best = min(trials, key=lambda solution: solution.fitted)
+    return minimize_simulation_error(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)

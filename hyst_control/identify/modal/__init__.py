@@ -1,0 +1,1 @@
+"""Linear families: modes, transfer functions, frequency responses."""

@@ -1,0 +1,552 @@
+"""One model for several levels of a periodic experiment: modes that soften with amplitude (`chain.softening_modal`).
+
+Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
+poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
+force computed from the first model's elongation, that force and the stop operators of the command as further inputs of the
+same modes. The only input of both is the command.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.hysteresis.softening_modal import SofteningModal
+from hyst_control.chain.stage import Array
+from hyst_control.identify.modal.frequency_response import excited_lines
+from hyst_control.identify.modal.modal_fit import Problem
+from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra
+from hyst_control.identify.solve import gauss_newton
+from hyst_control.identify.solve.gauss_newton import End, Rules, Trial, solve_damped
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level: steady periods of command (N, m, R) in V and measurement (N, p, R) for R realizations."""
+
+    command: Array
+    measurement: Array
+
+    @property
+    def amplitude(self) -> float:
+        """Rms of the command over samples, axes and realizations, V."""
+        return float(np.sqrt(np.mean(self.command**2)))
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """Modal parameters that move along one direction with g: θ = centre + g · change.
+
+    Parameters
+    ----------
+    centre
+        The model at g = 0.
+    change
+        Change (P,) of the parameters with g, in the layout of `modal_fit.Problem`.
+    """
+
+    centre: ModalModel
+    change: Array
+
+    def at(self, g: float) -> ModalModel:
+        """Return the linear model at a value of the schedule.
+
+        Parameters
+        ----------
+        g
+            Value of the schedule.
+
+        Returns
+        -------
+        ModalModel
+            The model.
+        """
+        problem = Problem([_empty(self.centre)], self.centre)
+        problem.apply(g * self.change)
+        return problem.model
+
+
+@dataclass(frozen=True)
+class SofteningFit:
+    """A softening stage and its fit.
+
+    Parameters
+    ----------
+    stage
+        The stage.
+    scheduled
+        The parameters of the stage.
+    parameters
+        Number of free parameters.
+    seconds
+        Time that the fit took, s.
+    sigma
+        Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them.
+    """
+
+    stage: SofteningModal
+    scheduled: Scheduled
+    parameters: int
+    seconds: float
+    sigma: Array
+
+    @property
+    def tolerance(self) -> dict[str, float]:
+        """Median relative standard deviations of the stage's decays and frequencies: the smallest tolerance of a model file."""
+        pairs = np.asarray(self.stage.frequency) > 0
+        relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
+        return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
+
+
+def schedule(amplitude: float, reference: float) -> float:
+    """Schedule g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it.
+
+    Parameters
+    ----------
+    amplitude
+        The amplitude.
+    reference
+        The reference amplitude.
+
+    Returns
+    -------
+    float
+        g.
+    """
+    return float((np.sqrt(amplitude / reference) - 1.0) / (1.0 - np.sqrt(0.5)))
+
+
+def fit_softening(
+    levels: Sequence[Level],
+    start: ModalModel | Scheduled,
+    reference: float,
+    sample_time: float,
+    *,
+    exponent: float | Sequence[float] = 0.5,
+    memory: float = 0.1,
+    force: bool = True,
+    stops: Sequence[float] = (),
+    products: bool = False,
+    iterations: tuple[int, int] = (14, 7),
+    rounds: int = 2,
+) -> SofteningFit:
+    """Fit `SofteningModal` to several levels of a periodic experiment.
+
+    Parameters
+    ----------
+    levels
+        Steady periods at each level.
+    start
+        Linear model of the level whose amplitude is the reference, or an earlier fit: without the softening force, or with a part of
+        what is fitted now.
+    reference
+        Amplitude (V rms) at which the changes are nil.
+    sample_time
+        Sample time in s.
+    exponent
+        Of the softening force's terms.
+    memory
+        Time constant (s) of the slow amplitude.
+    force
+        False leaves the softening force out: the model is then linear at each amplitude.
+    stops
+        Thresholds (V) of stop operators of the command beside the force.
+    products
+        Products of the actuators' elongations beside the force.
+    iterations
+        Most steps without and with the force.
+    rounds
+        Fits with the force, each from the elongation of the one before.
+
+    Returns
+    -------
+    SofteningFit
+        The stage, its fit, and the standard deviations of its poles.
+    """
+    began = time.perf_counter()
+    g = [schedule(level.amplitude, reference) for level in levels]
+    weights = [1.0 / float(np.std(level.measurement)) for level in levels]
+    linear = start.centre if isinstance(start, Scheduled) else start
+    inputs = levels[0].command.shape[1]
+    if isinstance(start, Scheduled):
+        scheduled, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
+    else:
+        data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
+        initial = Scheduled(start, np.zeros(_layout(start).size))
+        scheduled, parameters, sigma = refine_scheduled(data, g, initial, inputs, iterations[0])
+    if not force:
+        stage = stage_of(scheduled, reference, sample_time, memory=memory)
+        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+    # The elongation in volts of a slow command: the output divided by the gain of the low lines.
+    low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
+    elongation = np.linalg.inv(low[:, :inputs])
+    exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
+    pairs = np.triu_indices(inputs if products else 0)
+    wanted = inputs * (1 + len(exponents) + len(stops)) + len(pairs[0])
+    point = _widened(scheduled, wanted - linear.inputs.shape[1])
+    held = [stop_operators(level.command, stops) for level in levels]
+    # Their average part at the reference belongs to the scheduled modes too.
+    nearest = min(range(len(levels)), key=lambda index: abs(g[index]))
+    command = np.concatenate([levels[nearest].command] * len(stops), axis=1) if stops else held[nearest]
+    stop_mean = np.sum(held[nearest] * command, axis=(0, 2)) / np.maximum(np.sum(command**2, axis=(0, 2)), 1e-300)
+    # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit
+    # again.
+    for _ in range(rounds):
+        strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
+        # A term's average part, proportional to the strain, belongs to the scheduled modes: the rest is uncorrelated
+        # with it.
+        power = [np.sum(q**2, axis=(0, 2)) for q in strains]
+        means = []
+        for e in exponents:
+            bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
+            means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
+        mean = np.concatenate(means)
+        drive = sum(level.amplitude**2 * q.shape[0] * q.shape[2] for q, level in zip(strains, levels, strict=True))
+        product_mean = sum(np.sum(q[:, pairs[0]] * q[:, pairs[1]], axis=(0, 2)) for q in strains) / drive
+        data = []
+        for level, weight, q, stop in zip(levels, weights, strains, held, strict=True):
+            terms = [q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)]
+            # The force reaches lines that the command leaves out.
+            terms += [stop - stop_mean[:, None] * np.concatenate([level.command] * len(stops), axis=1)] if stops else []
+            terms.append(q[:, pairs[0]] * q[:, pairs[1]] - product_mean[:, None] * level.amplitude**2)
+            command = np.concatenate([level.command, *terms], axis=1)
+            data.append(spectra(command, level.measurement, weight, every_line=True))
+        point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
+    stage = stage_of(
+        point,
+        reference,
+        sample_time,
+        memory=memory,
+        exponent=exponent,
+        elongation=elongation,
+        mean=mean,
+        stops=stops,
+        stop_mean=stop_mean,
+        product_mean=product_mean,
+    )
+    return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+
+
+def stop_operators(command: Array, thresholds: Sequence[float]) -> Array:
+    """Stop operators of periodic commands in the periodic steady state.
+
+    Parameters
+    ----------
+    command
+        Commands (N, m, records), V.
+    thresholds
+        Thresholds (T,), V.
+
+    Returns
+    -------
+    Array
+        (N, T m, records), V, the thresholds one after the other.
+    """
+    found = [np.zeros((len(command), 0, command.shape[2]))]
+    for threshold in thresholds:
+        held, stopped = np.zeros(command.shape[1:]), np.empty_like(command)
+        for _ in range(2):  # in the second period no memory is older than the period
+            for row, value in enumerate(command):
+                held = np.minimum(np.maximum(held, value - threshold), value + threshold)
+                stopped[row] = value - held
+        found.append(stopped)
+    return np.concatenate(found, axis=1)
+
+
+def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
+    """Elongation (N, p, R) in V that the commands cause in the linear part of a model, in the periodic steady state."""
+    samples = len(level.command)
+    lines = np.arange(1, samples // 2)
+    spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
+    response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
+    spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
+    found: Array = np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
+    return found
+
+
+def refine_scheduled(
+    data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
+) -> tuple[Scheduled, int, Array]:
+    """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton.
+
+    Parameters
+    ----------
+    data, g
+        Spectra of each level, and its g.
+    start
+        Parameters to begin with.
+    inputs
+        Inputs whose gains change.
+    iterations
+        Most steps.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+
+    Returns
+    -------
+    point : Scheduled
+        The fitted parameters.
+    count : int
+        How many of them are free.
+    sigma : Array
+        Standard deviations (n, 2) of the poles' decay and frequency.
+    """
+    problems = [Problem([part], start.centre) for part in data]
+    layout, free = problems[0].layout, problems[0].free
+    n, m = start.centre.inputs.shape
+    moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
+    moving = moving[free[moving]]
+    all_free = np.concatenate([free, np.ones(len(moving), dtype=bool)])
+
+    rules = Rules(
+        damping=1e-4,
+        raised=lambda damping: damping * 8,
+        eased=lambda damping: max(damping / 5, 1e-9),
+        small=lambda before, after: before - after <= tolerance * before,
+        steps=iterations,
+        rejections=8,
+    )
+    search = _Search(problems, g, moving, all_free)
+    found = gauss_newton.minimize(search, search.linearize(_Point(start)), rules)
+    # Errors are those of the last point with derivatives: a step of small gain moves them as little.
+    last = search.linearize(found.point) if not found.linearized and found.end is End.BUDGET else found.point
+    point, matrix, cost = last.scheduled, last.matrix, last.linearized_cost
+    pairs = int(np.count_nonzero(start.centre.poles.imag))
+    # c and b of a mode share one complex (or real) factor that changes nothing.
+    count = int(all_free.sum()) - n - pairs
+    equations = sum(2 * part.measurement.size for part in data)
+    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Parameters with their cost, and JᵀJ, Jᵀr and the cost where they were last taken."""
+
+    scheduled: Scheduled
+    cost: float = np.inf
+    matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    vector: Array = field(default_factory=lambda: np.zeros(0))
+    linearized_cost: float = np.inf
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of all levels: parameters of the center (P,), then the changes of those that are `moving`."""
+
+    problems: Sequence[Problem]
+    g: Sequence[float]
+    moving: NDArray[np.intp]
+    free: NDArray[np.bool_]
+
+    def place(self, point: Scheduled) -> None:
+        for problem, value in zip(self.problems, self.g, strict=True):
+            problem.model = point.centre
+            problem.apply(value * point.change)
+
+    def cost(self, point: _Point) -> float:
+        return point.cost
+
+    def linearize(self, point: _Point) -> _Point:
+        self.place(point.scheduled)
+        moving, size, total = self.moving, self.problems[0].layout.size, len(self.free)
+        matrix, vector, cost = np.zeros((total, total)), np.zeros(total), 0.0
+        for problem, value in zip(self.problems, self.g, strict=True):
+            own, gradient, part = problem.normal_equations()
+            matrix[:size, :size] += own
+            matrix[:size, size:] += value * own[:, moving]
+            matrix[size:, :size] += value * own[moving]
+            matrix[size:, size:] += value**2 * own[np.ix_(moving, moving)]
+            vector[:size] += gradient
+            vector[size:] += value * gradient[moving]
+            cost += part
+        return _Point(point.scheduled, cost, matrix, vector, cost)
+
+    def step(self, point: _Point, damping: float) -> Trial[_Point]:
+        first = self.problems[0]
+        step = solve_damped(point.matrix, point.vector, self.free, damping)
+        change = point.scheduled.change.copy()
+        change[self.moving] += step[first.layout.size :]
+        first.model = point.scheduled.centre
+        first.apply(step[: first.layout.size])
+        trial = _bounded(Scheduled(first.model, change), first, max(abs(value) for value in self.g))
+        self.place(trial)
+        return Trial(replace(point, scheduled=trial, cost=sum(problem.cost() for problem in self.problems)))
+
+
+def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> Array:
+    """Standard deviations (n, 2) of the poles' a and w, which stand at `at`, from JᵀJ and the residual's variance."""
+    index = np.flatnonzero(free)
+    scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
+    # The factor that c and b of a mode share leaves JᵀJ singular: a trace on the diagonal, and the poles are untouched.
+    scaled = matrix[np.ix_(index, index)] / scale / scale[:, None] + 1e-9 * np.eye(len(index))
+    sigma = np.zeros(len(free))
+    sigma[index] = np.sqrt(variance * np.maximum(np.diag(np.linalg.inv(scaled)), 0.0)) / scale
+    found: Array = sigma[at]
+    return found
+
+
+def _per_second(sigma: Array, sample_time: float) -> Array:
+    found: Array = sigma * np.array([1.0, 1.0 / sample_time])
+    return found
+
+
+def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
+    """Transform periodic records at their excited lines; sums of squares are those of the samples times weight².
+
+    Parameters
+    ----------
+    command
+        Commands (N, m, records).
+    measurement
+        Measurements (N, p, records).
+    weight
+        Weight of the records.
+    every_line
+        Take all lines.
+
+    Returns
+    -------
+    Spectra
+        The spectra.
+    """
+    u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
+    lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
+    scale = weight * np.sqrt(2.0 / len(command))
+    return Spectra(2 * np.pi * lines / len(command), scale * u[lines], scale * y[lines], True)
+
+
+def stage_of(
+    scheduled: Scheduled,
+    reference: float,
+    sample_time: float,
+    *,
+    memory: float,
+    exponent: float | Sequence[float] = 0.5,
+    elongation: Array | None = None,
+    mean: Array | None = None,
+    stops: Sequence[float] = (),
+    stop_mean: Array | None = None,
+    product_mean: Array | None = None,
+) -> SofteningModal:
+    """Construct the stage; inputs beyond the number of outputs are those of the force, of the stop operators and of the products.
+
+    Parameters
+    ----------
+    scheduled
+        Linear models along the schedule.
+    reference
+        Reference amplitude.
+    sample_time
+        Sample time, s.
+    memory
+        Time constant of the amplitude, s.
+    exponent
+        Exponent of the schedule, one or one an axis.
+    elongation
+        Map from the states to the elongation.
+    mean
+        Mean amplitude.
+    stops, stop_mean
+        Thresholds of the stop operators, V, and their average gains.
+    product_mean
+        Average of the products, none or one a pair of actuators.
+
+    Returns
+    -------
+    SofteningModal
+        The stage.
+    """
+    model = scheduled.centre
+    n, m = model.inputs.shape
+    outputs = model.feedthrough.shape[0]
+    layout = _layout(model)
+    pole = scheduled.change[layout.slices["pole"]].reshape(n, 2)
+    change = scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time
+
+    first = m - (0 if product_mean is None else len(product_mean))  # of the products
+    behind = first - outputs * len(stops)
+
+    def pair(values: np.ndarray) -> Array:
+        return np.stack([values.real, values.imag])
+
+    parts = (
+        {
+            "force_inputs": pair(model.inputs[:, outputs:behind] / sample_time),
+            "force_feedthrough": model.feedthrough[:, outputs:behind],
+            "elongation": cast(Array, elongation),  # given with the inputs of the force
+            "force_mean": cast(Array, mean),
+        }
+        if m > outputs
+        else {}
+    )
+    if stops:
+        parts |= {
+            "stop_threshold": np.array(stops),
+            "stop_inputs": pair(model.inputs[:, behind:first] / sample_time),
+            "stop_feedthrough": model.feedthrough[:, behind:first],
+            "stop_mean": cast(Array, stop_mean),
+        }
+    if first < m:
+        parts |= {
+            "product_inputs": pair(model.inputs[:, first:] / sample_time),
+            "product_feedthrough": model.feedthrough[:, first:],
+            "product_mean": cast(Array, product_mean),
+        }
+    return SofteningModal(
+        decay=np.log(-model.poles.real / sample_time),
+        frequency=model.poles.imag / sample_time,
+        outputs=pair(model.outputs),
+        inputs=pair(model.inputs[:, :outputs] / sample_time),
+        feedthrough=model.feedthrough[:, :outputs],
+        amplitude=reference,
+        decay_change=pole[:, 0],
+        frequency_change=pole[:, 1] / sample_time,
+        inputs_change=change,
+        exponent=exponent,
+        memory=memory,
+        **parts,
+    )
+
+
+def _bounded(point: Scheduled, problem: Problem, reach: float) -> Scheduled:
+    """The point with its poles' changes held where no pole leaves its bounds for |g| up to `reach`."""
+    poles = point.centre.poles
+    change = point.change.copy()
+    at = problem.layout.indices("pole", len(poles), 2)
+    decay = np.maximum(np.log(-poles.real) - problem.slowest, 0.0) / reach
+    frequency = np.where(poles.imag == 0, 0.0, np.minimum(np.pi - poles.imag, poles.imag)) / reach
+    change[at[:, 0]] = np.clip(change[at[:, 0]], -decay, decay)
+    change[at[:, 1]] = np.clip(change[at[:, 1]], -frequency, frequency)
+    return Scheduled(point.centre, change)
+
+
+def _layout(model: ModalModel) -> Layout:
+    return Problem([_empty(model)], model).layout
+
+
+def _empty(model: ModalModel) -> Spectra:
+    """Two lines, so close that no pole is held back, without data: a problem that only moves parameters."""
+    outputs, inputs = model.feedthrough.shape
+    return Spectra(np.array([1.0, 1.0 + 1e-9]), np.zeros((2, inputs, 1)), np.zeros((2, outputs, 1)), True)
+
+
+def _widened(scheduled: Scheduled, further: int) -> Scheduled:
+    """The same with that many further inputs, of no effect yet."""
+    model, old = scheduled.centre, _layout(scheduled.centre)
+    (n, p), inputs = model.outputs.shape, model.inputs.shape[1]
+    wide = replace(
+        model,
+        inputs=np.hstack([model.inputs, np.zeros((n, further))]),
+        feedthrough=np.hstack([model.feedthrough, np.zeros((p, further))]),
+        delay=np.concatenate([model.delay, np.zeros(further)]),
+    )
+    new = _layout(wide)
+    change = np.zeros(new.size)
+    change[new.slices["pole"]] = scheduled.change[old.slices["pole"]]
+    change[new.indices("b", 2, n, inputs + further)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
+    return Scheduled(wide, change)

@@ -1,0 +1,1 @@
+"""Families of hysteretic oscillators: Duhem and Bouc-Wen."""

@@ -1,0 +1,441 @@
+"""Identification of mechanics with a hysteretic force in their feedback, the common part of such families.
+
+The simulation error of the whole oscillator is minimized (`simulation_error`). The search begins at the linear oscillator that the
+records' spectra show, whose stiffness is then shared between the spring and the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Protocol
+
+import numpy as np
+
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.hysteresis.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.parameter import Scattering
+from hyst_control.chain.stage import Array, Sampling
+from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.data.fit_windows import whole_records, with_sign
+from hyst_control.identify.mhl.madelung import mean_offset
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
+from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
+from hyst_control.model_file import Model
+from hyst_control.records.row_store import blocks, spread_parts
+
+SELECTION_ROWS = 200_000
+"""Rows on which starts and structures are compared."""
+STRONG_LINE = 1e-3
+"""Power of a line of the command relative to the strongest one from which on it counts for the linear start."""
+DAMPING_RATIOS = (1e-4, 20.0)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Linear oscillator k y + c ẏ + m ÿ = u.
+
+    Parameters
+    ----------
+    stiffness
+        k, V/measurement unit.
+    frequency
+        Natural frequency, rad/s.
+    damping
+        Damping ratio.
+    travel
+        Range of the measurement, the scale of the displacement.
+    sign
+        -1 where the measurement falls as the command rises, else 1.
+    """
+
+    stiffness: float
+    frequency: float
+    damping: float
+    travel: float
+    sign: float
+
+    @property
+    def mechanics(self) -> tuple[float, float]:
+        """Mass and damping of the stage."""
+        return self.stiffness / self.frequency**2, 2.0 * self.damping * self.stiffness / self.frequency
+
+
+def linear_start(datasets: Sequence[Dataset], axis: int) -> Linear:
+    """Estimate a linear oscillator from the spectra of the records, a linear least-squares problem in k, c and m.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+
+    Returns
+    -------
+    Linear
+        With positive parameters; where the spectra do not show an oscillation, a well damped one above the band of the command.
+    """
+    matrix, vector = np.zeros((3, 3)), np.zeros(3)
+    for data in datasets:
+        for part in spread_parts(len(data.command), SPECTRUM_ROWS):
+            command, measurement = data.command[part, axis], data.measurement[part, axis]
+            window = np.hanning(len(command))
+            u, y = (np.fft.rfft(window * (signal - signal.mean())) for signal in (command, measurement))
+            if data.hold == "zoh":  # the sample at t_k answers the commands before it: half an interval later on the average
+                u *= np.exp(-1j * np.pi * np.arange(len(u)) / len(command))
+            strong = np.abs(u) ** 2 > STRONG_LINE * np.max(np.abs(u[1:]) ** 2)
+            strong[0] = False
+            omega = 2 * np.pi * np.flatnonzero(strong) / (len(command) * data.sample_time)
+            columns = np.stack([y[strong], 1j * omega * y[strong], -(omega**2) * y[strong]], axis=1)
+            matrix += (columns.conj().T @ columns).real
+            vector += (columns.conj().T @ u[strong]).real
+    travel = max(float(np.ptp(data.measurement[:, axis])) for data in datasets)
+    drive = max(float(np.ptp(data.command[:, axis])) for data in datasets)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    stiffness, damping, mass = np.linalg.lstsq(matrix / scale / scale[:, None], vector / scale, rcond=1e-12)[0] / scale
+    sign = -1.0 if stiffness < 0 else 1.0
+    stiffness, damping, mass = sign * stiffness, sign * damping, sign * mass
+    band = 2 * np.pi * max(command_bandwidth(data) for data in datasets)
+    fastest = np.pi / min(data.sample_time for data in datasets)
+    if not stiffness > 0:
+        stiffness = drive / travel
+    frequency = float(np.sqrt(stiffness / mass)) if mass > 0 else 3.0 * band
+    frequency = float(np.clip(frequency, 0.01 * band, 0.5 * fastest))
+    ratio = 0.5 * damping * frequency / stiffness
+    return Linear(float(stiffness), frequency, float(np.clip(ratio if ratio > 0 else 0.5, *DAMPING_RATIOS)), travel, sign)
+
+
+class Law(Protocol):
+    """A family's parameters behind log stiffness, log frequency and log damping ratio, and the stage that all of them make."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+
+    @property
+    def lhs(self) -> Array:
+        """Left sides (C, size) of the constraints on them."""
+
+    @property
+    def rhs(self) -> Array:
+        """Right sides (C,)."""
+
+    def stage(self, linear: Linear, vector: Array) -> HystereticOscillator:
+        """Construct the stage of one axis.
+
+        Parameters
+        ----------
+        linear
+            The oscillator for small motions about rest, or nearly.
+        vector
+            Parameters (size,).
+
+        Returns
+        -------
+        HystereticOscillator
+            The stage.
+        """
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One axis of all records with its scales.
+
+    Parameters
+    ----------
+    windows
+        The records; the measurement turned where it falls as the command rises.
+    linear
+        The linear oscillator at which the first three parameters are 0.
+    nuisance
+        Addition of each record, one of `gram_sums.NUISANCES`.
+    """
+
+    windows: Sequence[Window]
+    linear: Linear
+    nuisance: str
+
+    def stage(self, law: Law, vector: Array) -> HystereticOscillator:
+        """The stage of a parameter vector.
+
+        Parameters
+        ----------
+        law
+            Of the branches.
+        vector
+            Log stiffness, log frequency and log damping ratio over those of `linear`, then the law's parameters.
+
+        Returns
+        -------
+        HystereticOscillator
+            One axis.
+        """
+        stiffness, frequency, damping = np.array([self.linear.stiffness, self.linear.frequency, self.linear.damping]) * np.exp(
+            vector[:3]
+        )
+        return law.stage(replace(self.linear, stiffness=stiffness, frequency=frequency, damping=damping), vector[3:])
+
+    def fit(self, law: Law, start: Array, *, passes: int, everything: bool = False, tolerance: float = 1e-4) -> Solution:
+        """Minimize the simulation error from a start.
+
+        Parameters
+        ----------
+        law
+            Of the branches.
+        start
+            Parameters (P,) that satisfy the constraints.
+        passes, everything, tolerance
+            As of `minimize_simulation_error`.
+
+        Returns
+        -------
+        Solution
+            The fit.
+        """
+        lhs = np.hstack([np.zeros((len(law.lhs), 3)), law.lhs])
+        parametrization = Parametrization(lambda vector: (self.stage(law, vector),), lhs, law.rhs)
+        return minimize_simulation_error(
+            self.windows, parametrization, start, nuisance=self.nuisance, passes=passes, everything=everything, tolerance=tolerance
+        )
+
+    @property
+    def selection(self) -> Problem:
+        """The same on the beginnings of the records: the state of an oscillator amid one is not known from its command's turns."""
+        total = sum(len(window.command) for window in self.windows)
+        if total <= SELECTION_ROWS:
+            return self
+        share = SELECTION_ROWS / total
+        lengths = [max(int(share * len(window.command)), window.skip + 1) for window in self.windows]
+        windows = [
+            replace(window, command=window.command[:length], measurement=window.measurement[:length], weight=None, share=share)
+            for window, length in zip(self.windows, lengths, strict=True)
+        ]
+        return replace(self, windows=windows)
+
+    def force_range(self, law: Law, vector: Array) -> tuple[float, float]:
+        """Least and greatest force over the records.
+
+        Parameters
+        ----------
+        law
+            Of the branches.
+        vector
+            Parameters (P,).
+
+        Returns
+        -------
+        tuple of float
+            V.
+        """
+        ranges = []
+        for window in self.windows:
+            signal, _ = driving_signal(window)
+            running = OscillatorFilter(self.stage(law, vector), 1, Sampling(window.sample_time, 1, window.hold))
+            running.settle(signal[0])
+            for part in blocks(len(signal)):
+                running.process(signal[part])
+            ranges.append(running.force_range[0])
+        return min(float(low) for low, _ in ranges), max(float(high) for _, high in ranges)
+
+
+def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem:
+    """Set up the fit of one axis.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+    nuisance
+        Addition of each record.
+
+    Returns
+    -------
+    Problem
+        One axis of all records.
+    """
+    linear = linear_start(datasets, axis)
+    windows = [with_sign(window, linear.sign) for window in whole_records(datasets, axis, weighted=False)]
+    return Problem(windows, linear, nuisance)
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """A fit of one axis.
+
+    Parameters
+    ----------
+    problem
+        What was fitted.
+    law
+        Of the branches.
+    solution
+        From all rows.
+    held_out
+        Mean square error on the rows held out, while they were.
+    given
+        Names of parameters that were given and not fitted.
+    """
+
+    problem: Problem
+    law: Law
+    solution: Solution
+    held_out: float
+    given: tuple[str, ...] = ()
+
+    @property
+    def stage(self) -> HystereticOscillator:
+        """The fitted stage."""
+        return self.problem.stage(self.law, self.solution.parameters)
+
+    @property
+    def offset(self) -> float:
+        """Mean of the records' offsets, measurement unit."""
+        return self.problem.linear.sign * mean_offset(self.solution, self.problem.windows, self.problem.nuisance)
+
+    def rows(self) -> list[ParameterRow]:
+        """Every parameter that was fitted, with its standard error."""
+        vector = self.solution.parameters
+        nominal = numbers(self.stage)
+        neighbors = [numbers(self.problem.stage(self.law, vector + 1e-6 * unit)) for unit in np.eye(len(vector))]
+        jacobian = np.array([[(neighbor[name] - value) / 1e-6 for neighbor in neighbors] for name, value in nominal.items()])
+        errors = np.sqrt(np.maximum(np.diag(jacobian @ self.solution.covariance @ jacobian.T), 0.0))
+        known = self.stage.declarations()
+        return [
+            {"name": name, "value": value, "standard_error": float(error), "unit": known[name.partition("[")[0]].unit}
+            for (name, value), error in zip(nominal.items(), errors, strict=True)
+            if name not in self.given
+        ]
+
+
+def numbers(stage: Stage) -> dict[str, float]:
+    """List the numbers of a stage of one axis that scatter.
+
+    Parameters
+    ----------
+    stage
+        The stage.
+
+    Returns
+    -------
+    dict[str, float]
+        By name, with its index where it is one of a list.
+    """
+    found: dict[str, float] = {}
+    for name, declaration in stage.declarations().items():
+        value = getattr(stage, name)
+        if declaration.scatter is Scattering.NONE:
+            continue
+        if isinstance(value, tuple):
+            found.update({f"{name}[{i}]": float(item) for i, item in enumerate(value)})
+        else:
+            found[name] = float(value)
+    return found
+
+
+def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
+    """Assemble model and report.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    family
+        Name of the family.
+    method
+        Method of the fit.
+    axes
+        A fit an axis.
+
+    Returns
+    -------
+    Fit
+        Model and report.
+    """
+    first = datasets[0]
+    stages: list[Stage] = [merged([axis.stage for axis in axes])]
+    if any(axis.problem.linear.sign < 0 for axis in axes):
+        stages.append(Gain([axis.problem.linear.sign for axis in axes]))
+    if any(axis.offset for axis in axes):
+        stages.append(Offset([axis.offset for axis in axes]))
+    commands = [(float(data.command.min()), float(data.command.max())) for data in datasets]
+    model = Model(
+        name=family,
+        axes=first.axes,
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        hold=first.hold,
+        chain=Chain(tuple(stages)),
+        valid={
+            "command": [min(low for low, _ in commands), max(high for _, high in commands)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )
+    records, residuals = record_rows(model, datasets)
+    parameters: list[ParameterRow] = [
+        {**row, "axis": name} for axis, name in zip(axes, first.axes, strict=True) for row in axis.rows()
+    ]
+    sigma = noise_sigma(residuals)
+    known = uncertainty(axes, first.axes)
+    model = replace(
+        model,
+        tolerance=known.tolerance,
+        uncertainty=known.document,
+        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    )
+    spans = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
+    report: Report = {
+        "family": family,
+        "method": method,
+        "unit": first.unit,
+        "records": records,
+        "parameters": parameters,
+        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, spans, strict=True)],
+        "notes": known.notes("record loops of more amplitudes, and a sweep up to beyond the resonance"),
+    }
+    return Fit(model, report)
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Carry the covariances of the fits over to the numbers of the oscillators.
+
+    Parameters
+    ----------
+    axes
+        A fit an axis.
+    names
+        Names of the axes.
+
+    Returns
+    -------
+    Uncertainty
+        Of all numbers that were fitted.
+    """
+
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
+        return [merged([axis.problem.stage(axis.law, vector) for axis, vector in zip(axes, vectors, strict=True)])]
+
+    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)
+
+
+def merged(stages: Sequence[HystereticOscillator]) -> HystereticOscillator:
+    """Merge the oscillators of several axes.
+
+    Parameters
+    ----------
+    stages
+        A stage an axis.
+
+    Returns
+    -------
+    HystereticOscillator
+        The stage with per-axis parameters.
+    """
+    if len(stages) == 1:
+        return stages[0]
+    return replace(stages[0], **{field.name: [getattr(stage, field.name) for stage in stages] for field in fields(stages[0])})

@@ -1,0 +1,1 @@
+"""Families of play operators: Prandtl-Ishlinskii, HAPI, HAMPI, RDPI."""

@@ -1,0 +1,298 @@
+"""Joint identification of Prandtl-Ishlinskii models, static or in front of dynamics: all records together.
+
+For given thresholds and G(s) the output is linear in the weights and the dynamic weights (HAMPI paper Eq. 2-6), so the search
+is over G's few parameters alone (`variable_projection`). G's structure is chosen on held-out stretches of the records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyst_control.errors import InputError
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.data.excited_band import REACH, excited_band
+from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
+from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
+from hyst_control.identify.families.shared_options import nuisance_option, structure_option
+from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit
+from hyst_control.identify.solve.gram_sums import Operators, Window
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
+from hyst_control.parallel import map_forked
+from hyst_control.records.row_store import largest_change, largest_size
+
+SELECTION_ROWS = 60_000
+LEAST_FOR_LOADING = 6
+"""Number of operators below which the first loading gets none."""
+LEAST_IMPROVEMENT = 0.03
+"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
+
+
+@dataclass(frozen=True)
+class OperatorOptions(Options):
+    """Options of a fit of play operators.
+
+    Parameters
+    ----------
+    operators
+        Number of play operators, where `thresholds` does not list them.
+    thresholds
+        Increasing thresholds in place of the default ones, V.
+    nuisance
+        Offset or drift that each record may add.
+    """
+
+    operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
+    thresholds: tuple[float, ...] | None = option(
+        None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
+    )
+    nuisance: str = nuisance_option("linear", methods=("joint",))
+
+    def check(self) -> None:
+        if self.thresholds is not None and (not self.thresholds or np.any(np.diff(self.thresholds) <= 0)):
+            raise InputError(f"thresholds: must be strictly increasing, got {list(self.thresholds)}")
+
+
+@dataclass(frozen=True)
+class PlayOptions(OperatorOptions):
+    """Options of a fit of one-sided or two-sided play operators.
+
+    Parameters
+    ----------
+    one_sided
+        One-sided play operators.
+    """
+
+    one_sided: bool = option(False, TRUTH, "one-sided play operators")
+
+
+@dataclass(frozen=True)
+class HammersteinOptions(PlayOptions):
+    """Options of a fit of play operators in front of dynamics.
+
+    Parameters
+    ----------
+    method
+        "joint" or "paper".
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+    """
+
+    method: str = methods_option("joint", "paper")
+    structure: Structure | None = structure_option()
+
+
+def axis_problem(
+    datasets: Sequence[Dataset], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
+) -> Problem:
+    """Set up the fit of one axis to all its records.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+    axis
+        Index of the axis.
+    options
+        Options of the fit.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level.
+
+    Returns
+    -------
+    Problem
+        The problem.
+    """
+    windows = whole_records(datasets, axis)
+    operators = default_operators(windows, options, one_sided=one_sided, dynamic=dynamic)
+    travel = max(np.ptp(window.measurement) for window in windows)
+    drive = max(np.ptp(window.command) for window in windows)
+    drift = [largest_drift(data, axis) for data in datasets]
+    return Problem(windows, operators, options.nuisance, len(datasets), travel / drive, drift)
+
+
+def fit_static(problem: Problem) -> AxisFit:
+    """Identify the weights of one axis without dynamics.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+
+    Returns
+    -------
+    AxisFit
+        Weights of the play operators.
+    """
+    structure = Structure()
+    chosen = solve(problem, structure, structure.start(1.0))
+    final = solve(problem, structure, structure.start(1.0), everything=True)
+    return AxisFit(final, problem.operators, chosen.held_out, dynamics=False)
+
+
+def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
+    """Identify the weights of one axis and G(s) behind them.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    structure
+        Factors of G(s); None: chosen on held-out stretches.
+
+    Returns
+    -------
+    AxisFit
+        Weights and dynamics.
+    """
+    selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
+    tried: list[Solution] = []
+    chosen = choose_structure(selection, structure, tried.append)
+    chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
+    final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
+    return AxisFit(final, problem.operators, chosen.held_out, tried=tuple(tried))
+
+
+def default_operators(
+    windows: Sequence[Window], options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
+) -> Operators:
+    """Choose the thresholds, where the options do not list them.
+
+    They begin at 0 and are closer together where most reversals engage them, up to half the drive; two more are for the first
+    loading, unless there are fewer than `LEAST_FOR_LOADING`.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    options
+        Options of the fit.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level.
+
+    Returns
+    -------
+    Operators
+        The play operators.
+    """
+    highest = max(largest_size(window.command) for window in windows)
+    span = max(float(np.ptp(window.command)) for window in windows)
+    if options.thresholds is not None:
+        thresholds = np.array(options.thresholds, dtype=float)
+    else:
+        reach = span if one_sided else span / 2
+        loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
+        inner = options.operators - len(loading) if options.operators >= LEAST_FOR_LOADING else options.operators
+        thresholds = np.concatenate(
+            [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
+        )
+        thresholds = np.unique(np.round(thresholds, 9))
+    return Operators(thresholds, one_sided, dynamic, center=0.5 * highest)
+
+
+def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
+    """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite.
+
+    Parameters
+    ----------
+    problem
+        One axis of stretches of the records.
+    given
+        Factors to use without a choice.
+    report
+        Is told every solution that is compared.
+
+    Returns
+    -------
+    Solution
+        The solution with the chosen structure.
+    """
+    if given is not None:
+        return solve(problem, given, given.start(_start_frequency(problem)))
+    plain = Structure(highest=REACH * excited_band(problem.windows))
+    best = solve(problem, plain, np.zeros(0))
+    report(best)
+    if not plain.highest:
+        return best
+    frequency = _start_frequency(problem, plain.highest)
+    sample_time = min(window.sample_time for window in problem.windows)
+    while True:
+        grown = _grown(problem, best, frequency)
+        trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
+        for trial in trials:
+            report(trial)
+        if not trials:
+            return best
+        lowest = min(trial.held_out for trial in trials)
+        if not lowest < (1.0 - LEAST_IMPROVEMENT) * best.held_out:
+            return best
+        # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
+        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + LEAST_IMPROVEMENT))
+
+
+def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:
+    """Solve for every structure with one factor more, on all cores."""
+    structures = best.structure.extensions()
+    theta = best.theta if np.any(best.theta) else None
+
+    def grown(index: int) -> Solution:
+        start = structures[index].grow(best.structure, best.parameters, frequency)
+        return solve(problem, structures[index], start, theta, passes=8)
+
+    return list(map_forked(grown, len(structures)))
+
+
+def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
+    """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
+    sample_time = min(window.sample_time for window in problem.windows)
+    limit = min(0.4 / sample_time, 0.8 * highest)
+    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
+    structure = Structure(modes=1)
+    trials = map_forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=2).fitted, len(grid))
+    return grid[int(np.argmin(list(trials)))]
+
+
+def fit_rate_dependent(problem: Problem) -> AxisFit:
+    """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics.
+
+    β is found by a golden-section search on the error.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+
+    Returns
+    -------
+    AxisFit
+        Weights and β.
+    """
+    structure = Structure()
+    fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)
+    largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
+
+    def trial(beta: float) -> Solution:
+        widened = replace(problem, operators=replace(problem.operators, rate_gain=beta))
+        return solve(widened, structure, np.zeros(0))
+
+    grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
+    at = int(np.argmin(list(map_forked(lambda i: trial(grid[i]).fitted, len(grid)))))
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    for _ in range(12):
+        left, right = high - golden * (high - low), low + golden * (high - low)
+        if trial(left).fitted < trial(right).fitted:
+            high = right
+        else:
+            low = left
+    operators = replace(problem.operators, rate_gain=0.5 * (low + high))
+    held_out = trial(operators.rate_gain).held_out
+    final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
+    return AxisFit(final, operators, held_out, rate_dependent=True, dynamics=False)

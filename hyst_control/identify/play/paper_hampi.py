@@ -1,0 +1,140 @@
+"""The HAMPI paper's own sequence (§3.2): step → G(s), quasi-static loops → w_i, loops at 100 Hz → m1, m2, k, b.
+
+Kept to be compared with the joint fit: every later step inherits the error of the ones before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from hyst_control.errors import InputError
+from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit_windows import whole_records
+from hyst_control.identify.data.record_segmentation import Stretch, select_stretches
+from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.play.hammerstein import HammersteinOptions, default_operators
+from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit, assemble
+from hyst_control.identify.solve.bounded_least_squares import cost
+from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
+
+DYNAMIC_FREQUENCY = 100.0
+PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
+"""The factors of the paper's Eq. 7."""
+
+
+def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
+    """Identify a model in the paper's three steps.
+
+    Parameters
+    ----------
+    datasets
+        Records.
+    family
+        Name of the model family.
+    options
+        Options of the fit.
+    dynamic
+        True for weights that follow the rate, False to leave out the last step.
+
+    Raises
+    ------
+    InputError
+        The records lack an experiment; the text names it.
+    """
+    check_records(datasets)
+    axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
+    return assemble(datasets, family, "paper", axes)
+
+
+def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: HammersteinOptions) -> AxisFit:
+    step = _windows(datasets, axis, "step", "a step from rest that is then held")
+    slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
+    everything = whole_records(datasets, axis)
+    operators = default_operators(everything, options, one_sided=options.one_sided)
+    drive = max(float(np.ptp(window.command)) for window in everything)
+    mean_slope = max(float(np.ptp(window.measurement)) for window in everything) / drive
+
+    # Step 1: G(s), with a plain gain for the hysteresis, which the small step hardly shows.
+    gain = Problem(step, Operators(np.zeros(1)), "none", len(datasets), mean_slope)
+    structure = options.structure or PAPER_STRUCTURE
+    trials = [solve(gain, structure, structure.start(frequency), everything=True) for frequency in (300.0, 800.0, 2000.0)]
+    parameters = min(trials, key=lambda trial: trial.fitted).parameters
+
+    # Step 2: the static weights, G(s) as it is.
+    static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
+    static = replace(static, parameters=parameters, held_out=static.fitted)
+    if not dynamic:
+        return AxisFit(static, operators, static.fitted)
+
+    # Step 3: the dynamic weights, everything else as it is.
+    fast = _windows(datasets, axis, "dynamic", "loops at 100 Hz", DYNAMIC_FREQUENCY)
+    return _dynamic_weights(fast, replace(operators, dynamic=True), static, len(datasets))
+
+
+def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> AxisFit:
+    """m1, m2, k, b from the loops at one frequency. No offset is free: one that is freed here and then dropped takes m1 and m2 to 0."""
+    count = len(operators.thresholds)
+    grams = gram_matrices(
+        windows, operators, static.structure, static.parameters, np.append(static.theta, np.zeros(3)), "none", groups
+    )
+    gram = grams.fitted + grams.held_out
+    size, total = static.structure.size, len(gram) - 1
+    keep = np.r_[0 : operators.columns, operators.columns + size : total + 1]
+    gram = gram[np.ix_(keep, keep)]
+    # Columns m1, m2, k, b; b adds to every weight alike.
+    free = np.zeros((len(gram) - 1, 4))
+    free[count : count + 3, :3] = np.eye(3)
+    free[:count, 3] = 1.0
+    fixed = np.concatenate([static.theta, np.zeros(len(gram) - 1 - count)])
+    normal, target = free.T @ gram[:-1, :-1] @ free, free.T @ (gram[:-1, -1] - gram[:-1, :-1] @ fixed)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values, vectors = np.linalg.eigh(normal / scale[:, None] / scale)
+    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    lower = np.concatenate([[0.0, 0.0], np.full(len(scale) - 2, -np.inf)])
+    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (target / scale)) / root, (lower, np.inf)).x / scale
+    vector = fixed + free @ found
+    fitted = cost(gram, vector) / max(sum(grams.rows), 1)
+    solution = replace(
+        static,
+        theta=vector[: operators.columns],
+        nuisances=vector[operators.columns :],
+        fitted=fitted,
+        held_out=fitted,
+        grams=grams,
+    )
+    return AxisFit(solution, operators, fitted)
+
+
+def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
+    chosen = select_stretches(datasets, axis, kind, frequency)
+    if not chosen:
+        raise InputError(
+            f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "
+            "use the joint method"
+        )
+    return [_window(datasets[stretch.record], axis, stretch) for stretch in chosen]
+
+
+def _window(data: Dataset, axis: int, stretch: Stretch) -> Window:
+    command = np.ascontiguousarray(data.command[:, axis])
+    begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
+    turning = turning_points(command[: begin + 1])
+    memory = command[turning[turning < begin]] if begin else None
+    part = slice(begin, stretch.end)
+    return Window(
+        command[part],
+        np.ascontiguousarray(data.measurement[part, axis]),
+        data.sample_time,
+        data.hold,
+        0,
+        stretch.record,
+        begin / len(command),
+        (stretch.end - begin) / len(command),
+        memory,
+    )

@@ -1,0 +1,1 @@
+"""Solvers shared by the families: Gauss-Newton, simulation error, Gram sums, covariance."""

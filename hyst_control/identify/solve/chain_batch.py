@@ -1,0 +1,194 @@
+"""Chains that differ in few parameters, run side by side; equal parts are computed once.
+
+A derivative by differences needs a chain per parameter, but a parameter changes one stage. Chains whose first stages are equal
+share their output, and so do equal branches of parallel stages. What is linear and of the same order runs side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TypeGuard
+
+import numpy as np
+
+from hyst_control.chain import Filter, Parallel, Sampling, Stage
+from hyst_control.chain.chain import arrange, resolved, started
+from hyst_control.chain.linear.linear_filter import LinearFilter
+from hyst_control.chain.linear.linear_lanes import LinearLanes
+from hyst_control.chain.linear.linear_stages import Delay, Discretised
+from hyst_control.chain.stage import Array
+
+SOURCE = -1
+"""Number of the signal that enters all chains, which stands behind those of all nodes."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """One step of some chains: a filter behind another node, or the sum of several nodes.
+
+    Parameters
+    ----------
+    before
+        Numbers of the nodes whose outputs enter.
+    running
+        The filter; None for a sum.
+    hold
+        Hold of the output, "zoh" or "foh".
+    depth
+        Number of nodes in a row that come before it.
+    """
+
+    before: tuple[int, ...]
+    running: Filter | None
+    hold: str
+    depth: int
+
+
+class Bundle:
+    """Running chains of one axis with a common input.
+
+    The outputs are those of each chain run by itself, with the same two calls.
+
+    Parameters
+    ----------
+    chains
+        Stages of every chain.
+    sampling
+        Sample time and hold of the input.
+    """
+
+    def __init__(self, chains: Sequence[Sequence[Stage]], sampling: Sampling) -> None:
+        self.nodes: list[Node] = []
+        self._sampling = sampling
+        self._known: dict[tuple[object, ...], int] = {}
+        self._filters: dict[tuple[tuple[Stage, ...], str], Filter] = {}
+        self.outputs = [self._series(arrange(resolved(stages, 1), sampling.hold), SOURCE) for stages in chains]
+        self._steps = [(numbers, self._run(numbers)) for numbers in alike(self.nodes)]
+
+    def settle(self, value: float) -> None:
+        """Come to rest at a constant input.
+
+        Parameters
+        ----------
+        value
+            The input.
+        """
+        signals: list[Array] = [np.empty(0)] * len(self.nodes) + [np.full(1, value)]
+        for numbers, running in self._steps:
+            inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
+            if isinstance(running, LinearLanes):
+                settled = running.settle(np.array([each[0][0] for each in inputs]))
+                for number, end in zip(numbers, settled, strict=True):
+                    signals[number] = np.full(1, end)
+            else:
+                signals[numbers[0]] = running.settle(inputs[0][0]) if running else np.sum(inputs[0], axis=0)
+
+    def process(self, block: Array) -> list[Array]:
+        """Compute the chains' outputs for the next block of the input.
+
+        Parameters
+        ----------
+        block
+            Input (N, 1), which continues the block before.
+
+        Returns
+        -------
+        list[Array]
+            An output (N,) a chain; equal chains have the same array.
+        """
+        signals: list[Array] = [np.empty(0)] * len(self.nodes) + [block[:, 0]]
+        for numbers, running in self._steps:
+            inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
+            if isinstance(running, LinearLanes):
+                for number, signal in zip(numbers, running.process([each[0] for each in inputs]), strict=True):
+                    signals[number] = signal
+            else:
+                ends = inputs[0]
+                signals[numbers[0]] = running.process(ends[0][:, None])[:, 0] if running else sum(ends[1:], start=ends[0])
+        return [signals[number] for number in self.outputs]
+
+    def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
+        """Filter of a step's nodes: linear nodes run side by side, any other node by itself."""
+        filters = [self.nodes[number].running for number in numbers]
+        linear = [each for each in filters if single(each)]
+        if not linear:
+            return filters[0]
+        systems = [Discretised(each.a[0], each.b[0], each.c[0], each.d[0], each.bias) for each in linear]
+        return LinearLanes(systems, [int(each.whole[0]) for each in linear])
+
+    def _series(self, stages: Sequence[Stage], before: int) -> int:
+        """Number of the node that ends stages in series; adjacent linear stages are one filter, as in a chain."""
+        for linear, group in groupby(stages, key=lambda stage: stage.linear or isinstance(stage, Delay)):
+            for run in [tuple(group)] if linear else [(stage,) for stage in group]:
+                if isinstance(run[0], Parallel):
+                    ends = tuple(self._series(arrange(branch, self._hold(before)), before) for branch in run[0].branches)
+                    before = self._sum(ends)
+                else:
+                    before = self._filtered(run, before)
+        return before
+
+    def _hold(self, number: int) -> str:
+        return self._sampling.hold if number == SOURCE else self.nodes[number].hold
+
+    def _sum(self, ends: tuple[int, ...]) -> int:
+        hold = "zoh" if all(self._hold(end) == "zoh" for end in ends) else "foh"
+        return self._node(("sum", *ends), Node(ends, None, hold, self._depth(ends)))
+
+    def _depth(self, before: Sequence[int]) -> int:
+        return 1 + max((self.nodes[number].depth for number in before if number != SOURCE), default=-1)
+
+    def _filtered(self, run: tuple[Stage, ...], before: int) -> int:
+        if (run, before) in self._known:
+            return self._known[run, before]
+        hold = self._hold(before)
+        if (run, hold) not in self._filters:
+            self._filters[run, hold] = started(run, self._sampling.with_hold(hold))
+        running = self._filters[run, hold]
+        running = running if single(running) else deepcopy(running)
+        return self._node((run, before), Node((before,), running, running.hold, self._depth((before,))))
+
+    def _node(self, key: tuple[object, ...], node: Node) -> int:
+        if key not in self._known:
+            self._known[key] = len(self.nodes)
+            self.nodes.append(node)
+        return self._known[key]
+
+
+def alike(nodes: Sequence[Node]) -> list[list[int]]:
+    """Order nodes so that they can be run; linear systems of one depth and order are one step.
+
+    Parameters
+    ----------
+    nodes
+        All nodes.
+
+    Returns
+    -------
+    list[list[int]]
+        Numbers of the nodes of every step.
+    """
+    steps: dict[tuple[int, ...], list[int]] = {}
+    for number, node in enumerate(nodes):
+        running = node.running
+        key = (node.depth, 0, running.a.shape[1]) if single(running) else (node.depth, 1, number)
+        steps.setdefault(key, []).append(number)
+    return [steps[key] for key in sorted(steps)]
+
+
+def single(running: Filter | None) -> TypeGuard[LinearFilter]:
+    """Tell a filter of one linear system of one input from others.
+
+    Parameters
+    ----------
+    running
+        A filter; None for a sum.
+
+    Returns
+    -------
+    bool
+        True where it is one.
+    """
+    return isinstance(running, LinearFilter) and running.a.shape[0] == 1 and running.c.shape[1] == 1

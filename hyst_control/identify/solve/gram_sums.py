@@ -1,0 +1,404 @@
+"""Streaming regressors of a Prandtl-Ishlinskii model in front of linear dynamics, and their Gram matrices.
+
+For given thresholds and G(s) the output is linear in all the rest: y = Σ_j θ_j G[φ_j], with φ the play operators and, for
+HAMPI, the products of the dynamic weights (HAMPI paper Eq. 2-6). The regressors of a long record do not fit in memory, but
+their Gram matrix is small, and sufficient for a least-squares problem: so a record is passed once, block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from hyst_control.chain.linear.linear_lanes import LinearLanes
+from hyst_control.chain.linear.linear_stages import Discretised
+from hyst_control.chain.stage import Array, Sampling
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.records import row_store
+
+BLOCK = 4096
+MOST_BLOCKS = 2048
+"""Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
+HELD_OUT_BLOCKS = 90
+"""A record is cut into at least this many blocks."""
+NUISANCES = {"none": 0, "offset": 1, "linear": 2}
+
+
+@njit(cache=True, error_model="numpy")
+def regressors(
+    command: Array,
+    rate_factor: float,
+    center: float,
+    thresholds: Array,
+    release: Array,
+    rate_gain: float,
+    dynamic: bool,
+    theta: Array,
+    operators: Array,
+    previous: Array,
+    output: Array,
+) -> None:
+    """Compute φ_j (J rows) and Σ θ_j φ_j.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    rate_factor
+        1 / sample time, 1/s.
+    center
+        Command about which the row of k is taken, V.
+    thresholds, release
+        Thresholds (n,) of the play operators and their release widths (n,), V.
+    rate_gain
+        Widening of the thresholds per rate |du/dt|, s.
+    dynamic
+        Add the rows of m1, m2 and k.
+    theta
+        Linear parameters (J,).
+    operators, previous
+        State: outputs of the operators (n,), last command (1,).
+    output
+        (J + 1, N), written.
+    """
+    count, columns = thresholds.size, theta.size
+    for row in range(command.size):
+        u = command[row]
+        rate = (u - previous[0]) * rate_factor
+        previous[0] = u
+        widening = rate_gain * abs(rate)
+        total = 0.0
+        for i in range(count):
+            low = u - thresholds[i] - widening
+            high = u + release[i] + widening
+            h = operators[i]
+            h = high if h > high else h
+            h = low if h < low else h
+            operators[i] = h
+            output[i, row] = h
+            total += h
+        if dynamic:
+            output[count, row] = -rate * total if rate >= 0.0 else 0.0
+            output[count + 1, row] = rate * total if rate < 0.0 else 0.0
+            output[count + 2, row] = (u - center) * total
+        weighted = 0.0
+        for j in range(columns):
+            weighted += theta[j] * output[j, row]
+        output[columns, row] = weighted
+
+
+@njit(cache=True, error_model="numpy")
+def gram_product(block: Array) -> Array:
+    """Compute block' block without BLAS, whose threads spin for longer than such a product takes.
+
+    Parameters
+    ----------
+    block
+        Tall block (N, K).
+
+    Returns
+    -------
+    Array
+        Gram matrix (K, K).
+    """
+    rows, columns = block.shape
+    product = np.zeros((columns, columns))
+    for row in range(0, rows - 3, 4):
+        for i in range(columns):
+            v0, v1, v2, v3 = block[row, i], block[row + 1, i], block[row + 2, i], block[row + 3, i]
+            for j in range(i, columns):
+                product[i, j] += v0 * block[row, j] + v1 * block[row + 1, j] + (v2 * block[row + 2, j] + v3 * block[row + 3, j])
+    for row in range(rows - rows % 4, rows):
+        for i in range(columns):
+            value = block[row, i]
+            for j in range(i, columns):
+                product[i, j] += value * block[row, j]
+    for i in range(columns):
+        for j in range(i):
+            product[i, j] = product[j, i]
+    return product
+
+
+@njit(cache=True, error_model="numpy")
+def weighted_columns(
+    raw: Array,
+    theta: Array,
+    step: float,
+    first: int,
+    share: Array,
+    extra: int,
+    measurement: Array,
+    weight: Array,
+    block: Array,
+) -> None:
+    """Write rows of [θ columns, derivatives, nuisances, y], each times the root of its weight.
+
+    Parameters
+    ----------
+    raw
+        Rows (N, J + P): the regressors behind G, and their sum behind the neighbors of G.
+    theta
+        Linear parameters (J,).
+    step
+        Step of the derivatives by differences.
+    first
+        First row of `raw` that counts.
+    share
+        Place (N,) of a row within its record, from -0.5 to 0.5.
+    extra
+        Number of nuisances: 0, 1 (offset) or 2 (offset and drift).
+    measurement
+        Measurement (N,).
+    weight
+        Weights (N,), or (0,) where all rows weigh 1.
+    block
+        Rows (N, K), written.
+    """
+    columns = theta.size
+    size = raw.shape[1] - columns
+    last = columns + size + extra
+    for row in range(len(block)):
+        scale = np.sqrt(weight[row]) if weight.size else 1.0
+        predicted = 0.0
+        for j in range(columns):
+            block[row, j] = raw[first + row, j] * scale
+            predicted += raw[first + row, j] * theta[j]
+        for p in range(columns, columns + size):
+            block[row, p] = (raw[first + row, p] - predicted) / step * scale
+        if extra > 0:
+            block[row, columns + size] = scale
+        if extra > 1:
+            block[row, columns + size + 1] = share[row] * scale
+        block[row, last] = measurement[row] * scale
+
+
+@dataclass(frozen=True)
+class Operators:
+    """The play operators of one axis.
+
+    Parameters
+    ----------
+    thresholds
+        Thresholds (n,), V.
+    one_sided
+        One-sided play operators.
+    dynamic
+        Weights that follow the command's rate and level (m1, m2, k).
+    center
+        Command about which the level counts, V.
+    rate_gain
+        Thresholds widen to r + rate_gain |du/dt| (RDPI), s.
+    """
+
+    thresholds: Array
+    one_sided: bool = False
+    dynamic: bool = False
+    center: float = 0.0
+    rate_gain: float = 0.0
+
+    @property
+    def columns(self) -> int:
+        """Number of linear parameters: the weights, and m1, m2, k where the weights are dynamic."""
+        return len(self.thresholds) + 3 * self.dynamic
+
+    @property
+    def release(self) -> Array:
+        """Distance (n,) at which an operator is pulled down, V."""
+        return np.zeros_like(self.thresholds) if self.one_sided else self.thresholds
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of a record.
+
+    Parameters
+    ----------
+    command
+        Command (N,), V.
+    measurement
+        Measurement (N,).
+    sample_time
+        Sample time, s.
+    hold
+        Command between ticks: "zoh" or "foh".
+    skip
+        First row that counts.
+    group
+        Number of its record.
+    begin
+        Begin of the window as a fraction of its record: the drift nuisance runs over the whole record.
+    share
+        Length of the window as a fraction of its record.
+    memory
+        The command's turning points before the window, from rest: what the play operators remember.
+    weight
+        Weight of every row (N,), 1 where there is none.
+    """
+
+    command: Array
+    measurement: Array
+    sample_time: float
+    hold: str
+    skip: int
+    group: int
+    begin: float = 0.0
+    share: float = 1.0
+    memory: Array | None = None
+    weight: Array | None = None
+
+
+@dataclass(frozen=True)
+class Grams:
+    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y].
+
+    Parameters
+    ----------
+    fitted
+        Gram matrix (K, K) of the rows fitted.
+    held_out
+        Gram matrix (K, K) of the rows held out.
+    rows
+        Numbers of rows fitted and held out.
+    blocks
+        Gram matrices (B, K, K) of the blocks: the spread between blocks gives the standard errors.
+    """
+
+    fitted: Array
+    held_out: Array
+    rows: tuple[int, int]
+    blocks: Array
+
+
+def gram_matrices(
+    windows: Sequence[Window],
+    operators: Operators,
+    structure: Structure,
+    parameters: Array,
+    theta: Array,
+    nuisance: str,
+    groups: int,
+    step: float = 1e-4,
+) -> Grams:
+    """Form the Gram matrices in one pass over every window.
+
+    Columns: J of θ, then the derivatives by the P parameters of G, nuisances per record, y.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    operators
+        The play operators.
+    structure
+        Factors of G(s).
+    parameters
+        Parameters (P,) of G.
+    theta
+        Linear parameters (J,) at which the derivatives are taken.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    step
+        Step of the derivatives by differences.
+
+    Returns
+    -------
+    Grams
+        The Gram matrices.
+    """
+    columns, size, extra = operators.columns, structure.size, NUISANCES[nuisance]
+    total = columns + size + extra * groups + 1
+    grams = np.zeros((2, total, total))
+    rows = [0, 0]
+    blocks: list[Array] = []
+    samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
+    systems = {
+        sampling: [structure.discretized(vector, sampling) for vector in (parameters, *(parameters + step * np.eye(size)))]
+        for sampling in samplings
+    }
+    for window in windows:
+        passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
+        n = len(window.command)
+        place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
+        square = np.ix_(place, place)
+        length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
+        together, chunk = -(-n // (length * MOST_BLOCKS)), length * max(BLOCK // length, 1)
+        buffer = np.empty((length, len(place)))
+        weight = np.zeros(0) if window.weight is None else window.weight
+        used_blocks = 0
+        for begin in range(0, n, length):
+            end = min(begin + length, n)
+            if begin % chunk == 0:
+                several = passing.rows(begin, min(begin + chunk, n))
+            raw = several[begin % chunk : begin % chunk + length]
+            first = max(window.skip - begin, 0)
+            if first >= end - begin:
+                continue
+            used = slice(begin + first, end)
+            block = buffer[: end - begin - first]
+            share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
+            weighted_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
+            # Every third block is held out of the choice between structures: a part of every experiment in the record.
+            part = 1 if begin // length % 3 == 2 else 0
+            product = np.zeros((total, total))
+            product[square] = gram_product(block)
+            grams[part] += product
+            rows[part] += len(block)
+            if used_blocks % together:
+                blocks[-1] += product
+            else:
+                blocks.append(product)
+            used_blocks += 1
+    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
+
+
+class _Pass:
+    """Streaming state of the regressors behind G, and of their sum behind the neighbors of G, over one window."""
+
+    def __init__(self, window: Window, operators: Operators, systems: Sequence[tuple[Discretised, int]], theta: Array) -> None:
+        self.window, self.operators, self.theta = window, operators, theta
+        late = 1 if window.hold == "zoh" else 0  # the sample sees the command of the interval before
+        every = [systems[0]] * operators.columns + list(systems[1:])
+        self.lanes = LinearLanes([system for system, _ in every], [whole + late for _, whole in every])
+        self.h = np.zeros(len(operators.thresholds))
+        self.previous = np.array([window.command[0]])
+        self._settle()
+
+    def _settle(self) -> None:
+        # The play operators' memory up to the first command, then every linear state at rest there.
+        if self.window.memory is not None:
+            for part in row_store.blocks(len(self.window.memory)):
+                self._regressors(self.window.memory[part])
+            self.previous[0] = self.window.command[0]
+        self.lanes.settle(self._inputs(self._regressors(self.window.command[:1]))[:, 0])
+
+    def rows(self, begin: int, end: int) -> Array:
+        """Rows (N, J + P) from `begin` to `end` of the window, which follow those of the call before."""
+        return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end]))).T
+
+    def _inputs(self, found: Array) -> Array:
+        """Inputs (J + P, N) of G and of its neighbors."""
+        columns = self.operators.columns
+        return found[np.minimum(np.arange(self.lanes.count), columns)]
+
+    def _regressors(self, command: Array) -> Array:
+        ops = self.operators
+        found = np.empty((ops.columns + 1, len(command)))
+        regressors(
+            command,
+            1.0 / self.window.sample_time,
+            ops.center,
+            ops.thresholds,
+            ops.release,
+            ops.rate_gain,
+            ops.dynamic,
+            self.theta,
+            self.h,
+            self.previous,
+            found,
+        )
+        return found

@@ -1,0 +1,297 @@
+"""Variable projection: the few nonlinear parameters of G(s) by damped Gauss-Newton, everything else by linear least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.solve import gauss_newton
+from hyst_control.identify.solve.bounded_least_squares import cost, solve_bounded
+from hyst_control.identify.solve.gauss_newton import Rules, Trial
+from hyst_control.identify.solve.gram_sums import Grams, Operators, Window, gram_matrices
+from hyst_control.identify.solve.parameter_covariance import PRIOR as KNOWN
+from hyst_control.identify.solve.stable_dynamics import Structure
+
+PRIOR = 1e-7
+"""Least weight of the prior on the slopes, relative to the strongest regressor."""
+LEAST_SLOPE = 1e-3
+"""Smallest slope of a branch, relative to the mean slope."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One axis of all records, the operators, and the bounds of the linear parameters.
+
+    The bounds are those of the *slopes*, the cumulative sums of the weights: a loop whose every branch rises has positive slopes,
+    and only then an inverse.
+
+    Parameters
+    ----------
+    windows
+        Stretches of the records.
+    operators
+        The play operators.
+    nuisance
+        Nuisance of each record, one of `NUISANCES`.
+    groups
+        Number of records.
+    mean_slope
+        Range of the measurement / range of the command.
+    drift
+        Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none.
+    """
+
+    windows: Sequence[Window]
+    operators: Operators
+    nuisance: str
+    groups: int
+    mean_slope: float
+    drift: Sequence[float] = ()
+
+    @property
+    def to_weights(self) -> Array:
+        """Matrix (J, J) from the bounded coordinates (slopes; m1, m2, k as they are) to the linear parameters."""
+        n = len(self.operators.thresholds)
+        matrix = np.eye(self.operators.columns)
+        matrix[np.arange(1, n), np.arange(n - 1)] = -1.0
+        return matrix
+
+    def bounds(self, free: int) -> tuple[Array, Array]:
+        """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded.
+
+        Parameters
+        ----------
+        free
+            Number of nuisances.
+
+        Returns
+        -------
+        lower : Array
+            Lower bounds (J + free,).
+        upper : Array
+            Upper bounds (J + free,).
+        """
+        n, dynamic = len(self.operators.thresholds), self.operators.dynamic
+        lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
+        upper = np.full(len(lower), np.inf)
+        if self.nuisance == "linear" and len(self.drift) and free:
+            lower[self.operators.columns + 1 :: 2], upper[self.operators.columns + 1 :: 2] = np.negative(self.drift), self.drift
+        return lower, upper
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Solution of a variable-projection fit.
+
+    Parameters
+    ----------
+    structure
+        Factors of G(s).
+    parameters
+        Parameters (P,) of G.
+    theta
+        Linear parameters (J,).
+    nuisances
+        Nuisances of the records.
+    fitted, held_out
+        Mean square errors on the rows fitted and held out.
+    grams
+        Gram matrices of the last pass.
+    passes
+        Number of passes over the records.
+    """
+
+    structure: Structure
+    parameters: Array
+    theta: Array
+    nuisances: Array
+    fitted: float
+    held_out: float
+    grams: Grams
+    passes: int
+
+
+def linear_solution(problem: Problem, gram: Array, size: int, blocks: float) -> tuple[Array, Array]:
+    """Solve for the linear parameters of the G at which a Gram matrix was formed.
+
+    A slope that the data do not show stays at the mean slope. What a model misses of its machine is alike throughout a block of rows, and
+    a slope that takes off a little of it on a few rows is not shown by them: a block counts as one observation, with the misfit of the
+    best slopes as its variance, against `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    gram
+        Gram matrix (K, K).
+    size
+        Number of its dynamics columns, which are left out.
+    blocks
+        Number of blocks whose Gram matrices it is the sum of.
+
+    Returns
+    -------
+    theta : Array
+        Linear parameters (J,).
+    nuisances : Array
+        Nuisances of the records.
+    """
+    columns = problem.operators.columns
+    total = len(gram) - 1
+    keep = np.r_[0:columns, columns + size : total]
+    transform = np.eye(len(keep))
+    transform[:columns, :columns] = problem.to_weights
+    reduced = transform.T @ gram[np.ix_(keep, keep)] @ transform
+    target = transform.T @ gram[keep, total]
+    bounds = problem.bounds(len(keep) - columns)
+    slopes = np.arange(len(keep)) < len(problem.operators.thresholds)
+
+    def solution(strength: float) -> Array:
+        prior = strength * slopes
+        return transform @ solve_bounded(reduced + np.diag(prior), target + prior * problem.mean_slope, *bounds)
+
+    least = PRIOR * float(np.max(np.diag(reduced)[slopes]))
+    misfit = cost(gram[np.ix_(np.r_[keep, total], np.r_[keep, total])], solution(least)) / blocks
+    found = solution(max(least, misfit / (KNOWN * problem.mean_slope) ** 2))
+    return found[:columns], found[columns:]
+
+
+def solve(
+    problem: Problem,
+    structure: Structure,
+    start: Array,
+    theta: Array | None = None,
+    passes: int = 15,
+    tolerance: float = 1e-4,
+    everything: bool = False,
+) -> Solution:
+    """Fit G's parameters by damped Gauss-Newton, everything else by linear least squares.
+
+    The derivatives by G's parameters are taken at the linear parameters of the pass before.
+
+    Parameters
+    ----------
+    problem
+        One axis of all records.
+    structure
+        Factors of G(s).
+    start
+        G's parameters (P,) to begin with.
+    theta
+        Linear parameters (J,) to begin with; None: a first pass finds them.
+    passes
+        Most passes over the records.
+    tolerance
+        Share of the cost that a step must gain for the search to go on.
+    everything
+        Fit also the held-out rows, for the final model.
+
+    Returns
+    -------
+    Solution
+        The best parameters met, and their Gram matrices.
+    """
+    search = _Search(problem, structure, everything)
+    present = structure.limit(start, search.sample_time)
+    best = search.visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
+    passed = 1
+    if structure.size and theta is None:
+        best = search.visit(present, best.theta)
+        passed = 2
+    if not structure.size:
+        return replace(best, passes=passed)
+    rules = Rules(
+        damping=1e-3,
+        raised=lambda damping: damping * 10.0,
+        eased=lambda damping: max(0.2 * damping, 1e-9),
+        small=lambda before, after: 1.0 - after / before < tolerance,
+        trials=passes - passed,
+        least_move=1e-6,
+    )
+    found = gauss_newton.minimize(search, best, rules)
+    return replace(found.point, passes=passed + found.trials)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The least-squares problem of `solve`; a point is a `Solution`, linearized by the pass that found its linear parameters."""
+
+    problem: Problem
+    structure: Structure
+    everything: bool
+
+    @property
+    def sample_time(self) -> float:
+        return min(window.sample_time for window in self.problem.windows)
+
+    def visit(self, parameters: Array, theta: Array) -> Solution:
+        problem, structure = self.problem, self.structure
+        grams = gram_matrices(problem.windows, problem.operators, structure, parameters, theta, problem.nuisance, problem.groups)
+        gram = grams.fitted + grams.held_out if self.everything else grams.fitted
+        rows = sum(grams.rows) if self.everything else grams.rows[0]
+        blocks = max(len(grams.blocks) * rows / sum(grams.rows), 1.0)
+        found, nuisances = linear_solution(problem, gram, structure.size, blocks)
+        vector = np.concatenate([found, np.zeros(structure.size), nuisances])
+        return Solution(
+            structure,
+            parameters,
+            found,
+            nuisances,
+            cost(gram, vector) / max(rows, 1),
+            cost(grams.held_out, vector) / max(grams.rows[1], 1),
+            grams,
+            1,
+        )
+
+    def cost(self, point: Solution) -> float:
+        return point.fitted
+
+    def linearize(self, point: Solution) -> Solution:
+        return point
+
+    def step(self, point: Solution, damping: float) -> Trial[Solution]:
+        step = _limited_step(self.problem, point, self.everything, damping, self.sample_time)
+        trial = self.visit(self.structure.limit(point.parameters + step, self.sample_time), point.theta)
+        return Trial(trial, float(np.max(np.abs(trial.parameters - point.parameters))))
+
+
+def _limited_step(problem: Problem, at: Solution, everything: bool, damping: float, sample_time: float) -> Array:
+    """The damped Gauss-Newton step; parameters at a bound that it would cross are held there."""
+    gram = at.grams.fitted + at.grams.held_out if everything else at.grams.fitted
+    free = np.ones(at.structure.size, dtype=bool)
+    while True:
+        step = np.zeros(len(free))
+        step[free] = np.clip(_newton_step(problem, gram, at, np.flatnonzero(free), damping), -0.7, 0.7)
+        moved = at.structure.limit(at.parameters + step, sample_time) - at.parameters
+        stuck = free & (np.abs(step) > 1e-9) & (np.abs(moved) < 1e-12)
+        if not stuck.any() or stuck.sum() == free.sum():
+            return step
+        free &= ~stuck
+
+
+def _newton_step(problem: Problem, gram: Array, at: Solution, free: NDArray[np.intp], damping: float) -> Array:
+    """Step of G's parameters `free`; linear parameters follow it, except those held at a bound, which stay there."""
+    columns, size, extra = len(at.theta), at.structure.size, len(at.nuisances)
+    residual = gram[:-1, -1] - gram[:-1, :-1] @ np.concatenate([at.theta, np.zeros(size), at.nuisances])
+    # The linear parameters that can move, as directions in the coordinates of the Gram matrix.
+    bounded = np.concatenate([np.linalg.solve(problem.to_weights, at.theta), at.nuisances])
+    lower, upper = problem.bounds(extra)
+    near = 1e-9 * np.max(np.abs(bounded))
+    moving = (bounded > lower + near) & (bounded < upper - near)
+    followers = np.zeros((len(residual), columns + extra))
+    followers[:columns, :columns] = problem.to_weights
+    followers[columns + size :, columns:] = np.eye(extra)
+    followers = followers[:, moving]
+    dynamic = columns + free
+    cross = followers.T @ gram[:-1, dynamic]
+    inner = followers.T @ gram[:-1, :-1] @ followers
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    projected = np.linalg.lstsq(inner / scale[:, None] / scale, cross / scale[:, None], rcond=1e-11)[0] / scale[:, None]
+    normal = gram[np.ix_(dynamic, dynamic)] - cross.T @ projected
+    gradient = residual[dynamic] - projected.T @ (followers.T @ residual)
+    diagonal = np.maximum(np.diag(normal), 1e-12 * np.max(np.diag(normal)) + 1e-300)
+    return np.linalg.solve(normal + damping * np.diag(diagonal), gradient)

@@ -1,0 +1,61 @@
+"""What the MHL experiment's tables say of made-up signals whose answer is known."""
+
+import numpy as np
+import pytest
+
+from evaluation.reproduction.mhl import Part, tracking_reference
+from evaluation.reproduction.mhl_responses import error_spectrum
+from evaluation.reproduction.mhl_runs import REACH, SAMPLE_TIME
+from evaluation.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, rival_of
+from hyst_control.control.feedforward import RATE_FILTER
+from hyst_control.reporting.tables import Table
+
+
+def test_the_error_at_one_frequency_falls_into_its_parts():
+    """Mean, fundamental, harmonics and noise of known rms, in % of a reference of range 2; all together are the NRMSE."""
+    time = SAMPLE_TIME * np.arange(1000)
+    part = Part(0, 1000, 100)
+
+    def tone(harmonic: int, rms: float) -> np.ndarray:
+        return rms * np.sqrt(2.0) * np.sin(2 * np.pi * 100.0 * harmonic * time + harmonic)
+
+    reference = np.cos(2 * np.pi * 100.0 * time)
+    noise = np.random.default_rng(0).normal(0.0, 0.002, 1000)
+    error = 0.01 + tone(1, 0.03) + tone(2, 0.005) + tone(3, 0.02) + tone(5, 0.004) + tone(7, 0.003) + noise
+    signals = {"reference": reference[:, None], "measurement": (reference + error)[:, None]}
+    table = Table("test")
+    error_spectrum(table, {"loop": signals}, part, SAMPLE_TIME)
+    found = {row.quantity: row.value for row in table.rows}
+    expected = {
+        "mean": 0.5,
+        "fundamental": 1.5,
+        "second harmonic": 0.25,
+        "third harmonic": 1.0,
+        "harmonics 4 to 10": 0.25,
+        "rest": 0.1,
+    }
+    assert found == pytest.approx(expected, abs=0.02)
+    nrmse = 100.0 * np.sqrt(np.mean(error[100:] ** 2)) / np.ptp(reference[100:])
+    assert np.sqrt(sum(value**2 for value in found.values())) == pytest.approx(nrmse, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["single", "decreasing", "multi"])
+def test_references_start_and_end_without_a_kink_in_velocity(name):
+    """No velocity changes by more from one sample to the next than in the sine of 100 Hz itself, from 200 samples before to 600 after."""
+    reference, parts = tracking_reference()
+    turn = np.abs(np.diff(reference[parts[name].begin - 200 : parts[name].end + 600, 0], 2)).max()
+    assert turn <= 1.1 * REACH * (2 * np.pi * 100.0 * SAMPLE_TIME) ** 2
+
+
+def test_a_composite_is_held_against_the_traditional_one_with_its_own_feedback():
+    assert [rival_of(name) for name in (AHEAD, OWN_LOOP)] == [TRADITIONAL, TRADITIONAL + PLAIN]
+
+
+def test_the_printed_lead_and_filter_fit_another_mirror_than_the_printed_model():
+    """At 100 Hz 1 + N Ψ' of Tables 1, 2 and §4.4 undoes 0.86 at -6.3 degrees behind H_S^-1, whatever the gains of the feedback."""
+    s = 2j * np.pi * 100.0
+    lead = TABLE_2["k1'"] * s / (TABLE_2["k2'"] * s + 1.0) / np.polyval(RATE_FILTER, s)
+    wanted = 1.0 / (1.0 + lead)
+    assert abs(wanted) == pytest.approx(0.86, abs=0.005)
+    assert np.degrees(np.angle(wanted)) == pytest.approx(-6.3, abs=0.05)
+    assert -np.degrees(np.angle(1.0 / np.polyval(RATE_FILTER, s))) == pytest.approx(33.2, abs=0.1)
