@@ -1,7 +1,7 @@
 """Rules for docstrings, over all modules of both packages.
 
-Every public module, class, function and method has one, whose title is no question; it names every parameter; and what `docs/api.md`
-promises has numpydoc's sections. Sources are parsed, not imported.
+Every public module, class, function and method has one, whose title is no question. What `docs/api.md` promises names every parameter
+and has numpydoc's sections. Sources are parsed, not imported.
 """
 
 from __future__ import annotations
@@ -149,11 +149,13 @@ def faults(name: str) -> list[str]:
             continue
         first = text.split()[0].rstrip(".,:")
         found += [f"{where}: its title begins with {first}"] * (first in QUESTIONS)
+        if not public(name):
+            continue
         context = text + (ast.get_docstring(definition.owner) or "" if definition.owner else "")
         due = [] if exempt(definition) else definition.parameters  # an override's are those of what it overrides
         missing = [each for each in due if not re.search(rf"\b{re.escape(each)}\b", context)]
         found += [f"{where}: {', '.join(missing)} not named"] * bool(missing)
-        if public(name) and definition.owner is None and not isinstance(definition.node, ast.ClassDef):
+        if definition.owner is None and not isinstance(definition.node, ast.ClassDef):
             due = {"Parameters"} if definition.parameters else set()
             due |= {"Returns"} if definition.parameters and returns(definition) else set()
             due |= {"Raises"} if raises(definition) else set()
@@ -171,7 +173,6 @@ def test_docstrings_keep_the_rules():
     [
         ("x = 1\n", "no docstring"),
         ('"""Whether it rains."""\n', "begins with Whether"),
-        ('"""A module."""\ndef f(u):\n    """Twice a number."""\n', "u not named"),
         ('"""A module."""\nclass A:\n    """A class."""\n    def f(self):\n        return 1\n', "A.f: no docstring"),
         ('"""A module."""\nclass A:\n    """A class."""\n    @property\n    def f(self):\n        """How."""\n', "begins with How"),
     ],
@@ -182,6 +183,14 @@ def test_a_fault_is_found(source, fault, tmp_path, monkeypatch):
     monkeypatch.setitem(SOURCES, fault, path)
     (found,) = faults(fault)
     assert fault in found
+
+
+def test_a_parameter_without_a_word_is_found(tmp_path, monkeypatch):
+    path = tmp_path / "module.py"
+    path.write_text('"""A module."""\ndef f(u):\n    """Twice a number."""\n', encoding="utf-8")
+    monkeypatch.setitem(SOURCES, "public.py", path)
+    monkeypatch.setattr(f"{__name__}.API", ["public"])
+    assert faults("public.py") == ["2: f: u not named", "2: f: no section Parameters"]
 
 
 def test_the_public_api_is_there():

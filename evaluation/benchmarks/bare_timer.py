@@ -17,42 +17,16 @@ PHASE = 0.05
 
 @dataclass(frozen=True)
 class Wakes:
-    """Wakes of a bare loop.
+    """Wakes of a bare loop."""
 
-    Parameters
-    ----------
-    ticks
-        Ticks at which it was awake.
-    missed
-        Ticks in between at which it was not.
-    latest
-        Longest time from when it was due until it was awake, s.
-    refused
-        Why the system refused the priority; "" when it did not.
-    """
-
-    ticks: int
-    missed: int
-    latest: float
-    refused: str
+    ticks: int  # Ticks at which it was awake
+    missed: int  # Ticks in between at which it was not
+    latest: float  # Longest time from when it was due until it was awake, s
+    refused: str  # Why the system refused the priority; "" when it did not
 
 
 def wait_for_ticks(rate: float, seconds: float, priority: int) -> Wakes:
-    """Wait for every tick in this process.
-
-    Parameters
-    ----------
-    rate
-        Ticks per second.
-    seconds
-        Length, s.
-    priority
-        Under SCHED_FIFO; 0 for the default scheduler.
-
-    Returns
-    -------
-    Wakes
-    """
+    """Wait for every tick in this process."""
     refused, period = set_scheduler(priority, ANY_CORE), 1.0 / rate
     ticks = missed = 0
     latest = 0.0
@@ -68,17 +42,7 @@ def wait_for_ticks(rate: float, seconds: float, priority: int) -> Wakes:
 
 
 def measure(rate: float, seconds: float, priority: int) -> Wakes:
-    """Wait for every tick in a fresh process.
-
-    Parameters
-    ----------
-    rate, seconds, priority
-        As in `wait_for_ticks`.
-
-    Returns
-    -------
-    Wakes
-    """
+    """Wait for every tick in a fresh process."""
     words = [sys.executable, "-m", __name__, str(rate), str(seconds), str(priority)]
     return Wakes(**json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.signal import lfilter
@@ -36,84 +36,30 @@ SIGMA = 0.01  # um
 
 @dataclass(frozen=True)
 class Case:
-    """A kind of identification.
+    """A kind of identification."""
 
-    Parameters
-    ----------
-    name
-        Name of the case.
-    family
-        Model family, which is the plant's.
-    dynamics
-        Structure of G(s), as in the option; "" for none.
-    noise
-        Noise (N,) of a generator and a number of samples, um.
-    step
-        Rounding of the measurement, um; 0 for none.
-    """
-
-    name: str
-    family: str
-    dynamics: str
+    name: str  # Name of the case
+    family: str  # Model family, which is the plant's
+    dynamics: str  # Structure of G(s), as in the option; "" for none
+    # Noise (N,) of a generator and a number of samples, um
     noise: Callable[[np.random.Generator, int], Array]
-    step: float = 0.0
+    step: float = 0.0  # Rounding of the measurement, um; 0 for none
 
 
-def white(random: np.random.Generator, count: int) -> Array:
-    """White noise of `SIGMA`.
-
-    Parameters
-    ----------
-    random
-        Generator.
-    count
-        Number of samples.
-
-    Returns
-    -------
-    Array
-        Noise (N,), um.
-    """
+def white(random: np.random.Generator, count: int) -> Annotated[Array, "N"]:
+    """White noise of `SIGMA`."""
     return random.normal(0.0, SIGMA, count)
 
 
-def colored(random: np.random.Generator, count: int, pole: float = 0.95) -> Array:
-    """Noise of `SIGMA` below a corner, 80 Hz at 10 kHz.
-
-    Parameters
-    ----------
-    random
-        Generator.
-    count
-        Number of samples.
-    pole
-        Correlation of neighboring samples.
-
-    Returns
-    -------
-    Array
-        Noise (N,), um.
-    """
+def colored(random: np.random.Generator, count: int, pole: float = 0.95) -> Annotated[Array, "N"]:
+    """Noise of `SIGMA` below a corner, 80 Hz at 10 kHz."""
     start = random.normal()
     driven = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], random.normal(size=count), zi=[pole * start])[0]
     return SIGMA * np.asarray(driven, dtype=float)
 
 
-def faint(random: np.random.Generator, count: int) -> Array:
-    """White noise of a tenth of `SIGMA`.
-
-    Parameters
-    ----------
-    random
-        Generator.
-    count
-        Number of samples.
-
-    Returns
-    -------
-    Array
-        Noise (N,), um.
-    """
+def faint(random: np.random.Generator, count: int) -> Annotated[Array, "N"]:
+    """White noise of a tenth of `SIGMA`."""
     return 0.1 * white(random, count)
 
 
@@ -127,15 +73,7 @@ CASES = (
 
 
 def run(table: Table, runs: int = RUNS) -> None:
-    """Measure the coverage of every case.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    runs
-        Identifications in all, spread over the cases.
-    """
+    """Measure the coverage of every case."""
     each = max(runs // len(CASES), 1)
     inside: list[Array] = []
     for index, case in enumerate(CASES):
@@ -154,22 +92,7 @@ def _percent(hits: Array) -> float:
 
 
 def coverage(case: Case, seed: int, runs: int) -> dict[str, Array]:
-    """Identify plants of a case.
-
-    Parameters
-    ----------
-    case
-        The case.
-    seed
-        Of the plants and their noise.
-    runs
-        Number of identifications.
-
-    Returns
-    -------
-    dict
-        Of every number, 1 for a run whose interval holds the truth, else 0, (runs,).
-    """
+    """Identify plants of a case."""
     found = list(map_forked(lambda index: _held(case, np.random.default_rng([seed, index])), runs))
     return {name: np.array([held[name] for held in found]) for name in found[0]}
 
@@ -205,19 +128,8 @@ def _plant(random: np.random.Generator, dynamics: bool) -> list[Stage]:
     return stages
 
 
-def excitation(random: np.random.Generator) -> Array:
-    """A step, and loops of several amplitudes at 20 to 90 Hz between rests: a third of a second.
-
-    Parameters
-    ----------
-    random
-        Generator of amplitudes.
-
-    Returns
-    -------
-    Array
-        Command (N,), V.
-    """
+def excitation(random: np.random.Generator) -> Annotated[Array, "N"]:
+    """A step, and loops of several amplitudes at 20 to 90 Hz between rests: a third of a second."""
     parts = [np.zeros(50), np.full(300, 10.0), np.zeros(200)]
     for frequency, peak in ((20.0, 60.0), (40.0, 35.0), (60.0, 50.0), (90.0, 20.0)):
         count = round(2 * RATE / frequency)

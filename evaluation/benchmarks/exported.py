@@ -37,13 +37,7 @@ CONTROLLERS = (
 
 
 def run(table: Table) -> None:
-    """Add the time of a step and the bytes of the state of both papers' controllers, and the samples at which C and Python differ.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    """
+    """Add the time of a step and the bytes of the state of both papers' controllers, and the samples at which C and Python differ."""
     for case, name, kind, rate in CONTROLLERS:
         progress.step(f"{case} in C")
         model = load_model(config_path(f"models/{name}.yaml"))
@@ -63,19 +57,7 @@ def run(table: Table) -> None:
 
 
 def tick_times(model: Model, kind: str, rate: float, backend: str) -> tuple[float, float]:
-    """Seconds of processor time that the feedforward and the feedback take, called for one tick at a time as the nodes do.
-
-    Parameters
-    ----------
-    model
-        To be inverted.
-    kind
-        Kind of the feedforward.
-    rate
-        Hz.
-    backend
-        "python" or "c".
-    """
+    """Seconds of processor time that the feedforward and the feedback take, called for one tick at a time as the nodes do."""
     compensator, law = build_compensator(model, kind, sample_time=1.0 / rate), PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5)
     axes = len(model.axes)
     feeding = compensator if backend == "python" else CompiledFeedforward(compensator, axes, 1.0 / rate)
@@ -100,17 +82,7 @@ def tick_times(model: Model, kind: str, rate: float, backend: str) -> tuple[floa
 
 
 def step_time(compensator: Compensator, rate: float, unit: str) -> tuple[float, int]:
-    """Seconds of a step of feedforward and feedback in C (the best of several runs), and bytes of the state.
-
-    Parameters
-    ----------
-    compensator
-        Feedforward.
-    rate
-        Hz.
-    unit
-        Of the measurement.
-    """
+    """Seconds of a step of feedforward and feedback in C (the best of several runs), and bytes of the state."""
     axes = len(compensator.axes)
     controller = Controller(PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5), axes, FaultResponse(frozen_time=0.0), compensator)
     program = Program("loop", controller.c_code(), axes, *controller.slots(compensator.axes, unit), 1.0 / rate, ("of a benchmark",))
@@ -140,15 +112,7 @@ def compared() -> tuple[tuple[str, Exported], ...]:
 
 
 def differences(exported: Exported, samples: int = COMPARED) -> int:
-    """Samples of random signals at which C and Python differ in any bit.
-
-    Parameters
-    ----------
-    exported
-        Program, and the same in Python.
-    samples
-        Their number, all axes counted.
-    """
+    """Samples of random signals at which C and Python differ in any bit."""
     running, python, spans = CompiledProgram(exported.program), exported.python, exported.spans
     random = np.random.default_rng(1)
     last: Array = np.full(len(spans), 0.5)

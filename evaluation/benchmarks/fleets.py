@@ -35,19 +35,7 @@ MIB = 2.0**20
 
 
 def run(table: Table, records: int = RECORDS, jobs: int = JOBS, clusters: Sequence[str | None] = (None, "local")) -> None:
-    """Measure what records of a fleet cost beside and in their computation.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    records
-        Records without work that are handed out.
-    jobs
-        Jobs of `BUSY` seconds of processor time for the scaling.
-    clusters
-        As in `Workers`.
-    """
+    """Measure what records of a fleet cost beside and in their computation."""
     for cluster in clusters:
         name = "processes" if cluster is None else f"Dask {cluster}"
         seconds, grown = _handing_out(Workers(2, cluster), records)
@@ -77,23 +65,7 @@ def run(table: Table, records: int = RECORDS, jobs: int = JOBS, clusters: Sequen
 
 @contextmanager
 def own_cluster(workers: int = 2) -> Iterator[str]:
-    """Run a scheduler and workers as processes of their own, on the loopback address only.
-
-    Parameters
-    ----------
-    workers
-        Worker processes.
-
-    Yields
-    ------
-    str
-        Path of the scheduler file.
-
-    Raises
-    ------
-    InputError
-        The scheduler does not come up.
-    """
+    """Run a scheduler and workers as processes of their own, on the loopback address only."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as running:
         file = Path(folder) / "scheduler.json"
 
@@ -123,34 +95,12 @@ def own_cluster(workers: int = 2) -> Iterator[str]:
 
 
 def nothing(number: int) -> dict[str, Any]:
-    """Compute a record without any work: a row of the size that a record's has.
-
-    Parameters
-    ----------
-    number : int
-        Of the record.
-
-    Returns
-    -------
-    dict
-        The row.
-    """
+    """Compute a record without any work: a row of the size that a record's has."""
     return {"number": number, "report_file": "x" * 200, "effects": [{"name": "creep", "probability": 1.0}], "seconds": 0.0}
 
 
 def busy(number: int) -> int:
-    """Compute for `BUSY` seconds of processor time.
-
-    Parameters
-    ----------
-    number : int
-        Of the record.
-
-    Returns
-    -------
-    int
-        The same number.
-    """
+    """Compute for `BUSY` seconds of processor time."""
     end = time.process_time() + BUSY
     while time.process_time() < end:
         pass

@@ -29,21 +29,11 @@ REPEATS = 9
 
 @dataclass(frozen=True)
 class Pair:
-    """A kernel of this package and the same loop in C.
+    """A kernel of this package and the same loop in C."""
 
-    Parameters
-    ----------
-    case
-        Name of the kernel in the table.
-    own
-        Runs this package's kernel over `ROWS` samples and returns its output.
-    other
-        Runs the C loop over the same samples.
-    """
-
-    case: str
-    own: Callable[[], Array]
-    other: Callable[[], Array]
+    case: str  # Name of the kernel in the table
+    own: Callable[[], Array]  # Runs this package's kernel over `ROWS` samples and returns its output
+    other: Callable[[], Array]  # Runs the C loop over the same samples
 
 
 @dataclass(frozen=True)
@@ -78,23 +68,7 @@ def run() -> list[KernelRate]:
 
 
 def compiled_library(folder: Path) -> ctypes.CDLL:
-    """Compile the C loops with gcc -O3 and load them.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the shared library; it must exist while the library is used.
-
-    Returns
-    -------
-    ctypes.CDLL
-        Library with one function per kernel.
-
-    Raises
-    ------
-    InputError
-        Where gcc is not installed.
-    """
+    """Compile the C loops with gcc -O3 and load them."""
     if shutil.which("gcc") is None:
         raise InputError("bench: gcc is not installed, and the kernels are timed beside C: install gcc or choose other benchmarks")
     target = folder / "kernels.so"
@@ -106,18 +80,7 @@ def compiled_library(folder: Path) -> ctypes.CDLL:
 
 
 def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
-    """Set up HAMPI's modified Prandtl-Ishlinskii model with ten operators on one axis.
-
-    Parameters
-    ----------
-    library : ctypes.CDLL
-        C loops, from `compiled_library`.
-
-    Returns
-    -------
-    Pair
-        The kernel and the C loop.
-    """
+    """Set up HAMPI's modified Prandtl-Ishlinskii model with ten operators on one axis."""
     stage = ModifiedPrandtlIshlinskii(
         np.linspace(0.5, 49.0, 10), np.linspace(0.5, 0.1, 10), m1=7.7e-7, m2=2.5e-7, k=-6.4e-4, b=0.025
     )
@@ -171,18 +134,7 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
 
 
 def linear(library: ctypes.CDLL) -> Pair:
-    """Set up HAMPI's third-order G(s) (HAMPI paper Eq. 1).
-
-    Parameters
-    ----------
-    library : ctypes.CDLL
-        C loops, from `compiled_library`.
-
-    Returns
-    -------
-    Pair
-        The kernel and the C loop.
-    """
+    """Set up HAMPI's third-order G(s) (HAMPI paper Eq. 1)."""
     running = TransferFunction([-340.5, 4.249e6, 3.461e7], [1.0, 8610.0, 5.989e7, 4.751e8]).filter(Sampling(5e-5, 1))
     block = np.ascontiguousarray(np.sin(0.01 * np.arange(ROWS))).reshape(-1, 1)
     output = np.empty_like(block)
@@ -221,18 +173,7 @@ def linear(library: ctypes.CDLL) -> Pair:
 
 
 def madelung(library: ctypes.CDLL) -> Pair:
-    """Set up a Madelung hysteresis with the MHL paper's quintic curves (Table 1, scaled to close).
-
-    Parameters
-    ----------
-    library : ctypes.CDLL
-        C loops, from `compiled_library`.
-
-    Returns
-    -------
-    Pair
-        The kernel and the C loop.
-    """
+    """Set up a Madelung hysteresis with the MHL paper's quintic curves (Table 1, scaled to close)."""
     up = np.array([-0.4624, 1.788, -2.398, 2.037, 2.228])
     down = np.array([0.9457, -3.005, 3.248, -2.083, 4.104])
     stage = Madelung(up * 3.2 / up.sum(), down * 3.2 / down.sum(), input_scale=1.0, output_scale=1.0)

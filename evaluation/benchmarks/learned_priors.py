@@ -27,15 +27,7 @@ TIMES = 3.0
 
 
 def run(table: Table, new: int = NEW) -> None:
-    """Diagnose new units, healthy ones and ones with a delay, with both models.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    new
-        New units, each once healthy and once with the delay.
-    """
+    """Diagnose new units, healthy ones and ones with a delay, with both models."""
     random = np.random.default_rng(24)
     nominal = load_model(config_path("models/pea_hampi.yaml"))
     units = [_unit(nominal, gain) for gain in 1.0 + SCATTER * random.standard_normal(KNOWN)]

@@ -35,17 +35,7 @@ HOUR = 60.0
 
 
 def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMANDS) -> None:
-    """Measure every command on records of several lengths, and draw the line of the two longest of them on to an hour.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    minutes
-        Lengths of the records, min.
-    commands
-        The commands; `import` makes the bag that the others read.
-    """
+    """Measure every command on records of several lengths, and draw the line of the two longest of them on to an hour."""
     found: dict[str, list[tuple[float, float, float]]] = {command: [] for command in commands}
     for length in sorted(minutes):
         with tempfile.TemporaryDirectory() as name:
@@ -67,17 +57,9 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
 
 
 def add_hour(table: Table, command: str, measurements: Sequence[tuple[float, float, float]]) -> None:
-    """Add how time and memory grow, and what an hour would take; memory that falls is taken to stay.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    command
-        The command.
-    measurements
-        Length (min), processor time (s) and memory (MiB) by rising length, two or more. The last two tell how either grows.
-    """
+    """Add how time and memory grow, and what an hour would take; memory that falls is taken to stay."""
+    # measurements: length (min), processor time (s) and memory (MiB) by rising length, two or more. The last two tell how either
+    # grows
     length, *last = measurements[-1]
     (shorter, *before) = measurements[-2]
     for quantity, unit, value, earlier in zip(("processor_time", "memory"), ("s", "MiB"), last, before, strict=True):
@@ -96,20 +78,7 @@ def plant() -> Model:
 
 
 def write_recording(path: Path, minutes: float) -> int:
-    """Write command and measurement of a plant of play operators as a .npy file, block by block.
-
-    Parameters
-    ----------
-    path
-        The file.
-    minutes
-        Length, min.
-
-    Returns
-    -------
-    int
-        Number of samples.
-    """
+    """Write command and measurement of a plant of play operators as a .npy file, block by block."""
     rows = round(60.0 * minutes * RATE)
     table = np.lib.format.open_memmap(path, "w+", np.float64, (rows, 2))
     running = plant().filter()
@@ -128,20 +97,7 @@ def write_recording(path: Path, minutes: float) -> int:
 
 
 def arguments_of(command: str, folder: Path) -> list[str]:
-    """Arguments of a command that works in a folder.
-
-    Parameters
-    ----------
-    command
-        One of `COMMANDS`.
-    folder
-        With `recording.npy`, and the model and bag of the commands before.
-
-    Returns
-    -------
-    list of str
-        As on the command line.
-    """
+    """Arguments of a command that works in a folder."""
     bag, model, recording = (str(folder / name) for name in ("bag", "model.yaml", "recording.npy"))
     columns = ["--columns", "command=1[V],measurement=2[um]", "--rate", f"{RATE:g}"]
     verb, *family = command.split()
@@ -155,27 +111,7 @@ def arguments_of(command: str, folder: Path) -> list[str]:
 
 
 def measured(arguments: Sequence[str]) -> tuple[float, float, float]:
-    """Time, processor time and largest memory of a command, its worker processes included.
-
-    Parameters
-    ----------
-    arguments
-        As on the command line.
-
-    Returns
-    -------
-    seconds : float
-        Time, start of the process included, s.
-    processor : float
-        Processor time in user mode, s: what other load on the machine changes least.
-    memory : float
-        Largest memory, MiB.
-
-    Raises
-    ------
-    RuntimeError
-        The command failed.
-    """
+    """Time, processor time and largest memory of a command, its worker processes included."""
     begin, before, memory = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime, 0.0
     call = "import sys; from hyst_control.cli import main; sys.exit(main(sys.argv[1:]))"
     with subprocess.Popen([sys.executable, "-c", call, *arguments, "--quiet"], stdout=subprocess.DEVNULL) as running:

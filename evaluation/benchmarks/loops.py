@@ -51,58 +51,22 @@ SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 
 @dataclass(frozen=True)
 class Run:
-    """Figures of one run, between two diagnostics of its plant.
+    """Figures of one run, between two diagnostics of its plant."""
 
-    Parameters
-    ----------
-    rate
-        Rounds (ticks) per second.
-    cpu
-        Processor load of all its processes, % of one core.
-    memory
-        Resident memory at every sample, MiB.
-    values
-        Last diagnostics by node.
-    begin
-        Those at the beginning.
-    """
-
-    rate: float
-    cpu: float
-    memory: list[float]
-    values: Mapping[str, dict[str, str]]
-    begin: Mapping[str, dict[str, str]]
+    rate: float  # Rounds (ticks) per second
+    cpu: float  # Processor load of all its processes, % of one core
+    memory: list[float]  # Resident memory at every sample, MiB
+    values: Mapping[str, dict[str, str]]  # Last diagnostics by node
+    begin: Mapping[str, dict[str, str]]  # Those at the beginning
 
     def microseconds(self, entry: str) -> float:
-        """Return an entry of the plant's diagnostics.
-
-        Parameters
-        ----------
-        entry
-            Name of the entry.
-
-        Returns
-        -------
-        float
-            The value, us; NaN without such an entry.
-        """
+        """Return an entry of the plant's diagnostics."""
         return float(
             next((found[entry] for name, found in self.values.items() if name.endswith(ACTUATORS) and entry in found), "nan")
         )
 
     def count(self, node: str, entry: str) -> int:
-        """Return how far a counter of a node's diagnostics has gone on in the run; what belongs to its start is not counted.
-
-        Parameters
-        ----------
-        node, entry
-            Names of the node and the entry.
-
-        Returns
-        -------
-        int
-            The count; 0 without such an entry.
-        """
+        """Return how far a counter of a node's diagnostics has gone on in the run; what belongs to its start is not counted."""
         begin, end = (int(values.get(node, {}).get(entry, 0)) for values in (self.begin, self.values))
         return end - begin
 
@@ -116,15 +80,7 @@ class Watched(Enum):
 
 
 def run(table: Table, seconds: float = SECONDS) -> None:
-    """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    seconds
-        Length of every run, s.
-    """
+    """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder."""
     name = "lockstep, MHL loop of two axes"
     streamed = f"composed, reference streamed in {STREAMED} rows"
     table.add(
@@ -157,13 +113,6 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
     """Measure what a live page costs the composed loop at 1 kHz: without a live view, with one, and with a page open in a browser.
 
     All three also under real-time priority, with which what else runs on the cores does not delay the loop.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    seconds
-        Length of every run, s.
     """
     for priority in (0, PRIORITY):
         case = f"composed{f', SCHED_FIFO {priority}' if priority else ''}"
@@ -199,13 +148,6 @@ def soak(table: Table, minutes: float) -> None:
     """Run in lockstep, then a sixth of that on the wall clock, with a plant and with a stage on hardware: rate, loss, growth of memory.
 
     All are composed and recorded; the stage is simulated, and its process runs under SCHED_FIFO where the system allows it.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    minutes
-        Length of the run in lockstep, min.
     """
     soak_lockstep(table, minutes)
     _soak(table, "timer", "soak, wall clock 1 kHz", minutes / 6.0, "plant")
@@ -213,15 +155,7 @@ def soak(table: Table, minutes: float) -> None:
 
 
 def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
-    """Run in lockstep at full speed, composed and recorded: lost rows, repeated messages, processor load, memory.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    minutes
-        Length of the run, min.
-    """
+    """Run in lockstep at full speed, composed and recorded: lost rows, repeated messages, processor load, memory."""
     _soak(table, "lockstep", "soak, lockstep", minutes, "plant")
 
 
@@ -229,13 +163,6 @@ def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
     """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory.
 
     Afterwards a bare loop of the same priority waits for as many ticks: those that it misses are the computer's.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    minutes
-        Length of the run, min.
     """
     name = "soak, stage on hardware, 1 kHz"
     _soak(table, "timer", name, minutes, STAGE)
@@ -285,43 +212,8 @@ def measure(
     watched: Watched = Watched.NOT,
     priority: int = 0,
 ) -> Run:
-    """Run the loop once.
-
-    Parameters
-    ----------
-    case
-        "composed" or "processes".
-    subject
-        "hyst" or "plain rclpy".
-    schedule
-        "lockstep" or "timer".
-    seconds
-        Length of the run, s.
-    bag
-        Bag to record to; None: no recorder.
-    block
-        Rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick.
-    outside
-        Run the recorder as a process beside the composed nodes, so that the middleware carries all messages.
-    backend
-        Of the feedforward and the feedback, "python" or "c".
-    stage
-        "plant", or the node of a stage on hardware in its place.
-    watched
-        Parts of a live page; the processor load is that of the loop with its live view, without page and browser.
-    priority
-        Real-time priority of the loop's process, where the system allows one; 0: none, or the stage's own.
-
-    Returns
-    -------
-    Run
-        The figures.
-
-    Raises
-    ------
-    InputError
-        A node fails or the loop does not start.
-    """
+    """Run the loop once."""
+    # block: rows of the reference, which is known ahead, in one message, and so of the feedforward; all else goes tick by tick
     progress.step(f"{schedule}, {case}, {subject}{', recorded' if bag else ''}{' from outside' if outside else ''}: {seconds:g} s")
     each = settings(schedule, bag, block, backend, stage)
     if priority:
@@ -353,20 +245,7 @@ def measure(
 
 
 def message_loss(bag: Path) -> tuple[float, int]:
-    """Count the rows that are missing within the topics of a bag.
-
-    Parameters
-    ----------
-    bag
-        The bag.
-
-    Returns
-    -------
-    loss : float
-        Missing rows in % of those expected.
-    expected : int
-        Number of rows expected.
-    """
+    """Count the rows that are missing within the topics of a bag."""
     missing = sum(missing_rows(bag).values())
     expected = missing + sum(len(signal.time) for signal in read_bag(bag, topics=SIGNALS).signals.values())
     return 100.0 * missing / expected, expected
@@ -377,16 +256,6 @@ def missing_rows(bag: Path) -> dict[str, int]:
 
     Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
     publishes the command that it held.
-
-    Parameters
-    ----------
-    bag
-        The bag.
-
-    Returns
-    -------
-    dict of str to int
-        Missing rows by topic.
     """
     missing = {}
     for topic, signal in read_bag(bag, topics=SIGNALS).signals.items():
@@ -398,26 +267,7 @@ def missing_rows(bag: Path) -> dict[str, int]:
 def settings(
     schedule: str, bag: Path | None, block: int = 1, backend: str = "python", stage: str = "plant"
 ) -> dict[str, dict[str, Any]]:
-    """Parameters of the nodes of the MHL loop.
-
-    Parameters
-    ----------
-    schedule
-        "lockstep" or "timer".
-    bag
-        Bag to record to; None: no recorder.
-    block
-        Rows of the reference in one message.
-    backend
-        As for `measure`.
-    stage
-        "plant", or the node of a stage on hardware in its place.
-
-    Returns
-    -------
-    dict[str, dict[str, Any]]
-        Parameters by the node's name.
-    """
+    """Parameters of the nodes of the MHL loop."""
     rate = LOCKSTEP_RATE if schedule == "lockstep" else TIMER_RATE
     common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
     model = str(config_path("models/fsm_mhl.yaml"))

@@ -13,17 +13,7 @@ AXES, RATE, TICKS = 5000, 1000.0, 2000
 
 
 def run(table: Table, axes: int = AXES, ticks: int = TICKS) -> None:
-    """Measure the plant node under the timer, with a sender of commands and a receiver of measurements outside of it.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    axes
-        Axes of the plant.
-    ticks
-        Ticks that count.
-    """
+    """Measure the plant node under the timer, with a sender of commands and a receiver of measurements outside of it."""
     with own_domain() as domain:
         given = [str(value) for value in (axes, ticks, RATE, domain)]
         command = [sys.executable, "-m", "hyst_control.nodes.many_axes", *given]

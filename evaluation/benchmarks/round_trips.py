@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -36,27 +37,14 @@ BITS = 12
 
 @dataclass(frozen=True)
 class Plant:
-    """A known plant of a family.
+    """A known plant of a family."""
 
-    Parameters
-    ----------
-    stages
-        Its chain.
-    sample_time
-        Of the records, s.
-    options
-        Options of the identification that say where the family is right; the structure of G(s) is left to it.
-    pace
-        Factor of the frequencies of the drive: families with dynamics are excited faster.
-    seconds
-        Length of every frequency, s at a pace of 1.
-    """
-
-    stages: tuple[Stage, ...]
-    sample_time: float
+    stages: tuple[Stage, ...]  # Its chain
+    sample_time: float  # Of the records, s
+    # Options of the identification that say where the family is right; the structure of G(s) is left to it
     options: Mapping[str, object] = field(default_factory=dict)
-    pace: float = 20.0
-    seconds: float = 0.2
+    pace: float = 20.0  # Factor of the frequencies of the drive: families with dynamics are excited faster
+    seconds: float = 0.2  # Length of every frequency, s at a pace of 1
 
     @property
     def model(self) -> Model:
@@ -93,13 +81,7 @@ PLANTS = {
 
 
 def run(table: Table) -> None:
-    """Identify every family from one such record and predict another session.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    """
+    """Identify every family from one such record and predict another session."""
     for name in PLANTS:
         progress.step(f"round trip of {name}")
         examiner = with_beginning(fresh(name))
@@ -111,38 +93,12 @@ def run(table: Table) -> None:
 
 
 def identified(name: str) -> Fit:
-    """Identify a family from the record that teaches it.
-
-    Parameters
-    ----------
-    name
-        The family.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-    """
+    """Identify a family from the record that teaches it."""
     return identify([taught(name)], name, "joint", **PLANTS[name].options)
 
 
-def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> Array:
-    """Whole sines about the middle of the drive, a short rest behind each.
-
-    Parameters
-    ----------
-    sample_time
-        s.
-    seconds
-        Length of every frequency at a pace of 1, s, at least two cycles.
-    *cycles
-        Frequency in Hz and amplitude in V.
-
-    Returns
-    -------
-    Array
-        Command (N, 1), V.
-    """
+def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> Annotated[Array, "N 1"]:
+    """Whole sines about the middle of the drive, a short rest behind each."""
     parts = []
     for frequency, amplitude in cycles:
         count = max(round(seconds * frequency), 2)
@@ -152,24 +108,7 @@ def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> A
 
 
 def session(name: str, label: str, zero: float, drift: float, *cycles: tuple[float, float]) -> Dataset:
-    """Record `cycles` from amid the first of them, as a laboratory has it.
-
-    Parameters
-    ----------
-    name
-        The family whose plant it is.
-    label
-        Name of the record.
-    zero, drift
-        Of the sensor, shares of the range.
-    *cycles
-        Frequency in Hz at a pace of 1, and amplitude in V.
-
-    Returns
-    -------
-    Dataset
-        The record.
-    """
+    """Record `cycles` from amid the first of them, as a laboratory has it."""
     plant = PLANTS[name]
     sample_time, pace = plant.sample_time, plant.pace
     warm = sines(sample_time, plant.seconds, (2.0 * pace, SWING), (3.0 * pace, 25.0))
@@ -185,24 +124,12 @@ def session(name: str, label: str, zero: float, drift: float, *cycles: tuple[flo
 
 
 def taught(name: str) -> Dataset:
-    """Record from which a family is identified.
-
-    Parameters
-    ----------
-    name
-        The family.
-    """
+    """Record from which a family is identified."""
     return session(
         name, "fitted", 0.05, 0.02, (1.0, 30.0), (2.0, 40.0), (2.0, 25.0), (4.0, 15.0), (4.0, 40.0), (20.0, 32.0), (1.0, 10.0)
     )
 
 
 def fresh(name: str) -> Dataset:
-    """Record of another session: other amplitudes and frequencies, other zero, other drift.
-
-    Parameters
-    ----------
-    name
-        The family.
-    """
+    """Record of another session: other amplitudes and frequencies, other zero, other drift."""
     return session(name, "held out", -0.04, -0.015, (1.5, 20.0), (3.0, 38.0), (2.5, 28.0), (12.0, 30.0), (5.0, 33.0))

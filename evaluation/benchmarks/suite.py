@@ -49,29 +49,7 @@ LONG_RUNS = {"lockstep": loops.soak_lockstep, "wall-clock": loops.soak_wall_cloc
 def run(
     only: str | None = None, seconds: float = loops.SECONDS, soak: float | None = None, minutes: Sequence[float] | None = None
 ) -> Table:
-    """Run all groups of benchmarks, or one of `GROUPS`.
-
-    Parameters
-    ----------
-    only
-        The group, or one of `NAMED_ONLY` or `LONG_RUNS`; None: all groups.
-    seconds
-        Length of every run of the loop, s.
-    soak
-        Length of the long run, which replaces the groups, or of the one of `LONG_RUNS` that is named in `only`, min.
-    minutes
-        Lengths of the records on which commands are measured, which replaces the groups, min.
-
-    Returns
-    -------
-    Table
-        The figures.
-
-    Raises
-    ------
-    InputError
-        A length is out of range, gcc is missing for the kernels, or a node fails.
-    """
+    """Run all groups of benchmarks, or one of `GROUPS`."""
     table = Table("bench")
     for name, value in (("seconds", seconds), ("soak", soak), *(("minutes", length) for length in minutes or ())):
         if value is not None and not 0 < value < 1e6:
@@ -113,13 +91,7 @@ def run(
 
 
 def bags(table: Table) -> None:
-    """Write and read a bag of two topics; messages of both topics per second, medians.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    """
+    """Write and read a bag of two topics; messages of both topics per second, medians."""
     labels = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
     rng = np.random.default_rng(0)
     blocks = rng.normal(size=(MESSAGES, ROWS, 2))

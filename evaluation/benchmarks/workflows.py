@@ -47,17 +47,7 @@ TENFOLD = "pea_published"
 
 
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
-    """Measure truth plants, identifications, and diagnoses with a new and with a cached threshold.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    seconds
-        Length of the record that is identified, s.
-    plants
-        Plants that are diagnosed.
-    """
+    """Measure truth plants, identifications, and diagnoses with a new and with a cached threshold."""
     for name in TRUTH:
         table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
     for family in IDENTIFIED:
@@ -74,18 +64,7 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
 
 
 def speed(name: str) -> float:
-    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`.
-
-    Parameters
-    ----------
-    name
-        The plant.
-
-    Returns
-    -------
-    float
-        Speed, times real time.
-    """
+    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`."""
     truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
     lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
     time_axis = np.arange(round(RATE)) / RATE
@@ -102,26 +81,7 @@ def speed(name: str) -> float:
 
 
 def identification(family: str, seconds: float) -> tuple[float, float, float, int]:
-    """Time and memory of one identification; a tenth of the record is identified first to compile the kernels.
-
-    Parameters
-    ----------
-    family
-        Model family.
-    seconds
-        Length of the record, s.
-
-    Returns
-    -------
-    elapsed : float
-        Time, s.
-    processor : float
-        Processor time in user mode, worker processes included, s: what other load on the machine changes least.
-    memory : float
-        Largest memory, MiB.
-    rows : int
-        Rows of the record.
-    """
+    """Time and memory of one identification; a tenth of the record is identified first to compile the kernels."""
     plant, axes, unit, noise, signal = IDENTIFIED[family]
     rows = signal(1.0 / RATE).reshape(-1, len(axes))
     once, count = len(rows), round(seconds * RATE)
@@ -138,26 +98,7 @@ def identification(family: str, seconds: float) -> tuple[float, float, float, in
 
 
 def diagnosis(plant: str, driven: float = DRIVEN) -> tuple[float, float, int, float]:
-    """Time of one diagnosis: one effect, diagnostic excitation, sampled at `RATE`. Changes the plant's setup in this process.
-
-    Parameters
-    ----------
-    plant
-        The plant.
-    driven
-        Length of the excitation, s.
-
-    Returns
-    -------
-    fresh : float
-        Time with a threshold to calibrate, s.
-    cached : float
-        Time with a cached threshold, s.
-    rows : int
-        Rows of the record.
-    length : float
-        Length of the record, s.
-    """
+    """Time of one diagnosis: one effect, diagnostic excitation, sampled at `RATE`. Changes the plant's setup in this process."""
     SETUPS[plant] = replace(SETUPS[plant], sample_time=1.0 / RATE)
     case = replace(draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0], duration=driven)
     record: Record = record_of(case, run_case(case))

@@ -16,45 +16,19 @@ NOISES = (5e-4, 3e-3)
 
 @dataclass(frozen=True)
 class Case:
-    """One case of the blind test.
+    """One case of the blind test."""
 
-    Parameters
-    ----------
-    name
-        Name of the case.
-    plant
-        Truth plant.
-    kind
-        One of `KINDS`.
-    excitation
-        One of `EXCITATIONS`.
-    noise
-        Noise of the sensor, rms / stroke.
-    seed
-        Seed of the plant's scatter, noise and excitation.
-    effects
-        Effects of the plant, mappings that `load_plant` takes.
-    off
-        Scatter of the plant's coefficients, times their tolerance.
-    label
-        The answer: kind, effects, true gap.
-    untuned
-        True with an effect in a realization that tuning seeds never draw.
-    duration
-        Length of the rich record, s.
-    """
-
-    name: str
-    plant: str
-    kind: str
-    excitation: str
-    noise: float
-    seed: int
-    effects: tuple[Mapping[str, Any], ...] = ()
-    off: float = 1.0
-    label: Mapping[str, Any] = field(default_factory=dict)
-    untuned: bool = False
-    duration: float = 1.5
+    name: str  # Name of the case
+    plant: str  # Truth plant
+    kind: str  # One of `KINDS`
+    excitation: str  # One of `EXCITATIONS`
+    noise: float  # Noise of the sensor, rms / stroke
+    seed: int  # Seed of the plant's scatter, noise and excitation
+    effects: tuple[Mapping[str, Any], ...] = ()  # Effects of the plant, mappings that `load_plant` takes
+    off: float = 1.0  # Scatter of the plant's coefficients, times their tolerance
+    label: Mapping[str, Any] = field(default_factory=dict)  # The answer: kind, effects, true gap
+    untuned: bool = False  # True with an effect in a realization that tuning seeds never draw
+    duration: float = 1.5  # Length of the rich record, s
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,16 +37,5 @@ class Case:
 
 
 def as_document(case: Case) -> dict[str, Any]:
-    """Convert a case with its label to JSON types.
-
-    Parameters
-    ----------
-    case
-        The case.
-
-    Returns
-    -------
-    dict[str, Any]
-        The document.
-    """
+    """Convert a case with its label to JSON types."""
     return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}

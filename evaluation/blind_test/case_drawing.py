@@ -38,30 +38,7 @@ def draw(
     switched: float = 0.0,
     duration: float = 1.5,
 ) -> list[Case]:
-    """Draw a balanced set of cases: every effect on every plant in turn, half of it on the rich record.
-
-    Parameters
-    ----------
-    seed
-        Seed of the drawing.
-    count
-        Number of cases.
-    plants
-        Truth plants.
-    kinds
-        Kinds with their fractions of the cases, or kinds alone, in the usual proportion.
-    excitations
-        Excitations.
-    switched
-        Fraction of the cases with effects in which every effect begins within the record, each at its own time.
-    duration
-        Length of the rich record, s.
-
-    Returns
-    -------
-    list[Case]
-        The cases.
-    """
+    """Draw a balanced set of cases: every effect on every plant in turn, half of it on the rich record."""
     random = np.random.default_rng(seed)
     realizations = np.random.default_rng([seed, 5])  # separate, so that sizes and scatter do not depend on how many there are
     chosen = kinds or KIND_FRACTIONS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,18 +21,6 @@ def with_label(case: Case, stated: float | None = None) -> Case:
     """Add the label to a case: kind and effects to score, true gap, begin of each effect, and visibility.
 
     A pair's label also lists the effects that are `shown`: visible beside the other.
-
-    Parameters
-    ----------
-    case
-        The case.
-    stated
-        Noise as from `stated_noise`, where it is known already (a plant without a published model is identified first).
-
-    Returns
-    -------
-    Case
-        The case with its label.
     """
     setup = SETUPS[case.plant]
     noise = case.noise * setup.stroke
@@ -80,23 +68,8 @@ def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
     return np.asarray(measured - expected, dtype=np.float64)
 
 
-def visibility(case: Case, difference: Array, noise: float) -> float:
-    """Distance of a difference from any change of gain and offset on each axis.
-
-    Parameters
-    ----------
-    case
-        The case.
-    difference
-        Difference (N, A) of two measurements.
-    noise
-        Stated noise, rms in the measurement unit.
-
-    Returns
-    -------
-    float
-        Distance, in standard deviations of the noise.
-    """
+def visibility(case: Case, difference: Annotated[Array, "N A"], noise: float) -> float:
+    """Distance of a difference from any change of gain and offset on each axis."""
     measured = run_case(case, effects=False, noisy=False)["measurement"]
     left = 0.0
     for axis in range(difference.shape[1]):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,19 +17,8 @@ from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import Plant, load_plant
 
 
-def commands(case: Case) -> Array:
-    """Construct the excitation of a case.
-
-    Parameters
-    ----------
-    case
-        The case.
-
-    Returns
-    -------
-    Array
-        Commands (N, A) in V; for the closed loop references (N, A) in the measurement unit.
-    """
+def commands(case: Case) -> Annotated[Array, "N A"]:
+    """Construct the excitation of a case."""
     setup = SETUPS[case.plant]
     axes = 2 if case.plant.startswith("fsm") else 1
     low, high = setup.command
@@ -75,20 +64,7 @@ def commands(case: Case) -> Array:
 
 
 def run_case(case: Case, **included: bool) -> dict[str, Array]:
-    """Simulate a case.
-
-    Parameters
-    ----------
-    case
-        The case.
-    **included
-        What it includes, and which session it is: the options of `plant_of`.
-
-    Returns
-    -------
-    dict[str, Array]
-        Signals (N, A) by topic.
-    """
+    """Simulate a case."""
     truth = plant_of(case, **included)
     rows, setup = commands(case), SETUPS[case.plant]
     if case.excitation != "closed_loop":
@@ -100,26 +76,8 @@ def run_case(case: Case, **included: bool) -> dict[str, Array]:
 
 
 def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> Plant:
-    """Construct the truth plant of a case, rated for the range in which it is driven.
-
-    Parameters
-    ----------
-    case
-        The case.
-    effects
-        Include its effects.
-    noisy
-        Include the noise.
-    scattered
-        Include the scatter of its plant.
-    later
-        Another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others.
-
-    Returns
-    -------
-    Plant
-        The plant.
-    """
+    """Construct the truth plant of a case, rated for the range in which it is driven."""
+    # later: another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others
     setup = SETUPS[case.plant]
     changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
     document = {
@@ -134,20 +92,7 @@ def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bo
 
 
 def record_of(case: Case, signals: Mapping[str, Array]) -> Record:
-    """Convert a case's signals to a record, which holds nothing of the case's label.
-
-    Parameters
-    ----------
-    case
-        The case.
-    signals
-        Signals (N, A) by topic.
-
-    Returns
-    -------
-    Record
-        The record.
-    """
+    """Convert a case's signals to a record, which holds nothing of the case's label."""
     setup = SETUPS[case.plant]
     time = np.arange(len(signals["command"]), dtype=np.float64) * setup.sample_time
     axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)

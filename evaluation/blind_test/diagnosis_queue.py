@@ -13,18 +13,7 @@ Job = tuple[Callable[[Any], str], tuple[Any, ...]]
 
 
 def interleaved(*lists: Sequence[Job]) -> list[Job]:
-    """Mix lists evenly, so that a run that is stopped has done the same part of each.
-
-    Parameters
-    ----------
-    *lists
-        Lists of diagnoses.
-
-    Returns
-    -------
-    list[Job]
-        All of them, each list's in its order.
-    """
+    """Mix lists evenly, so that a run that is stopped has done the same part of each."""
     placed = [((index + 0.5) / len(jobs), job) for jobs in lists for index, job in enumerate(jobs)]
     return [job for _, job in sorted(placed, key=lambda each: each[0])]
 
@@ -32,19 +21,9 @@ def interleaved(*lists: Sequence[Job]) -> list[Job]:
 def work(
     jobs: Sequence[Job], until: float | None = None, note: Callable[[str], None] = print, workers: Workers | None = None
 ) -> None:
-    """Do diagnoses, one process per core or on the workers given.
-
-    Parameters
-    ----------
-    jobs
-        The diagnoses.
-    until
-        Time of the clock at which no further one begins, s; None: all are done.
-    note
-        Called with every line of progress.
-    workers
-        Where they are done; those of a cluster must see the folder of the run under the same path. None: one process per core.
-    """
+    """Do diagnoses, one process per core or on the workers given."""
+    # workers: where they are done; those of a cluster must see the folder of the run under the same path. None: one process per
+    # core
     begin = time.monotonic()
     due = [(job, until) for job in jobs]
     for done, name in enumerate(map_spawned(_in_time, due) if workers is None else _names(due, workers, note), 1):

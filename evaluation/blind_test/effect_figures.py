@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,27 +36,13 @@ UPPER_FREQUENCY = 4000.0
 
 @dataclass(frozen=True)
 class Example:
-    """Example of an effect for its figure.
+    """Example of an effect for its figure."""
 
-    Parameters
-    ----------
-    values
-        Parameters of the effect.
-    span
-        Length of the record of jumps, s.
-    frequency
-        Frequency of the loop, Hz.
-    sign
-        Sign of the effect in a record, in words.
-    plant
-        Truth plant.
-    """
-
-    values: Mapping[str, float]
-    span: float
-    frequency: float
-    sign: str
-    plant: str = "pea"
+    values: Mapping[str, float]  # Parameters of the effect
+    span: float  # Length of the record of jumps, s
+    frequency: float  # Frequency of the loop, Hz
+    sign: str  # Sign of the effect in a record, in words
+    plant: str = "pea"  # Truth plant
 
 
 EXAMPLES: dict[str, Example] = {
@@ -207,18 +193,7 @@ TITLES = {
 
 
 def write(folder: Path) -> list[Path]:
-    """Write effects.md and figures/effects/*.png.
-
-    Parameters
-    ----------
-    folder
-        Folder to write to.
-
-    Returns
-    -------
-    list[Path]
-        Paths of the files.
-    """
+    """Write effects.md and figures/effects/*.png."""
     figures = folder / "figures" / "effects"
     figures.mkdir(parents=True, exist_ok=True)
     written = []
@@ -282,18 +257,7 @@ def _described(name: str) -> dict[str, object]:
 
 
 def searched(name: str) -> list[dict[str, str]]:
-    """Parameters that the gap report has of an effect, with the range in which the diagnosis of `RECORD` looks for them.
-
-    Parameters
-    ----------
-    name
-        Name of an effect of the catalogue.
-
-    Returns
-    -------
-    list of dict
-        `name`, `unit`, `lower` and `upper` as texts.
-    """
+    """Parameters that the gap report has of an effect, with the range in which the diagnosis of `RECORD` looks for them."""
     effect = CATALOGUE[name]
     record = replace(RECORD, axes=2) if effect.couples else RECORD
     return [
@@ -314,15 +278,7 @@ def _unit(unit: str, plant: str) -> str:
 
 
 def draw(name: str, path: Path) -> None:
-    """Draw the figure of one effect: jumps and the gap in time, spectrum, loop.
-
-    Parameters
-    ----------
-    name
-        Name of the effect.
-    path
-        File to write.
-    """
+    """Draw the figure of one effect: jumps and the gap in time, spectrum, loop."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from scipy.signal import welch
@@ -389,43 +345,15 @@ def _on_axes(first: Array, second: Array, plant: Plant) -> Array:
 
 
 def jumps(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """Construct a rest, a jump up and a smaller one down; the second axis jumps meanwhile.
-
-    Parameters
-    ----------
-    example
-        Example of the effect.
-    plant
-        The plant.
-
-    Returns
-    -------
-    time : Array
-        Times (N,), s.
-    commands : Array
-        Commands (N, A), V.
-    """
+    """Construct a rest, a jump up and a smaller one down; the second axis jumps meanwhile."""
     time = np.arange(int(example.span / SAMPLE_TIME), dtype=np.float64) * SAMPLE_TIME
     share, top = time / example.span, plant.rating[1]
     first = np.select([share < 0.1, share < 0.55], [0.1 * top, 0.8 * top], 0.45 * top)
     return time, _on_axes(first, np.select([share < 0.3, share < 0.75], [0.2 * top, 0.9 * top], 0.4 * top), plant)
 
 
-def multisine(plant: Plant, duration: float = 2.0) -> Array:
-    """Construct lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating.
-
-    Parameters
-    ----------
-    plant
-        The plant.
-    duration
-        Length, s.
-
-    Returns
-    -------
-    Array
-        Commands (N, A), V.
-    """
+def multisine(plant: Plant, duration: float = 2.0) -> Annotated[Array, "N A"]:
+    """Construct lines of equal size and random phase up to `UPPER_FREQUENCY`, 1.5 Hz apart, about the middle of the rating."""
     time = np.arange(int(duration / SAMPLE_TIME)) * SAMPLE_TIME
     lines = int(UPPER_FREQUENCY / 1.5)
     spectrum = np.zeros((2, len(time) // 2 + 1), dtype=complex)
@@ -438,22 +366,7 @@ def multisine(plant: Plant, duration: float = 2.0) -> Array:
 
 
 def loop(example: Example, plant: Plant) -> tuple[Array, Array]:
-    """Construct three cycles over most of the rating; the second axis moves at twice the frequency.
-
-    Parameters
-    ----------
-    example
-        Example of the effect.
-    plant
-        The plant.
-
-    Returns
-    -------
-    cycle : Array
-        Last cycle (N,) of the first axis, V.
-    commands : Array
-        All commands (M, A), V.
-    """
+    """Construct three cycles over most of the rating; the second axis moves at twice the frequency."""
     cycle = int(round(1.0 / example.frequency / SAMPLE_TIME))
     angle = 2 * np.pi * np.arange(3 * cycle + 1) / cycle
     first = plant.rating[1] * (0.5 - 0.45 * np.cos(angle))

@@ -103,24 +103,7 @@ NOISE_LIKE = ("sensor_noise", "flicker_noise", "quantization", "held_samples", "
 
 
 def draw_effect(name: str, plant: str, noise: float, random: np.random.Generator) -> dict[str, Any]:
-    """Draw the parameters of an effect from its range.
-
-    Parameters
-    ----------
-    name
-        Name of the effect.
-    plant
-        Truth plant, whose scales the range refers to.
-    noise
-        Noise of the sensor, rms / stroke.
-    random
-        Random numbers.
-
-    Returns
-    -------
-    dict[str, Any]
-        The effect, a mapping that `load_plant` takes.
-    """
+    """Draw the parameters of an effect from its range."""
     setup = SETUPS[plant]
     scale = {
         "stroke": setup.stroke,
@@ -143,26 +126,7 @@ def draw_effect(name: str, plant: str, noise: float, random: np.random.Generator
 
 
 def draw_realization(name: str, plant: str, seed: int, random: np.random.Generator) -> tuple[dict[str, Any], bool]:
-    """Draw a realization of an effect: of a seed for tuning one of those that tuning may see, else one of all.
-
-    Parameters
-    ----------
-    name
-        Name of the effect.
-    plant
-        Truth plant, whose scales the realization refers to.
-    seed
-        Seed of the drawing.
-    random
-        Random numbers.
-
-    Returns
-    -------
-    parameters : dict[str, Any]
-        Those that replace what was drawn.
-    untuned : bool
-        True for a realization that tuning never draws.
-    """
+    """Draw a realization of an effect: of a seed for tuning one of those that tuning may see, else one of all."""
     tuned = REALIZATIONS.get(name, ({},))
     known = tuned + (UNTUNED.get(name, ()) if seed >= SCORING_SEEDS else ())
     index = int(random.integers(len(known)))

@@ -8,18 +8,7 @@ VERDICT = "error"
 
 
 def error_report(error: Exception) -> dict[str, Any]:
-    """Make the report.
-
-    Parameters
-    ----------
-    error
-        That ended the diagnosis.
-
-    Returns
-    -------
-    dict[str, Any]
-        What the scores read, as in a gap report.
-    """
+    """Make the report."""
     return {
         "verdict": VERDICT,
         "error": f"{type(error).__name__}: {error}",

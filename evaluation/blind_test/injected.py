@@ -36,31 +36,7 @@ PLANTS = ("stack", "mirror", "simulated")
 
 
 def make(out: str, seed: int, count: int, plants: Sequence[str] | None = None, note: Callable[[str], None] = print) -> Path:
-    """Draw injected cases, record them, and write their labels to a separate file.
-
-    Parameters
-    ----------
-    out
-        Folder of the run.
-    seed
-        Seed of the cases; from `SCORING` on the records set apart for scoring are used.
-    count
-        Number of cases.
-    plants
-        Restriction to some of `PLANTS`; None: all.
-    note
-        Called with every line of progress.
-
-    Returns
-    -------
-    Path
-        File of the labels.
-
-    Raises
-    ------
-    InputError
-        A plant does not exist, the measurements are absent, or the folder is that of another run.
-    """
+    """Draw injected cases, record them, and write their labels to a separate file."""
     from hyst_control.model_file import simulate
 
     for name in plants or ():
@@ -157,35 +133,7 @@ def run(
     note: Callable[[str], None] = print,
     workers: Workers | None = None,
 ) -> Table:
-    """Draw, diagnose and score injected cases; what an interrupted run has done is kept.
-
-    Parameters
-    ----------
-    out
-        Folder of the run.
-    seed
-        Seed of the cases.
-    count
-        Number of cases.
-    plants
-        Restriction to some of `PLANTS`; None: all.
-    page
-        Page to write.
-    note
-        Called with every line of progress.
-    workers
-        Where the diagnoses are done; None: one process per core.
-
-    Returns
-    -------
-    Table
-        The figures.
-
-    Raises
-    ------
-    InputError
-        As `make`.
-    """
+    """Draw, diagnose and score injected cases; what an interrupted run has done is kept."""
     from evaluation.blind_test.page import write_injected_page
     from evaluation.blind_test.scores import table
 
@@ -200,35 +148,14 @@ def run(
 
 
 def diagnose_all(folder: Path, note: Callable[[str], None] = print, workers: Workers | None = None) -> None:
-    """Diagnose every case that has no report yet, each from its bags and a model alone.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    note
-        Called with every line of progress.
-    workers
-        Where the diagnoses are done; None: one process per core.
-    """
+    """Diagnose every case that has no report yet, each from its bags and a model alone."""
     from evaluation.blind_test.diagnosis_queue import work
 
     work(jobs_of(folder if workers is None else folder.resolve()), None, note, workers)
 
 
 def jobs_of(folder: Path) -> list[tuple[Callable[[Any], str], tuple[Any, ...]]]:
-    """List the diagnoses that have no report yet.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-
-    Returns
-    -------
-    list
-        Function and arguments of each.
-    """
+    """List the diagnoses that have no report yet."""
     reports = folder / "reports"
     reports.mkdir(exist_ok=True)
     waiting = [case.name for case in sorted((folder / "cases").iterdir()) if not (reports / f"{case.name}.json").exists()]
@@ -236,18 +163,7 @@ def jobs_of(folder: Path) -> list[tuple[Callable[[Any], str], tuple[Any, ...]]]:
 
 
 def load(folder: Path) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-    """Read the cases that were diagnosed.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-
-    Returns
-    -------
-    list[tuple[dict[str, Any], dict[str, Any]]]
-        Label and report of each.
-    """
+    """Read the cases that were diagnosed."""
     documents = read_json(folder / "labels.json")["cases"]
     found = [(one, folder / "reports" / f"{one['name']}.json") for one in documents]
     return [(one, read_json(path)) for one, path in found if path.exists()]

@@ -43,51 +43,21 @@ class Clean:
 
 @dataclass(frozen=True)
 class Machine:
-    """Measured machine: its records for models and cases.
+    """Measured machine: its records for models and cases."""
 
-    Parameters
-    ----------
-    name
-        Name of the machine.
-    axes
-        Names of the axes.
-    sample_time
-        Sample time, s.
-    warm_up
-        Begin of each record that does not count, s.
-    cases
-        Clean records for cases.
-    same
-        By the index of a case's record, a clean one of the same command; absent where there is none.
-    others
-        Clean records of other commands.
-    model
-        Identifies the model, with its own error in it.
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    sample_time: float
-    warm_up: float
-    cases: tuple[Clean, ...]
+    name: str  # Name of the machine
+    axes: tuple[str, ...]  # Names of the axes
+    sample_time: float  # Sample time, s
+    warm_up: float  # Begin of each record that does not count, s
+    cases: tuple[Clean, ...]  # Clean records for cases
+    # By the index of a case's record, a clean one of the same command; absent where there is none
     same: Mapping[int, Clean]
-    others: tuple[Clean, ...]
-    model: Callable[[], Any]
+    others: tuple[Clean, ...]  # Clean records of other commands
+    model: Callable[[], Any]  # Identifies the model, with its own error in it
 
 
 def stack_machine(scoring: bool) -> Machine:
-    """Construct the stack.
-
-    Parameters
-    ----------
-    scoring
-        Cases from the records set apart for scoring.
-
-    Returns
-    -------
-    Machine
-        The machine.
-    """
+    """Construct the stack."""
     from evaluation.reproduction import pea_p885 as stack
     from hyst_control.identify.workflow import identified
 
@@ -121,20 +91,7 @@ def stack_machine(scoring: bool) -> Machine:
 
 
 def mirror_machine(scoring: bool, level: int) -> Machine:
-    """Construct the mirror at one of its levels.
-
-    Parameters
-    ----------
-    scoring
-        Cases from the records set apart for scoring.
-    level
-        Index of the level.
-
-    Returns
-    -------
-    Machine
-        The machine.
-    """
+    """Construct the mirror at one of its levels."""
     from evaluation.blind_test.mirror_models import DELAYS, fit, own_error
     from evaluation.reproduction import fsm_cubespec_records as mirror
 
@@ -166,20 +123,7 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
 
 
 def simulated_machine(name: str, scoring: bool) -> Machine:
-    """Construct `third` or the Bouc-Wen stage.
-
-    Parameters
-    ----------
-    name
-        One of `SIMULATED`.
-    scoring
-        Cases from the records set apart for scoring.
-
-    Returns
-    -------
-    Machine
-        The machine.
-    """
+    """Construct `third` or the Bouc-Wen stage."""
     from evaluation.blind_test.plant_setups import SETUPS
     from hyst_control.identify.data.dataset import Dataset
     from hyst_control.identify.workflow import identified

@@ -58,49 +58,18 @@ CLEAN = 2
 
 @dataclass(frozen=True)
 class Cell:
-    """A case to make.
+    """A case to make."""
 
-    Parameters
-    ----------
-    machine
-        The machine.
-    record
-        Index of its record.
-    kind
-        "single", "pair", "open_set" or "none".
-    mode
-        One of `MODES`.
-    multiple
-        Size of each effect, times the model's own error.
-    injections
-        The effects.
-    """
-
-    machine: Machine
-    record: int
-    kind: str
-    mode: str
-    multiple: float
-    injections: tuple[Injection, ...]
+    machine: Machine  # The machine
+    record: int  # Index of its record
+    kind: str  # "single", "pair", "open_set" or "none"
+    mode: str  # One of `MODES`
+    multiple: float  # Size of each effect, times the model's own error
+    injections: tuple[Injection, ...]  # The effects
 
 
 def planned(machines: Sequence[Machine], seed: int, count: int) -> Iterator[Cell]:
-    """Plan cases.
-
-    Parameters
-    ----------
-    machines
-        The machines; those of the plan that are absent are passed over.
-    seed
-        Seed of the plan.
-    count
-        Number of cases.
-
-    Yields
-    ------
-    Cell
-        The cases.
-    """
+    """Plan cases."""
     random = np.random.default_rng([seed, 11])
     groups = {group: [one for one in machines if _group(one) == group] for group in ("stack", "mirror", "simulated")}
     clean = _clean_cells(machines, random)

@@ -23,18 +23,7 @@ Row = tuple[Mapping[str, Any], Mapping[str, Any]]
 
 
 def injected_metrics(rows: Sequence[Row]) -> list[Metric]:
-    """Compute every figure of the table that injected cases allow.
-
-    Parameters
-    ----------
-    rows
-        Label and report by case.
-
-    Returns
-    -------
-    list[Metric]
-        The metrics.
-    """
+    """Compute every figure of the table that injected cases allow."""
     found: list[Metric] = []
 
     def share(name: str, target: float, cases: Iterable[Row], right: Callable[..., bool], at_least: bool = True) -> None:
@@ -77,20 +66,7 @@ def injected_metrics(rows: Sequence[Row]) -> list[Metric]:
 
 
 def accepted(name: str, label: Mapping[str, Any]) -> set[str]:
-    """Names that are right for an injected effect.
-
-    Parameters
-    ----------
-    name
-        Of the effect.
-    label
-        Label of the case.
-
-    Returns
-    -------
-    set[str]
-        Names in the gap report.
-    """
+    """Names that are right for an injected effect."""
     names = {name, *EQUAL.get(name, ())}
     if label["one_frequency"]:
         for alike in (LAGS, QUASI_STATIC):
@@ -99,40 +75,14 @@ def accepted(name: str, label: Mapping[str, Any]) -> set[str]:
 
 
 def named_right(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
-    """Report whether the first name is that of an injected effect, and the verdict names effects.
-
-    Parameters
-    ----------
-    label
-        Label of the case.
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Report whether the first name is that of an injected effect, and the verdict names effects."""
     right = {name for one in label["names"] for name in accepted(one, label)}
     named = _named(report, bool(right & set(COMPANIONS)))
     return report["verdict"] in ("effect", "ambiguous") and bool(named) and named[0] in right
 
 
 def named_exactly(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool:
-    """Report whether the injected effects, and nothing but them and companions, are named.
-
-    Parameters
-    ----------
-    label
-        Label of the case.
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Report whether the injected effects, and nothing but them and companions, are named."""
     right = [accepted(one, label) for one in label["names"]]
     named = set(_named(report, False))
     return report["verdict"] in ("effect", "ambiguous") and all(named & one for one in right) and named <= set().union(*right)
@@ -144,38 +94,14 @@ def _named(report: Mapping[str, Any], companions: bool) -> list[str]:
 
 
 def quiet(report: Mapping[str, Any]) -> bool:
-    """Report whether a diagnosis of a clean record names nothing but coefficients and companions.
-
-    Parameters
-    ----------
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Report whether a diagnosis of a clean record names nothing but coefficients and companions."""
     if report["verdict"] in ("no_gap", "parameters"):
         return True
     return report["verdict"] == "effect" and not _named(report, False)
 
 
 def is_covered(label: Mapping[str, Any], report: Mapping[str, Any]) -> bool | None:
-    """Report whether the true value of the injected effect's main parameter lies in its 90 % interval.
-
-    Parameters
-    ----------
-    label
-        Label of a case with one effect.
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool or None
-        None where the effect was not named, or its parameter has another definition.
-    """
+    """Report whether the true value of the injected effect's main parameter lies in its 90 % interval."""
     if report["verdict"] not in ("effect", "ambiguous"):
         return None
     for effect in report["effects"]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,24 +29,14 @@ COMPANIONS = ("offset", "offset_drift")
 
 @dataclass(frozen=True)
 class Injection:
-    """Effect that is put in: strength s > 0 to another command or measurement.
+    """Effect that is put in: strength s > 0 to another command or measurement."""
 
-    Parameters
-    ----------
-    name
-        In the gap report's vocabulary; "unknown" of the open set.
-    apply
-        (command (N, A), measurement (N, A), sample time, strength, random) to the two as recorded with the effect.
-    realization
-        Name among the realizations of the effect.
-    truth
-        (strength, command, measurement, sample time) to the true value of each parameter that the gap report defines alike, by axis or
-        for all.
-    """
-
-    name: str
+    name: str  # In the gap report's vocabulary; "unknown" of the open set
+    # (command (N, A), measurement (N, A), sample time, strength, random) to the two as recorded with the effect
     apply: Callable[[Array, Array, float, float, np.random.Generator], tuple[Array, Array]]
-    realization: str = ""
+    realization: str = ""  # Name among the realizations of the effect
+    # (strength, command, measurement, sample time) to the true value of each parameter that the gap report defines alike, by axis
+    # or for all
     truth: Callable[[float, Array, Array, float], dict[str, Array | float]] = lambda s, u, y, step: {}
 
 
@@ -221,98 +212,30 @@ def _dead_band(y: Array, half: Array) -> Array:
 def apply_all(
     injections: Sequence[Injection], strengths: Sequence[float], clean: Clean, step: float, seed: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Put effects into a record, one after the other.
-
-    Parameters
-    ----------
-    injections
-        The effects.
-    strengths
-        Strength of each.
-    clean
-        Clean record.
-    step
-        Sample time, s.
-    seed
-        Seed of what is random in them.
-
-    Returns
-    -------
-    command, measurement
-        The record with the effects, (N, A).
-    """
+    """Put effects into a record, one after the other."""
     command, measurement = clean.command, clean.measurement
     for injection, strength in zip(injections, strengths, strict=True):
         command, measurement = injection.apply(command, measurement, step, strength, np.random.default_rng(list(seed)))
     return np.asarray(command, dtype=np.float64), np.asarray(measurement, dtype=np.float64)
 
 
-def structural_rms(rows: Array, first: int) -> float:
-    """Rms of a difference from row `first` on, without a zero, a drift and a curvature of its own, which differ between sessions.
-
-    Parameters
-    ----------
-    rows
-        Difference (N, A), measurement unit.
-    first
-        First row that counts.
-
-    Returns
-    -------
-    float
-        Measurement unit.
-    """
+def structural_rms(rows: Annotated[Array, "N A"], first: int) -> float:
+    """Rms of a difference from row `first` on, without a zero, a drift and a curvature of its own, which differ between sessions."""
     counted = rows[first:]
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(counted)), 2)
     rest = counted - basis @ np.linalg.lstsq(basis, counted, rcond=None)[0]
     return float(np.sqrt(np.mean(rest**2)))
 
 
-def size_of(command: Array, measurement: Array, clean: Clean, first: int) -> float:
-    """Size of a change of a record; of its command, by the record's mean slope.
-
-    Parameters
-    ----------
-    command, measurement
-        The changed record, (N, A).
-    clean
-        The record before.
-    first
-        First row that counts.
-
-    Returns
-    -------
-    float
-        Rms without zero, drift and curvature, measurement unit.
-    """
+def size_of(command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"], clean: Clean, first: int) -> float:
+    """Size of a change of a record; of its command, by the record's mean slope."""
     slope = float(np.sqrt(np.mean(np.var(clean.measurement, axis=0)) / max(np.mean(np.var(clean.command, axis=0)), 1e-300)))
     moved, driven = structural_rms(measurement - clean.measurement, first), structural_rms(command - clean.command, first)
     return float(np.hypot(moved, slope * driven))
 
 
 def strength_of(injection: Injection, clean: Clean, step: float, rms: float, seed: Sequence[int], first: int = 0) -> float:
-    """Find the strength at which an effect changes the record by a given rms; see `size_of`.
-
-    Parameters
-    ----------
-    injection
-        The effect.
-    clean
-        Clean record.
-    step
-        Sample time, s.
-    rms
-        Size of the change, measurement unit.
-    seed
-        Seed of what is random in it.
-    first
-        First row that counts.
-
-    Returns
-    -------
-    float
-        The strength.
-    """
+    """Find the strength at which an effect changes the record by a given rms; see `size_of`."""
 
     def size(strength: float) -> float:
         command, measurement = apply_all([injection], [strength], clean, step, seed)

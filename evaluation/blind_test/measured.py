@@ -32,35 +32,8 @@ def run(
     levels: Sequence[int] | None = None,
     so_far: bool = False,
 ) -> Table:
-    """Diagnose every case.
-
-    Parameters
-    ----------
-    out
-        Folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped.
-    page
-        Page to write.
-    modes
-        One of `MODES`.
-    note
-        Called with every line of progress.
-    plants
-        Of `PLANTS`; all unless given.
-    levels
-        Levels (mV) whose models of the mirror are diagnosed; all unless given.
-    so_far
-        Score the cases that have their report already, without diagnosing more.
-
-    Returns
-    -------
-    Table
-        The figures.
-
-    Raises
-    ------
-    InputError
-        The measurements are absent, there is no such plant or level, or no case has its report yet.
-    """
+    """Diagnose every case."""
+    # out: folder of the reports. A case whose report is there already is not diagnosed again: a run goes on where it stopped
     for given, known, what in ((plants, PLANTS, "--plants"), (levels, mirror.LEVELS, "--levels")):
         for value in given or ():
             if value not in known:
@@ -92,20 +65,7 @@ def run(
 
 
 def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
-    """Return the report on a case, from the folder where it is of this model and record, otherwise diagnosed now.
-
-    Parameters
-    ----------
-    case
-        The case.
-    folder
-        Folder of the reports.
-
-    Returns
-    -------
-    dict[str, Any]
-        The report.
-    """
+    """Return the report on a case, from the folder where it is of this model and record, otherwise diagnosed now."""
     kept = kept_report(case, folder)
     if kept is not None:
         return kept
@@ -116,38 +76,12 @@ def report_on(case: Withheld, folder: Path) -> dict[str, Any]:
 
 
 def kept_report(case: Withheld, folder: Path) -> dict[str, Any] | None:
-    """Return the report on a case from the folder; None where there is none, or one of another model or record.
-
-    Parameters
-    ----------
-    case
-        The case.
-    folder
-        Folder of the reports.
-
-    Returns
-    -------
-    dict[str, Any] or None
-        The report.
-    """
+    """Return the report on a case from the folder; None where there is none, or one of another model or record."""
     path = path_of(case, folder)
     kept = read_json(path) if path.exists() else {}
     return kept if kept.get("case") == case.digest() else None
 
 
 def path_of(case: Withheld, folder: Path) -> Path:
-    """Return the file of the report on a case.
-
-    Parameters
-    ----------
-    case
-        The case.
-    folder
-        Folder of the reports.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """Return the file of the report on a case."""
     return folder / (re.sub(r"[^a-z0-9]+", "_", f"{case.plant} {case.element}".lower()).strip("_") + ".json")

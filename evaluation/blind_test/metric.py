@@ -9,29 +9,14 @@ from scipy.stats import binomtest
 
 @dataclass(frozen=True)
 class Metric:
-    """A proportion with its Wilson 95 % interval, or a plain value, beside its target.
+    """A proportion with its Wilson 95 % interval, or a plain value, beside its target."""
 
-    Parameters
-    ----------
-    name
-        Name of the metric.
-    value
-        Proportion or value.
-    n
-        Number of cases.
-    ci95
-        Wilson 95 % interval of a proportion; None for a plain value.
-    target
-        The target.
-    at_least
-        True if the value should reach the target from below, False if it should not exceed it.
-    """
-
-    name: str
-    value: float
-    n: int
-    ci95: tuple[float, float] | None
-    target: float
+    name: str  # Name of the metric
+    value: float  # Proportion or value
+    n: int  # Number of cases
+    ci95: tuple[float, float] | None  # Wilson 95 % interval of a proportion; None for a plain value
+    target: float  # The target
+    # True if the value should reach the target from below, False if it should not exceed it
     at_least: bool = True
 
     @property
@@ -41,44 +26,12 @@ class Metric:
 
 
 def proportion(name: str, k: int, n: int, target: float, at_least: bool = True) -> Metric:
-    """Make the metric of k cases of n.
-
-    Parameters
-    ----------
-    name
-        Name of the metric.
-    k, n
-        Number of hits, and of cases.
-    target
-        The target.
-    at_least
-        As in `Metric`.
-
-    Returns
-    -------
-    Metric
-        The metric.
-    """
+    """Make the metric of k cases of n."""
     return Metric(name, k / n, n, wilson(k, n), target, at_least)
 
 
 def wilson(k: int, n: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a proportion k / n.
-
-    Parameters
-    ----------
-    k
-        Number of successes.
-    n
-        Number of cases.
-
-    Returns
-    -------
-    lower : float
-        Lower end; 0 without cases.
-    upper : float
-        Upper end; 1 without cases.
-    """
+    """Wilson's 95 % interval of a proportion k / n."""
     if not n:
         return 0.0, 1.0
     interval = binomtest(k, n).proportion_ci(0.95, "wilson")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -29,104 +29,33 @@ LEAST_SHARE = 1.0
 
 
 def fit(level: mirror.Level, delay: float) -> Candidate:
-    """Fit the linear model of a level, with its relative error on the fifth realization.
-
-    Parameters
-    ----------
-    level
-        Measurements at one level.
-    delay
-        Input delay, samples.
-
-    Returns
-    -------
-    Candidate
-        The model.
-    """
+    """Fit the linear model of a level, with its relative error on the fifth realization."""
     data = [level.spectra(mirror.FIT)]
     found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], True, False, 25)
     return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
 
 
-def errors(model: Model, level: mirror.Level, realization: int) -> Array:
-    """Rms errors of a model on a realization, both periods.
-
-    Parameters
-    ----------
-    model
-        The model.
-    level
-        Measurements at one level.
-    realization
-        Index of the realization.
-
-    Returns
-    -------
-    Array
-        Errors (3,) in the measurement unit.
-    """
+def errors(model: Model, level: mirror.Level, realization: int) -> Annotated[Array, "3"]:
+    """Rms errors of a model on a realization, both periods."""
     error: Array = np.sqrt(np.mean(np.concatenate(residuals(model, level, realization)) ** 2, axis=0))
     return error
 
 
 def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array]:
-    """Compute measured minus simulated of a realization, in the steady state.
-
-    Parameters
-    ----------
-    model
-        The model.
-    level
-        Measurements at one level.
-    realization
-        Index of the realization.
-
-    Returns
-    -------
-    list of Array
-        (8192, 3) in the measurement unit, by period.
-    """
+    """Compute measured minus simulated of a realization, in the steady state."""
     simulated = mirror.steady_state(model, level.command[:, :, [realization]].mean(axis=3))[:, :, 0]
     return list((level.measurement[:, :, realization] - simulated[..., None]).transpose(2, 0, 1))
 
 
 def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, Any]:
-    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does.
-
-    Parameters
-    ----------
-    model
-        The model.
-    level
-        Measurements at one level.
-    realization
-        Index of the realization.
-
-    Returns
-    -------
-    dict
-        See `Model.discrepancy`.
-    """
+    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does."""
     commands = list(level.command[:, :, realization].transpose(2, 0, 1))
     measurements = list(level.measurement[:, :, realization].transpose(2, 0, 1))
     return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
 
 
 def record_of(level: mirror.Level, realization: int) -> Record:
-    """Join both periods of a realization; the first brings the simulation into its steady state.
-
-    Parameters
-    ----------
-    level
-        Measurements at one level.
-    realization
-        Index of the realization.
-
-    Returns
-    -------
-    Record
-        The record.
-    """
+    """Join both periods of a realization; the first brings the simulation into its steady state."""
     command, measurement = (
         part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
     )
@@ -140,24 +69,7 @@ def record_of(level: mirror.Level, realization: int) -> Record:
 def models_without_elements(
     model: Model, modes: bool, level: mirror.Level, floor: float
 ) -> Iterator[tuple[str, tuple[str, ...], Model]]:
-    """Remove one element of a model after the other.
-
-    Parameters
-    ----------
-    model
-        The whole model.
-    modes
-        Remove also each mode.
-    level
-        Measurements at one level.
-    floor
-        Residual of the whole model, rms in the measurement unit.
-
-    Yields
-    ------
-    tuple[str, tuple[str, ...], Model]
-        The element, the effects that are right for it, and the model without it.
-    """
+    """Remove one element of a model after the other."""
     *before, whole = model.chain.stages
     assert isinstance(whole, StateSpace)
     if any(isinstance(stage, Delay) for stage in before):
@@ -180,36 +92,12 @@ def models_without_elements(
 
 
 def with_stages(model: Model, *stages: Stage) -> Model:
-    """Replace the stages of a model.
-
-    Parameters
-    ----------
-    model
-        The model.
-    *stages
-        Its new stages.
-
-    Returns
-    -------
-    Model
-        The new model.
-    """
+    """Replace the stages of a model."""
     return replace(model, chain=Chain(tuple(stages)))
 
 
 def uncoupled(whole: StateSpace) -> StateSpace:
-    """Remove the coupling: every axis is driven by its own input alone.
-
-    Parameters
-    ----------
-    whole
-        The system.
-
-    Returns
-    -------
-    StateSpace
-        The system without coupling.
-    """
+    """Remove the coupling: every axis is driven by its own input alone."""
     a, b, c, d = (np.array(getattr(whole, part), dtype=float) for part in "ABCD")
     axes = range(len(d))
     return StateSpace(
@@ -221,18 +109,7 @@ def uncoupled(whole: StateSpace) -> StateSpace:
 
 
 def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
-    """Find the oscillating modes of a block-diagonal system below the band's end.
-
-    Parameters
-    ----------
-    whole
-        The system.
-
-    Yields
-    ------
-    tuple[slice, float]
-        States of a mode, and its frequency in Hz.
-    """
+    """Find the oscillating modes of a block-diagonal system below the band's end."""
     a = np.array(whole.A, dtype=float)
     row = 0
     while row < len(a):
@@ -245,20 +122,7 @@ def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
 
 
 def without_states(whole: StateSpace, block: slice) -> StateSpace:
-    """Remove some states of a system.
-
-    Parameters
-    ----------
-    whole
-        The system.
-    block
-        The states.
-
-    Returns
-    -------
-    StateSpace
-        The system without them.
-    """
+    """Remove some states of a system."""
     a, b, c = (np.array(getattr(whole, part), dtype=float) for part in "ABC")
     gone = np.arange(block.start, block.stop)
     kept = np.delete(np.delete(a, gone, axis=0), gone, axis=1)

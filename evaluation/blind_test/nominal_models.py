@@ -30,18 +30,6 @@ def nominal(plant: str, noise: float) -> Model:
 
     It is the published model, or one identified from clean records of the nominal plant, which says what it leaves on such records. Its
     tolerance is the scatter of the plants; its noise is that of the sensor.
-
-    Parameters
-    ----------
-    plant
-        Truth plant.
-    noise
-        Noise of the sensor, rms / stroke.
-
-    Returns
-    -------
-    Model
-        The model.
     """
     setup = SETUPS[plant]
     sigma = noise * setup.stroke
@@ -80,19 +68,6 @@ def _identified(plant: str) -> tuple[Model, float]:
 
 
 def stated_noise(plant: str, noise: float) -> float:
-    """Noise that the nominal model of a plant states, with what an identified model leaves on a record that it was not fitted to.
-
-    Parameters
-    ----------
-    plant
-        Truth plant.
-    noise
-        Noise of the sensor, rms / stroke.
-
-    Returns
-    -------
-    float
-        Noise, rms in the measurement unit.
-    """
+    """Noise that the nominal model of a plant states, with what an identified model leaves on a record that it was not fitted to."""
     sigma = float(np.max(nominal(plant, noise).noise["sigma"]))
     return sigma if SETUPS[plant].model is not None else float(np.hypot(sigma, _identified(plant)[1]))

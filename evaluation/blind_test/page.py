@@ -30,29 +30,7 @@ def write_page(
     digests: Mapping[str, str],
     left_out: int,
 ) -> None:
-    """Write the page, and blind_confusion.svg in `figures` beside it.
-
-    Parameters
-    ----------
-    path
-        Markdown file to write.
-    found
-        Metrics of the test.
-    pairs
-        Every simulated case that was diagnosed, with its report.
-    rows
-        Every injected one.
-    without_gap
-        Every further one without a gap, with its report.
-    command
-        Command of the run.
-    counts
-        Numbers of simulated cases, of injected ones and of further ones without a gap, as they were asked for.
-    digests
-        SHA-256 of the labels of each, by what they are; "": the simulated ones.
-    left_out
-        Number of cases that were diagnosed once more with their effect out of the catalogue.
-    """
+    """Write the page, and blind_confusion.svg in `figures` beside it."""
     figure = path.parent / "figures" / "blind_confusion.svg"
     figure.parent.mkdir(parents=True, exist_ok=True)
     _draw(figure, pairs)
@@ -79,21 +57,7 @@ def write_page(
 
 
 def write_injected_page(path: Path, found: Sequence[Metric], rows: Sequence[Row], command: str, digest: str) -> None:
-    """Write the page of injected cases alone.
-
-    Parameters
-    ----------
-    path
-        Markdown file to write.
-    found
-        Metrics of the test.
-    rows
-        Every case that was diagnosed.
-    command
-        Command of the run.
-    digest
-        SHA-256 of the labels.
-    """
+    """Write the page of injected cases alone."""
     text = render(
         "blind_test/templates/injected.md",
         command=command,
@@ -106,18 +70,7 @@ def write_injected_page(path: Path, found: Sequence[Metric], rows: Sequence[Row]
 
 
 def by_machine(rows: Sequence[Row]) -> list[dict[str, object]]:
-    """Count the right first names by machine, clean records and size.
-
-    Parameters
-    ----------
-    rows
-        Injected cases.
-
-    Returns
-    -------
-    list[dict[str, object]]
-        Values of each row of the table.
-    """
+    """Count the right first names by machine, clean records and size."""
     groups: dict[tuple[str, str, float], list[bool]] = {}
     for label, report in rows:
         if label["kind"] == "single":

@@ -26,29 +26,14 @@ TOLERANCE = ("weights", "m1", "m2", "k", "b", "w0", "num", "den", "ascending", "
 
 @dataclass(frozen=True)
 class Setup:
-    """Drive of a plant.
+    """Drive of a plant."""
 
-    Parameters
-    ----------
-    model
-        Model file; None: identified.
-    sample_time
-        Sample time, s.
-    command
-        Range of the command, V.
-    stroke
-        Stroke (measurement unit).
-    scattered
-        Names of the coefficients that scatter.
-    gains
-        Gains of the closed loop: proportional (V per unit) and integral (V per unit and s).
-    """
-
-    model: str | None
-    sample_time: float
-    command: tuple[float, float]
-    stroke: float
-    scattered: tuple[str, ...]
+    model: str | None  # Model file; None: identified
+    sample_time: float  # Sample time, s
+    command: tuple[float, float]  # Range of the command, V
+    stroke: float  # Stroke (measurement unit)
+    scattered: tuple[str, ...]  # Names of the coefficients that scatter
+    # Gains of the closed loop: proportional (V per unit) and integral (V per unit and s)
     gains: tuple[float, float]
 
 
@@ -109,22 +94,7 @@ IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:
-    """Scatter the coefficients of a plant; both axes of a mirror about the first axis' values.
-
-    Parameters
-    ----------
-    plant
-        Truth plant.
-    seed
-        Seed of the scatter.
-    size
-        Relative standard deviation.
-
-    Returns
-    -------
-    dict[str, Any]
-        Changed coefficients by name.
-    """
+    """Scatter the coefficients of a plant; both axes of a mirror about the first axis' values."""
     parameters = _parameters(plant)
     random = np.random.default_rng([seed, 2])
     setup = SETUPS[plant]

@@ -54,45 +54,9 @@ def run_all(
     without_gap: int = 0,
     workers: Workers | None = None,
 ) -> Table:
-    """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write.
-
-    Parameters
-    ----------
-    out
-        Folder of the run.
-    seed
-        Seed of the cases.
-    count
-        Number of cases.
-    left_out
-        Number of cases to diagnose again without their effect in the catalogue.
-    page
-        Page to write.
-    json_path
-        Table to write.
-    note
-        Called with every line of progress.
-    so_far
-        Score the cases that an earlier call has diagnosed, and diagnose no more.
-    injected_count
-        Number of cases that are injected into records of machines, in the folder `injected` of the run; the measurements are needed.
-    stop_after
-        Time after which no further diagnosis begins, s.
-    without_gap
-        Number of further cases without a gap, in the folder `without_gap` of the run, which only the false alarms count.
-    workers
-        Where the diagnoses are done; None: one process per core.
-
-    Returns
-    -------
-    Table
-        The figures.
-
-    Raises
-    ------
-    InputError
-        The folder is that of another run, or there is no diagnosed case.
-    """
+    """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write."""
+    # injected_count: number of cases that are injected into records of machines, in the folder `injected` of the run; the
+    # measurements are needed
     from evaluation.blind_test import injected
     from evaluation.blind_test.injected_scores import injected_metrics
     from evaluation.blind_test.scores import metrics, novelty_quantile, table
@@ -145,33 +109,7 @@ def make_cases(
     switched: float = 0.0,
     note: Callable[[str], None] = print,
 ) -> Path:
-    """Draw and record cases with their labels, without a diagnosis; see `make` and `case_drawing.draw`.
-
-    Parameters
-    ----------
-    out
-        Folder of the run.
-    seed
-        Seed of the cases.
-    count
-        Number of cases.
-    plants, kinds, excitations
-        Restriction to these; None: all.
-    switched
-        Fraction of the cases with effects in which every effect begins within the record.
-    note
-        Called with every line of progress.
-
-    Returns
-    -------
-    Path
-        File of the labels.
-
-    Raises
-    ------
-    InputError
-        A name or number is not admissible, or the folder is that of another run.
-    """
+    """Draw and record cases with their labels, without a diagnosis; see `make` and `case_drawing.draw`."""
     from evaluation.blind_test.case import EXCITATIONS, KINDS
     from evaluation.blind_test.plant_setups import SETUPS
 
@@ -203,29 +141,6 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
     """Draw the cases of a seed, record them, and write their labels to a separate file.
 
     Labels that are there already are kept: a run goes on where it stopped.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    seed
-        Seed of the cases.
-    count
-        Number of cases.
-    note
-        Called with every line of progress.
-    **options
-        Options of `case_drawing.draw`.
-
-    Returns
-    -------
-    Path
-        File of the labels.
-
-    Raises
-    ------
-    InputError
-        The folder holds cases of another seed, count or options.
     """
     from evaluation.blind_test.case_drawing import draw
     from evaluation.blind_test.nominal_models import nominal, stated_noise
@@ -264,34 +179,14 @@ def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = prin
 
 
 def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    note
-        Called with every line of progress.
-    """
+    """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone."""
     work(jobs_of(folder), None, note)
 
 
 def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
-    """List the diagnoses that have no report yet, in the order of the cases.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    left_out
-        Largest number of cases, single effects on the rich record, that are diagnosed again, without the effect and those nearly equal
-        to it in the catalogue.
-
-    Returns
-    -------
-    list[Job]
-        The diagnoses.
-    """
+    """List the diagnoses that have no report yet, in the order of the cases."""
+    # left_out: largest number of cases, single effects on the rich record, that are diagnosed again, without the effect and those
+    # nearly equal to it in the catalogue
     from hyst_control.effects import EFFECTS
 
     jobs: list[Job] = []
@@ -312,13 +207,6 @@ def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> N
     """Add to every shrink that a report predicts the one measured on a fresh record: another session, another excitation.
 
     A line of the augmented model is left out there, because its phase is that of the diagnosed record.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    note
-        Called with every line of progress.
     """
     jobs = [
         (case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
@@ -333,20 +221,7 @@ def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> N
 
 
 def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Read the cases that were diagnosed.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    reports
-        Name of the folder of reports.
-
-    Yields
-    ------
-    tuple[dict[str, Any], dict[str, Any]]
-        Document of a case with its label, and its report.
-    """
+    """Read the cases that were diagnosed."""
     for case in read_json(folder / "labels.json")["cases"]:
         file = folder / reports / f"{case['name']}.json"
         if file.exists():

@@ -37,22 +37,7 @@ LAW = "law"
 
 
 def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: Sequence[Pair] = ()) -> list[Metric]:
-    """Compute every figure of the targets' table that the cases allow.
-
-    Parameters
-    ----------
-    pairs
-        Cases with their reports.
-    left_out
-        Cases diagnosed without their effect in the catalogue, with their reports.
-    without_gap
-        Further cases without a gap, which only the false alarms count.
-
-    Returns
-    -------
-    list[Metric]
-        The metrics.
-    """
+    """Compute every figure of the targets' table that the cases allow."""
     found: list[Metric] = []
 
     def share(name: str, target: float, cases: Iterable[Pair], right: Callable[[Pair], bool], at_least: bool = True) -> None:
@@ -160,20 +145,7 @@ def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: S
 
 
 def table(found: Sequence[Metric], source: str) -> Table:
-    """Convert metrics to a result table, the target in place of a published figure.
-
-    Parameters
-    ----------
-    found
-        The metrics.
-    source
-        Command that produced them.
-
-    Returns
-    -------
-    Table
-        The table.
-    """
+    """Convert metrics to a result table, the target in place of a published figure."""
     result = Table(source)
     for metric in found:
         result.add(
@@ -191,22 +163,7 @@ def table(found: Sequence[Metric], source: str) -> Table:
 
 
 def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
-    """Count the names given by true name, over single effects and records without a gap.
-
-    Parameters
-    ----------
-    pairs
-        Cases with their reports.
-
-    Returns
-    -------
-    rows : list[str]
-        True names.
-    columns : list[str]
-        Names given.
-    counts : np.ndarray
-        Counts (rows, columns).
-    """
+    """Count the names given by true name, over single effects and records without a gap."""
     counts: Counter[tuple[str, str]] = Counter()
     for pair in pairs:
         kind = _label(pair)["kind"]
@@ -221,20 +178,7 @@ def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
 
 
 def worst(pairs: Sequence[Pair], count: int = 12) -> list[Pair]:
-    """Select the cases that went wrong, the largest gaps first.
-
-    Parameters
-    ----------
-    pairs
-        Cases with their reports.
-    count
-        Largest number of cases.
-
-    Returns
-    -------
-    list[Pair]
-        The cases with their reports.
-    """
+    """Select the cases that went wrong, the largest gaps first."""
     wrong = [pair for pair in pairs if not _right(pair)]
     return sorted(wrong, key=lambda pair: -_label(pair)["gap_rms"] / max(_label(pair)["noise_rms"], 1e-300))[:count]
 
@@ -299,38 +243,14 @@ def _novelty(report: Mapping[str, Any]) -> float:
 
 
 def novelty_quantile(reports: Sequence[Mapping[str, Any]]) -> list[Metric]:
-    """Compute the novelty score that 4 % of the single effects exceed: 0.5 where the diagnosis' conformal threshold was calibrated.
-
-    Parameters
-    ----------
-    reports
-        On single effects, of cases of all kinds.
-
-    Returns
-    -------
-    list[Metric]
-        One; none where there are too few reports.
-    """
+    """Compute the novelty score that 4 % of the single effects exceed: 0.5 where the diagnosis' conformal threshold was calibrated."""
     found = conformal([_novelty(report) for report in reports], 0.04)
     name = "all single effects: novelty score that 4 % exceed (unknown from 0.5)"
     return [Metric(name, found, len(reports), None, 0.5, False)] if np.isfinite(found) else []
 
 
 def conformal(scores: Sequence[float], share: float) -> float:
-    """Compute the threshold that a further score, exchangeable with these, exceeds in at most a given share of the cases.
-
-    Parameters
-    ----------
-    scores
-        Calibration scores.
-    share
-        Share of false alarms, 0 to 1.
-
-    Returns
-    -------
-    float
-        The smallest score that suffices (Bates et al., arXiv:2104.08279, marginal); infinite where there are too few scores.
-    """
+    """Compute the threshold that a further score, exchangeable with these, exceeds in at most a given share of the cases."""
     rank = int(np.ceil((len(scores) + 1) * (1.0 - share)))
     return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
 

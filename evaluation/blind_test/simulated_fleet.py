@@ -61,60 +61,20 @@ EXCITATION: Mapping[str, Any] = {
 
 @dataclass(frozen=True)
 class Unit:
-    """One unit of a simulated fleet.
+    """One unit of a simulated fleet."""
 
-    Parameters
-    ----------
-    name
-        Its name.
-    driver
-        Driver that it hangs on.
-    seed
-        Seed of its coefficients and noise.
-    effect
-        Effect that begins on it; empty for none.
-    begins
-        First night of the effect.
-    gap_rms
-        Rms of what the effect changes, in the measurement unit.
-    """
-
-    name: str
-    driver: str
-    seed: int
-    effect: Mapping[str, Any]
-    begins: int
-    gap_rms: float = 0.0
+    name: str  # Its name
+    driver: str  # Driver that it hangs on
+    seed: int  # Seed of its coefficients and noise
+    effect: Mapping[str, Any]  # Effect that begins on it; empty for none
+    begins: int  # First night of the effect
+    gap_rms: float = 0.0  # Rms of what the effect changes, in the measurement unit
 
 
 def make_fleet(
     folder: Path, seed: int, units: int, nights: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
 ) -> Path:
-    """Draw a fleet, record its nights, and write manifest and labels.
-
-    Parameters
-    ----------
-    folder
-        Folder to write; it must not exist.
-    seed
-        Seed of everything drawn.
-    units, nights
-        Their numbers.
-    changed
-        Share of the units on which an effect of their own begins.
-    note
-        Called with a line of progress now and then.
-
-    Returns
-    -------
-    Path
-        The labels; `manifest.csv`, `model.yaml` and `bags` are beside them.
-
-    Raises
-    ------
-    InputError
-        The folder exists, or a number is not admissible.
-    """
+    """Draw a fleet, record its nights, and write manifest and labels."""
     if units < 1 or nights < CLEAN_NIGHTS + 2:
         raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_NIGHTS + 2} nights, got {units} and {nights}")
     if folder.exists() and any(folder.iterdir()):
@@ -152,18 +112,7 @@ def command() -> Array:
 
 
 def unit_scatter(draws: int = 8) -> float:
-    """Unit-to-unit scatter of the measurement under the command of a night, rms.
-
-    Parameters
-    ----------
-    draws
-        Units that it is estimated from.
-
-    Returns
-    -------
-    float
-        In the measurement unit.
-    """
+    """Unit-to-unit scatter of the measurement under the command of a night, rms."""
     measured = np.array([_measured({}, scatter(PLANT, index, SCATTER), index, 0.0) for index in range(draws)])
     return float(np.sqrt(np.mean(measured.var(axis=0, ddof=1))))
 

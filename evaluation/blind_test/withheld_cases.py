@@ -39,33 +39,15 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True)
 class Withheld:
-    """A measured case with one element of its model withheld.
+    """A measured case with one element of its model withheld."""
 
-    Parameters
-    ----------
-    plant
-        The measured plant.
-    element
-        The element withheld.
-    right
-        Names of effects that are right for it.
-    model
-        The model without it.
-    record
-        The record to diagnose.
-    warm_up
-        Time that is not compared, s.
-    floor
-        Residual of the whole model on this record, rms in the measurement unit.
-    """
-
-    plant: str
-    element: str
-    right: tuple[str, ...]
-    model: Model
-    record: Record
-    warm_up: float
-    floor: float
+    plant: str  # The measured plant
+    element: str  # The element withheld
+    right: tuple[str, ...]  # Names of effects that are right for it
+    model: Model  # The model without it
+    record: Record  # The record to diagnose
+    warm_up: float  # Time that is not compared, s
+    floor: float  # Residual of the whole model on this record, rms in the measurement unit
 
     def digest(self) -> str:
         """SHA-256 of all that is diagnosed."""
@@ -77,22 +59,7 @@ class Withheld:
 def mirror_cases(
     modes: Sequence[int], note: Callable[[str], None] = print, of: Sequence[int] = mirror.LEVELS
 ) -> Iterator[Withheld]:
-    """Construct the crippled models of the mirror, and every level's model against a higher level.
-
-    Parameters
-    ----------
-    modes
-        Levels (mV) whose model loses each of its modes in turn.
-    note
-        Called with every line of progress.
-    of
-        Levels (mV) whose models are diagnosed.
-
-    Yields
-    ------
-    Withheld
-        The cases.
-    """
+    """Construct the crippled models of the mirror, and every level's model against a higher level."""
     levels = mirror.LEVELS
     measured = dict(zip(mirror.LEVELS, mirror.load_levels(), strict=True))
     middle = measured[mirror.LEVELS[1]]
@@ -158,19 +125,6 @@ def stack_cases() -> Iterator[Withheld]:
 
 
 def without_memory(model: Model, cycle: Dataset) -> Model:
-    """Replace the operators by a static gain: the slope of the cycle's chord.
-
-    Parameters
-    ----------
-    model
-        The model.
-    cycle
-        Record of one cycle.
-
-    Returns
-    -------
-    Model
-        The model without hysteresis.
-    """
+    """Replace the operators by a static gain: the slope of the cycle's chord."""
     slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
     return with_stages(model, TransferFunction((slope,), (1.0,)))

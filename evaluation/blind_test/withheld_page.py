@@ -29,21 +29,7 @@ def write_page(
     levels: Sequence[int] = mirror.LEVELS,
     missing: Sequence[Withheld] = (),
 ) -> None:
-    """Write docs/blind-test-measured.md.
-
-    Parameters
-    ----------
-    path
-        File to write.
-    rows
-        Cases with their reports.
-    modes
-        One of `MODES`.
-    plants, levels
-        That were diagnosed.
-    missing
-        Cases of these plants, levels and modes that were not diagnosed.
-    """
+    """Write docs/blind-test-measured.md."""
     given = "" if tuple(plants) == PLANTS else f" --plants {' '.join(plants)}"
     given += "" if tuple(levels) == tuple(mirror.LEVELS) else f" --levels {' '.join(map(str, levels))}"
     given += " --so-far" if missing else ""

@@ -12,17 +12,7 @@ TITLE = "Measured, an effect withheld"
 
 
 def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
-    """Add the figures of one case.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    case
-        The case.
-    report
-        Report on it.
-    """
+    """Add the figures of one case."""
     table.add(TITLE, case.plant, f"without {case.element}", "gap_rms", report["gap"]["unit"], report["gap"]["rms"])
     table.add(TITLE, case.plant, f"without {case.element}", "whole_model_rms", report["gap"]["unit"], case.floor)
     table.add(TITLE, case.plant, f"without {case.element}", "named", "", float(named_right(case, report)))
@@ -31,69 +21,24 @@ def add(table: Table, case: Withheld, report: dict[str, Any]) -> None:
 
 
 def is_solved(case: Withheld, report: dict[str, Any]) -> bool:
-    """Report whether a case has the right verdict: no gap of a whole model, else the withheld element first, and an explanation.
-
-    Parameters
-    ----------
-    case
-        The case.
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Report whether a case has the right verdict: no gap of a whole model, else the withheld element first, and an explanation."""
     if case.element == NOTHING:
         return bool(report["verdict"] == "no_gap")
     return named_right(case, report) and report["verdict"] in ("effect", "parameters")
 
 
 def named_right(case: Withheld, report: dict[str, Any]) -> bool:
-    """Report whether the first name given is the withheld element, or one that the data cannot separate from it.
-
-    Parameters
-    ----------
-    case
-        The case.
-    report
-        Report on it.
-
-    Returns
-    -------
-    bool
-        True if so.
-    """
+    """Report whether the first name given is the withheld element, or one that the data cannot separate from it."""
     return bool(report["effects"]) and report["effects"][0]["name"] in case.right
 
 
 def best_shrink(report: dict[str, Any]) -> float:
-    """Largest reduction of the gap's energy above the noise by a named effect on held-out blocks, coefficients fitted.
-
-    Parameters
-    ----------
-    report
-        Report on a case.
-
-    Returns
-    -------
-    float
-        Fraction of the energy; 0 without effects.
-    """
+    """Largest reduction of the gap's energy above the noise by a named effect on held-out blocks, coefficients fitted."""
     return max((effect["shrink_reidentified"] or 0.0 for effect in report["effects"]), default=0.0)
 
 
 def add_summary(table: Table, rows: Sequence[tuple[Withheld, dict[str, Any]]]) -> None:
-    """Add the fraction of cases in which the withheld element was the first name, with their number.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    rows
-        Cases with their reports.
-    """
+    """Add the fraction of cases in which the withheld element was the first name, with their number."""
     from evaluation.blind_test.metric import wilson
 
     solved = sum(is_solved(case, report) for case, report in rows)

@@ -18,6 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -72,21 +73,8 @@ class Test:
     periodic: bool
 
 
-def interpolated(signal: Array, factor: int) -> Array:
-    """Interpolate a period of a periodic signal without content at or above half its sample rate.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        One period.
-    factor : int
-        Points per sample.
-
-    Returns
-    -------
-    ndarray, shape (factor · N,)
-        Equal to the signal at every `factor`-th point.
-    """
+def interpolated(signal: Annotated[Array, "N"], factor: int) -> Array:
+    """Interpolate a period of a periodic signal without content at or above half its sample rate."""
     spectrum = np.zeros(len(signal) * factor // 2 + 1, dtype=complex)
     lines = np.fft.rfft(signal)
     spectrum[: len(lines)] = lines
@@ -97,20 +85,7 @@ def interpolated(signal: Array, factor: int) -> Array:
 
 
 def load() -> tuple[Array, list[Test]]:
-    """Load the records.
-
-    Returns
-    -------
-    train : ndarray, shape (5, 8192, 2)
-        Periods of force (N) and displacement (um).
-    tests : list of Test
-        Multisine and sine sweep.
-
-    Raises
-    ------
-    InputError
-        Where they are absent or of another form.
-    """
+    """Load the records."""
     folder, found = data_folder("bouc_wen"), []
     for name, samples in (("multisine_train", 5 * PERIOD), ("multisine_test", PERIOD), ("sinesweep_test", 153_000)):
         path = folder / f"{name}.npy"
@@ -129,40 +104,14 @@ def load() -> tuple[Array, list[Test]]:
     return train.reshape(5, PERIOD, 2), tests
 
 
-def training_record(periods: Array, refinement: int = REFINEMENT) -> Dataset:
-    """Mean of the steady periods, interpolated; it begins amid a motion and is preceded by itself.
-
-    Parameters
-    ----------
-    periods : ndarray, shape (5, 8192, 2)
-        Periods of force (N) and displacement (um).
-    refinement : int
-        Points per sample.
-
-    Returns
-    -------
-    Dataset
-        One period.
-    """
+def training_record(periods: Annotated[Array, "5 8192 2"], refinement: int = REFINEMENT) -> Dataset:
+    """Mean of the steady periods, interpolated; it begins amid a motion and is preceded by itself."""
     force, displacement = (interpolated(signal, refinement)[:, None] for signal in periods[1:].mean(axis=0).T)
     return Dataset("multisine_train", force, displacement, SAMPLE_TIME / refinement, ("x",), "um", "foh", "unknown")
 
 
-def predict(model: Model, test: Test) -> Array:
-    """Simulate a record from its force alone, from rest or in the steady state.
-
-    Parameters
-    ----------
-    model : Model
-        At a fraction of the record's sample time.
-    test : Test
-        The record.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Displacement, um.
-    """
+def predict(model: Model, test: Test) -> Annotated[Array, "N"]:
+    """Simulate a record from its force alone, from rest or in the steady state."""
     refinement = round(SAMPLE_TIME / model.sample_time)
     if test.periodic:  # twice, of which the second time counts
         force = np.tile(interpolated(test.force, refinement), 2)
@@ -174,20 +123,7 @@ def predict(model: Model, test: Test) -> Array:
 
 
 def error_of(model: Model, test: Test) -> float:
-    """Simulation error of a model on a record.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    test : Test
-        The record.
-
-    Returns
-    -------
-    float
-        Root mean square error, m.
-    """
+    """Simulation error of a model on a record."""
     return 1e-6 * float(np.sqrt(np.mean((test.displacement - predict(model, test)) ** 2)))
 
 
@@ -197,29 +133,7 @@ def run(
     candidates: Sequence[Candidate] = CANDIDATES,
     refinement: int = REFINEMENT,
 ) -> Table:
-    """Identify every candidate on the training record, score it on both tests and return the table.
-
-    Parameters
-    ----------
-    json_path : str or Path or None
-        JSON file to write the table to; None: none.
-    figures_dir : str or Path or None
-        Folder for the figure; None: none.
-    candidates : sequence of Candidate
-        The first one's parameters are held against the benchmark's.
-    refinement : int
-        Points of interpolation per sample.
-
-    Returns
-    -------
-    Table
-        All rows of the experiment.
-
-    Raises
-    ------
-    InputError
-        Where the records are absent.
-    """
+    """Identify every candidate on the training record, score it on both tests and return the table."""
     periods, tests = load()
     record = training_record(periods, refinement)
     table = Table("reproduce bouc-wen")
@@ -243,24 +157,10 @@ def run(
 ERRORS = "Simulation error on the records for scoring"
 
 
-def report(table: Table, subject: str, fit: Fit, tests: Sequence[Test], periods: Array, seconds: float) -> None:
-    """Add the errors of one model.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    subject : str
-        Name of the model in the table.
-    fit : Fit
-        The model.
-    tests : sequence of Test
-        Records for scoring.
-    periods : ndarray, shape (5, 8192, 2)
-        Training record.
-    seconds : float
-        Duration of the fit, s.
-    """
+def report(
+    table: Table, subject: str, fit: Fit, tests: Sequence[Test], periods: Annotated[Array, "5 8192 2"], seconds: float
+) -> None:
+    """Add the errors of one model."""
     for test in tests:
         error = error_of(fit.model, test)
         table.add(ERRORS, test.name, subject, "rms_error", "m", error, published=PUBLISHED[0])
@@ -277,17 +177,7 @@ def report(table: Table, subject: str, fit: Fit, tests: Sequence[Test], periods:
 
 
 def report_targets(table: Table, candidates: Sequence[Candidate], tests: Sequence[Test]) -> None:
-    """Add every target and whether it is met.
-
-    Parameters
-    ----------
-    table : Table
-        Table with the rows of `report`.
-    candidates : sequence of Candidate
-        The models.
-    tests : sequence of Test
-        Records for scoring.
-    """
+    """Add every target and whether it is met."""
     for candidate in candidates:
         for words, bound in TARGETS.items():
             if words in candidate.subject:
@@ -298,17 +188,7 @@ def report_targets(table: Table, candidates: Sequence[Candidate], tests: Sequenc
 
 
 def report_parameters(table: Table, subject: str, fit: Fit) -> None:
-    """Add the fitted parameters beside those of the benchmark's equations, with the 95 % interval.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    subject : str
-        Name of the model in the table.
-    fit : Fit
-        The gray box.
-    """
+    """Add the fitted parameters beside those of the benchmark's equations, with the 95 % interval."""
     for row in fit.report["parameters"]:
         if row["name"] in EQUATIONS:
             value, half = row["value"], 1.96 * (row["standard_error"] or 0.0)
@@ -325,19 +205,7 @@ def report_parameters(table: Table, subject: str, fit: Fit) -> None:
 
 
 def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
-    """Add the ratio of measured to simulated displacement by frequency: what the gray box leaves of the sweep.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    subject : str
-        Name of the model in the table.
-    model : Model
-        The gray box.
-    test : Test
-        The sine sweep.
-    """
+    """Add the ratio of measured to simulated displacement by frequency: what the gray box leaves of the sweep."""
     measured, simulated, force = (analytic(signal) for signal in (test.displacement, predict(model, test), test.force))
     frequency = np.gradient(np.unwrap(np.angle(force))) / (2 * np.pi * SAMPLE_TIME)
     for lower, upper in zip(SWEEP_BANDS[:-1], SWEEP_BANDS[1:], strict=True):
@@ -349,19 +217,8 @@ def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
         table.add(title, case, subject, "phase", "deg", float(np.angle(ratio, deg=True)))
 
 
-def analytic(signal: Array) -> np.ndarray:
-    """Analytic signal by the Fourier transform.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        Real signal.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Complex, with the signal as its real part.
-    """
+def analytic(signal: Annotated[Array, "N"]) -> np.ndarray:
+    """Analytic signal by the Fourier transform."""
     spectrum = np.fft.fft(signal)
     spectrum[1 : (len(signal) + 1) // 2] *= 2.0
     spectrum[len(signal) // 2 + 1 :] = 0.0
@@ -369,17 +226,7 @@ def analytic(signal: Array) -> np.ndarray:
 
 
 def draw(folder: Path, models: Sequence[tuple[str, Model]], tests: Sequence[Test]) -> None:
-    """Draw part of the multisine with the models' errors, and the errors over the sweep.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the figure; created if missing.
-    models : sequence of (str, Model)
-        Models by name.
-    tests : sequence of Test
-        Records for scoring.
-    """
+    """Draw part of the multisine with the models' errors, and the errors over the sweep."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -71,84 +71,27 @@ has, and its fit starts there.
 
 
 def fit_level(level: Level, order: int) -> Candidate:
-    """Fit a level's linear model on realizations 1-4 and evaluate it on the fifth.
-
-    Parameters
-    ----------
-    level : Level
-        Records of one level.
-    order : int
-        Number of real states.
-
-    Returns
-    -------
-    Candidate
-        Fit with its relative error on the fifth realization.
-    """
+    """Fit a level's linear model on realizations 1-4 and evaluate it on the fifth."""
     data = [level.spectra(FIT)]
     fit = refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], True, False, 25)
     return replace(fit, held_out=error_of(fit.model, [level.spectra(SELECT)]))
 
 
 def smallest_first(found: Sequence[Candidate]) -> list[Candidate]:
-    """Put the chosen candidate first: the smallest one within 1 % of the best on the fifth realization.
-
-    Parameters
-    ----------
-    found : sequence of Candidate
-        Candidates with their error on the fifth realization.
-
-    Returns
-    -------
-    list of Candidate
-        The same candidates, reordered.
-    """
+    """Put the chosen candidate first: the smallest one within 1 % of the best on the fifth realization."""
     good = 1.01 * min(fit.held_out for fit in found)
     return sorted(found, key=lambda fit: (fit.held_out > good, fit.model.states))
 
 
 def fit_all(levels: Sequence[Level], order: int, hold: str = "zoh") -> Candidate:
-    """Fit one linear model for all levels, with the same weight for every level's relative error.
-
-    Parameters
-    ----------
-    levels : sequence of Level
-        Records of all levels.
-    order : int
-        Number of real states.
-    hold : str
-        Behavior of the command between samples: "zoh" or "foh".
-
-    Returns
-    -------
-    Candidate
-        Fit on realizations 1-4.
-    """
+    """Fit one linear model for all levels, with the same weight for every level's relative error."""
     data = [level.spectra(FIT, 1.0 / float(np.std(level.measurement))) for level in levels]
     start = subspace(data, [order], np.zeros(3), hold)[0]
     return refined(data, start, True, False, 25)
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
-    """Compare every model on every level and return the table.
-
-    Parameters
-    ----------
-    json_path : str or Path or None
-        JSON file to write the table to; None: none.
-    figures_dir : str or Path or None
-        Folder for the spectra, the model file and the table of shares; None: none.
-
-    Returns
-    -------
-    Table
-        All rows of the experiment.
-
-    Raises
-    ------
-    InputError
-        Where the measurements are absent.
-    """
+    """Compare every model on every level and return the table."""
     levels = load_levels()
     table = Table("reproduce fsm-cubespec")
     began = time.perf_counter()
@@ -208,22 +151,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
 
 
 def soften(levels: Sequence[Level], start: ModalModel | softening_modes.Scheduled, law: Law | None) -> softening_modes.SofteningFit:
-    """Fit one model for all levels on realizations 1-4, with or without a softening force and hysteresis of the actuators.
-
-    Parameters
-    ----------
-    levels : sequence of Level
-        Records of all levels.
-    start : ModalModel or softening_modes.Scheduled
-        Model from which the fit starts.
-    law : Law or None
-        Law of the softening force and the hysteresis; None: neither.
-
-    Returns
-    -------
-    softening_modes.SofteningFit
-        Fit with its scheduled model.
-    """
+    """Fit one model for all levels on realizations 1-4, with or without a softening force and hysteresis of the actuators."""
     periods = [
         softening_modes.Level(level.command[:, :, FIT].mean(axis=3), level.measurement[:, :, FIT].mean(axis=3)) for level in levels
     ]
@@ -246,18 +174,6 @@ def softening_model(found: softening_modes.SofteningFit, levels: Sequence[Level]
     """Convert a fit to the content of a model file, with the median noise of one period over all realizations.
 
     The median, because the periods of realizations 2 and 3 at 100 mV differ six times as much as those of the others.
-
-    Parameters
-    ----------
-    found : softening_modes.SofteningFit
-        Fit of the model of all levels.
-    levels : sequence of Level
-        Records of all levels.
-
-    Returns
-    -------
-    Model
-        Model with noise and tolerances.
     """
     largest = max(float(np.abs(level.command).max()) for level in levels)
     differences = np.concatenate([level.measurement[..., 0] - level.measurement[..., 1] for level in levels], axis=2)
@@ -271,15 +187,5 @@ def softening_model(found: softening_modes.SofteningFit, levels: Sequence[Level]
 
 
 def states_of(found: softening_modes.SofteningFit) -> int:
-    """Count the real states: two for a complex mode, and as many again where the force acts.
-
-    Parameters
-    ----------
-    found : softening_modes.SofteningFit
-        Fit of the model of all levels.
-
-    Returns
-    -------
-    int
-    """
+    """Count the real states: two for a complex mode, and as many again where the force acts."""
     return found.scheduled.centre.states * (2 if np.ndim(found.stage.force_inputs) else 1)

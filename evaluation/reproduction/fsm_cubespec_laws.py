@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -63,25 +64,8 @@ LAWS: dict[str, Callable[[Motion], Sequence[Array]]] = {
 """Forces of the elongation q, the velocity v and the command u, per actuator."""
 
 
-def motion_of(model: ModalModel, command: Array, sample_time: float) -> tuple[Motion, Array]:
-    """Compute the motion and the output that a periodic command causes in a linear model.
-
-    Parameters
-    ----------
-    model : ModalModel
-        Linear modal model.
-    command : ndarray, shape (N, A, R)
-        One period of each realization, V.
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    motion
-        Elongation, velocity and command, each scaled to an rms of 1.
-    output
-        Simulated measurement (N, A, R), um.
-    """
+def motion_of(model: ModalModel, command: Annotated[Array, "N A R"], sample_time: float) -> tuple[Motion, Array]:
+    """Compute the motion and the output that a periodic command causes in a linear model."""
     samples = len(command)
     lines = np.arange(1, samples // 2)
     spectrum = np.zeros((samples // 2 + 1, *command.shape[1:]), dtype=complex)
@@ -96,23 +80,8 @@ def motion_of(model: ModalModel, command: Array, sample_time: float) -> tuple[Mo
     return Motion(*(part / np.std(part) for part in (elongation, velocity, command))), output
 
 
-def left_over(error: Array, regressors: Array, fit: Sequence[int]) -> Array:
-    """Compute the mean square of an error that its regression leaves in each realization.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N, A, R)
-        Error, um.
-    regressors : ndarray, shape (N, K, R)
-        Regressors, any unit.
-    fit : sequence of int
-        Realizations on which the regression is fitted.
-
-    Returns
-    -------
-    ndarray, shape (R,)
-        Mean squares summed over the axes, um².
-    """
+def left_over(error: Annotated[Array, "N A R"], regressors: Annotated[Array, "N K R"], fit: Sequence[int]) -> Annotated[Array, "R"]:
+    """Compute the mean square of an error that its regression leaves in each realization."""
     samples = len(error)
     y, x = (np.fft.rfft(part, axis=0)[1:-1] for part in (error, regressors))
     left = np.zeros(error.shape[2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -38,18 +39,6 @@ class Level:
         """Compute the spectra at the excited lines, both periods averaged.
 
         Sums of squares equal those of the samples, times weight².
-
-        Parameters
-        ----------
-        realisations : sequence of int
-            Indices of realizations, 0 to 5.
-        weight : float
-            Factor of command and measurement.
-
-        Returns
-        -------
-        Spectra
-            Command and measurement at the excited lines.
         """
         u = np.fft.rfft(self.command[:, :, realisations].mean(axis=3), axis=0)
         y = np.fft.rfft(self.measurement[:, :, realisations].mean(axis=3), axis=0)
@@ -57,21 +46,8 @@ class Level:
         scale = weight * np.sqrt(2.0 / PERIOD)
         return Spectra(2 * np.pi * lines / PERIOD, scale * u[lines], scale * y[lines], True)
 
-    def error(self, simulated: Array, realisations: Sequence[int]) -> Array:
-        """Compute relative errors of a simulation.
-
-        Parameters
-        ----------
-        simulated : ndarray, shape (8192, 3, R)
-            Simulated measurement, um.
-        realisations : sequence of int
-            Indices of realizations, 0 to 5.
-
-        Returns
-        -------
-        ndarray, shape (4,)
-            Relative errors, %: all sensors together, then each.
-        """
+    def error(self, simulated: Annotated[Array, "8192 3 R"], realisations: Sequence[int]) -> Annotated[Array, "4"]:
+        """Compute relative errors of a simulation."""
         measured = self.measurement[:, :, realisations]
         squared = np.mean((measured - simulated[..., None]) ** 2, axis=(0, 2, 3))
         power = np.mean(measured**2, axis=(0, 2, 3))
@@ -80,13 +56,7 @@ class Level:
 
 
 def load_levels() -> list[Level]:
-    """Load the measurements of all levels.
-
-    Raises
-    ------
-    InputError
-        Where they are absent or have another shape than the benchmark's.
-    """
+    """Load the measurements of all levels."""
     folder = data_folder("fsm_cubespec")
     levels = []
     for level in LEVELS:
@@ -105,22 +75,7 @@ def load_levels() -> list[Level]:
 
 
 def model_of(modal: ModalModel, name: str, command: float) -> Model:
-    """Convert a modal model to the content of a model file.
-
-    Parameters
-    ----------
-    modal : ModalModel
-        Identified modal model.
-    name : str
-        Name of the model.
-    command : float
-        Largest voltage of the fitted records, V.
-
-    Returns
-    -------
-    Model
-        Model in V and um.
-    """
+    """Convert a modal model to the content of a model file."""
     return Model(
         name=name,
         axes=AXES,
@@ -132,64 +87,21 @@ def model_of(modal: ModalModel, name: str, command: float) -> Model:
     )
 
 
-def steady_state(model: Model, command: Array) -> Array:
-    """Simulate the steady period for periodic commands: the period runs twice, and the second run counts.
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    command : ndarray, shape (8192, 3, R)
-        Periodic commands, V.
-
-    Returns
-    -------
-    ndarray, shape (8192, 3, R)
-        Simulated measurement, um.
-    """
+def steady_state(model: Model, command: Annotated[Array, "8192 3 R"]) -> Annotated[Array, "8192 3 R"]:
+    """Simulate the steady period for periodic commands: the period runs twice, and the second run counts."""
     simulated = [simulate(model, np.tile(command[:, :, r], (2, 1)))[PERIOD:] for r in range(command.shape[2])]
     return np.stack(simulated, axis=2)
 
 
-def simulation_error(model: Model, level: Level, realisations: Sequence[int]) -> Array:
-    """Compute the relative errors of a model simulated from the command alone.
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    level : Level
-        Records of one level.
-    realisations : sequence of int
-        Indices of realizations, 0 to 5.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Relative errors, %: all sensors together, then each.
-    """
+def simulation_error(model: Model, level: Level, realisations: Sequence[int]) -> Annotated[Array, "4"]:
+    """Compute the relative errors of a model simulated from the command alone."""
     return level.error(steady_state(model, level.command[:, :, realisations].mean(axis=3)), realisations)
 
 
-def response_error(response: np.ndarray, lines: Array, level: Level, realisations: Sequence[int]) -> Array:
-    """Compute the relative errors of a nonparametric frequency response.
-
-    Parameters
-    ----------
-    response : ndarray, shape (F, 3, 3)
-        Response, um/V.
-    lines : ndarray, shape (F,)
-        Its lines of the period, as integers.
-    level : Level
-        Records of one level.
-    realisations : sequence of int
-        Indices of realizations, 0 to 5.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Relative errors, %: all sensors together, then each.
-    """
+def response_error(
+    response: np.ndarray, lines: Annotated[Array, "F"], level: Level, realisations: Sequence[int]
+) -> Annotated[Array, "4"]:
+    """Compute the relative errors of a nonparametric frequency response."""
     u = np.fft.rfft(level.command[:, :, realisations].mean(axis=3), axis=0)
     y = np.zeros_like(u)
     y[lines] = np.einsum("koj,kjr->kor", response, u[lines])

@@ -43,19 +43,7 @@ HALF_WIDTH = 8
 
 
 def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence[Candidate]], models: Sequence[Model]) -> None:
-    """Add the error of each level's model on its own level, and the numbers of states that were tried.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    fits : sequence of sequence of Candidate
-        Candidates of each level, the chosen one first.
-    models : sequence of Model
-        Linear models, one per level.
-    """
+    """Add the error of each level's model on its own level, and the numbers of states that were tried."""
     title = "Linear model per level, realization 6"
     for level, found, model in zip(levels, fits, models, strict=True):
         began = time.perf_counter()
@@ -80,13 +68,6 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
     """Add the errors of responses without a model, fitted and tested alike.
 
     They show the accuracy that any linear model of a level could reach, and the noise.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
     """
     title = "Nonparametric response per level, realization 6"
     for level in levels:
@@ -114,17 +95,7 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
 
 
 def report_across(table: Table, levels: Sequence[Level], models: Sequence[Model]) -> None:
-    """Add the errors of each level's model on the other levels.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    models : sequence of Model
-        Linear models, one per level.
-    """
+    """Add the errors of each level's model on the other levels."""
     title = "Linear model of one level on another, realization 6 (published: 15 to 33 %)"
     for level in levels:
         for other, model in zip(levels, models, strict=True):
@@ -146,30 +117,7 @@ ALL = "One model for all levels, realization 6"
 def report_one(
     table: Table, levels: Sequence[Level], subject: str, model: Model, states: int, parameters: int, seconds: float
 ) -> float:
-    """Add the errors of one model of all levels on the sixth realization and the fifth, its size and its speed.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    subject : str
-        Name of the model in the table.
-    model : Model
-        Model to simulate.
-    states : int
-        Number of real states.
-    parameters : int
-        Number of parameters.
-    seconds : float
-        Duration of the fit, s.
-
-    Returns
-    -------
-    float
-        Root mean square over the levels of the errors on the fifth realization, %.
-    """
+    """Add the errors of one model of all levels on the sixth realization and the fifth, its size and its speed."""
     squares = []
     for level in levels:
         mv = int(level.name.split()[0])
@@ -188,17 +136,7 @@ def report_one(
 
 
 def report_laws(table: Table, levels: Sequence[Level], models: Sequence[ModalModel]) -> None:
-    """Add candidate forces beside each level's linear model (`fsm_cubespec_laws`): fifth realization, to choose on, and sixth.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    models : sequence of ModalModel
-        Linear modal models, one per level.
-    """
+    """Add candidate forces beside each level's linear model (`fsm_cubespec_laws`): fifth realization, to choose on, and sixth."""
     title = "Force laws by regression on the error of each level's linear model"
     for level, model in zip(levels, models, strict=True):
         command, measurement = level.command.mean(axis=3), level.measurement.mean(axis=3)
@@ -228,15 +166,6 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
     The linear simulator is the chosen model with every effect off. Shapley values of the mean square error on the sixth realization: an
     effect's share is the mean of its reduction over all orders in which the effects can be switched on. Nothing is fitted again. The
     noise is that of the measured period, the rest is not explained; all add up to the gap.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    model : Model
-        Chosen model of all levels.
     """
     title = SHARES
     stage = model.chain.stages[0]
@@ -271,18 +200,7 @@ SHARES = "Shares of the gap between the linear simulator and the mirror, realiza
 
 
 def shares_page(table: Table) -> str:
-    """Format the shares as a Markdown table, effect by effect, with the gap in % of rms in the last row.
-
-    Parameters
-    ----------
-    table : Table
-        Table with the rows of `report_shares`.
-
-    Returns
-    -------
-    str
-        Markdown text.
-    """
+    """Format the shares as a Markdown table, effect by effect, with the gap in % of rms in the last row."""
     rows = [row for row in table.rows if row.table == SHARES]
     cases = list(dict.fromkeys(row.case for row in rows))
     names = dict.fromkeys(row.subject for row in rows if row.quantity == "share")
@@ -294,17 +212,7 @@ def shares_page(table: Table) -> str:
 
 
 def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None:
-    """Add the chosen model's residual by frequency band: each band's share of it, and the band's own relative error.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    levels : sequence of Level
-        Records of all levels.
-    model : Model
-        Chosen model of all levels.
-    """
+    """Add the chosen model's residual by frequency band: each band's share of it, and the band's own relative error."""
     title = "What the chosen model leaves, by frequency, realization 6"
     for level in levels:
         measured = level.measurement[:, :, TEST].mean(axis=3)
@@ -320,17 +228,7 @@ def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None
 
 
 def draw(folder: Path, levels: Sequence[Level], models: Sequence[Model]) -> None:
-    """Draw the measured, error and noise spectra of every level's linear model.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the figure; created if missing.
-    levels : sequence of Level
-        Records of all levels.
-    models : sequence of Model
-        Linear models, one per level.
-    """
+    """Draw the measured, error and noise spectra of every level's linear model."""
     import matplotlib
 
     matplotlib.use("Agg")

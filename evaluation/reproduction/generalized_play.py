@@ -9,6 +9,7 @@ here to see whether a measured stack asks for them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -22,23 +23,13 @@ GRID = np.linspace(0.0, 1.0, 101)
 
 
 @njit(cache=True, error_model="numpy")
-def follow(ascending: Array, descending: Array, thresholds: Array, state: Array) -> Array:
-    """Run operators over a record.
-
-    Parameters
-    ----------
-    ascending, descending
-        Curves γ_a and γ_d of the input (N,).
-    thresholds
-        Thresholds r (K,).
-    state
-        Outputs (K,) before the first row, updated.
-
-    Returns
-    -------
-    Array
-        Outputs (N, K).
-    """
+def follow(
+    ascending: Annotated[Array, "N"],
+    descending: Annotated[Array, "N"],
+    thresholds: Annotated[Array, "K"],
+    state: Annotated[Array, "K"],
+) -> Annotated[Array, "N K"]:
+    """Run operators over a record."""
     found = np.empty((len(ascending), len(thresholds)))
     for row in range(len(ascending)):
         for k in range(len(thresholds)):
@@ -52,64 +43,24 @@ def follow(ascending: Array, descending: Array, thresholds: Array, state: Array)
 
 @dataclass(frozen=True)
 class GeneralizedPlay:
-    """Generalized play operators with their weights.
+    """Generalized play operators with their weights."""
 
-    Parameters
-    ----------
-    top
-        Input at which v is 1, V.
-    thresholds
-        Thresholds (K,).
-    curves
-        Numbers (2, `BUMPS`) of γ_a and γ_d.
-    weights
-        Weights (K,), measurement unit.
-    fitted
-        Rms error on the record of the fit, measurement unit.
-    """
+    top: float  # Input at which v is 1, V
+    thresholds: Annotated[Array, "K"]  # Thresholds (K,)
+    curves: Array  # Numbers (2, `BUMPS`) of γ_a and γ_d
+    weights: Annotated[Array, "K"]  # Weights (K,), measurement unit
+    fitted: float  # Rms error on the record of the fit, measurement unit
 
-    top: float
-    thresholds: Array
-    curves: Array
-    weights: Array
-    fitted: float
-
-    def predict(self, command: Array) -> Array:
-        """Predict a record up to a constant.
-
-        Parameters
-        ----------
-        command
-            Command (N,), V, held until the next one.
-
-        Returns
-        -------
-        Array
-            Output (N,), measurement unit.
-        """
+    def predict(self, command: Annotated[Array, "N"]) -> Annotated[Array, "N"]:
+        """Predict a record up to a constant."""
         predicted: Array = _operators(command / self.top, self.thresholds, self.curves)[0] @ self.weights
         return predicted
 
 
-def fit_generalized_play(command: Array, measurement: Array, thresholds: Array, *, each_way: bool) -> GeneralizedPlay:
-    """Fit weights that are not negative, and the curves, to a closed cycle.
-
-    Parameters
-    ----------
-    command
-        Command (N,) of a cycle, from its lowest value back to it, V.
-    measurement
-        Measurement (N,).
-    thresholds
-        Thresholds (K,) for an input from 0 to 1.
-    each_way
-        A curve for each direction; False: one for both.
-
-    Returns
-    -------
-    GeneralizedPlay
-        The operators.
-    """
+def fit_generalized_play(
+    command: Annotated[Array, "N"], measurement: Annotated[Array, "N"], thresholds: Annotated[Array, "K"], *, each_way: bool
+) -> GeneralizedPlay:
+    """Fit weights that are not negative, and the curves, to a closed cycle."""
     top = float(command.max())
     v = command / top
 
@@ -135,21 +86,8 @@ def fit_generalized_play(command: Array, measurement: Array, thresholds: Array, 
     return GeneralizedPlay(top, thresholds, curves(best), weights, fitted)
 
 
-def bent(v: Array, numbers: Array) -> Array:
-    """Curve of an input from 0 to 1 that is 0 at 0 and 1 at 1.
-
-    Parameters
-    ----------
-    v
-        Input (N,).
-    numbers
-        c1 and c2 (`BUMPS`,).
-
-    Returns
-    -------
-    Array
-        The curve (N,).
-    """
+def bent(v: Annotated[Array, "N"], numbers: Array) -> Annotated[Array, "N"]:
+    """Curve of an input from 0 to 1 that is 0 at 0 and 1 at 1."""
     found: Array = v + v * (1.0 - v) * (numbers[0] + numbers[1] * (1.0 - 2.0 * v))
     return found
 

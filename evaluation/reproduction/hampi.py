@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -57,62 +57,20 @@ BLOCK = 500
 
 @dataclass(frozen=True)
 class Extent:
-    """Selection of what is run.
+    """Selection of what is run."""
 
-    Parameters
-    ----------
-    frequencies : tuple of float
-        Frequencies of the held-out loops, Hz.
-    peaks : tuple of float
-        Peaks of the held-out loops, V.
-    lags : tuple of float
-        Frequencies at which phase lags are measured, Hz.
-    tracked : tuple of float
-        Frequencies of the tracked reference, Hz.
-    excitation : tuple of (str, object)
-        Options of the excitation, name and value.
-    methods : tuple of str
-        Identification methods whose models track.
-    margins : bool
-        True to measure the feedback's margins.
-    second_truth : bool
-        True to run the second truth plant too.
-    """
-
-    frequencies: tuple[float, ...] = FREQUENCIES
-    peaks: tuple[float, ...] = PEAKS
-    lags: tuple[float, ...] = tuple(TABLE_1)
-    tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])
-    excitation: tuple[tuple[str, Any], ...] = ()
-    methods: tuple[str, ...] = ("joint", "paper")
-    margins: bool = True
-    second_truth: bool = True
+    frequencies: tuple[float, ...] = FREQUENCIES  # Frequencies of the held-out loops, Hz
+    peaks: tuple[float, ...] = PEAKS  # Peaks of the held-out loops, V
+    lags: tuple[float, ...] = tuple(TABLE_1)  # Frequencies at which phase lags are measured, Hz
+    tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])  # Frequencies of the tracked reference, Hz
+    excitation: tuple[tuple[str, Any], ...] = ()  # Options of the excitation, name and value
+    methods: tuple[str, ...] = ("joint", "paper")  # Identification methods whose models track
+    margins: bool = True  # True to measure the feedback's margins
+    second_truth: bool = True  # True to run the second truth plant too
 
 
 def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
-    """Record, identify, score and track, and return the table.
-
-    Parameters
-    ----------
-    json_path : str or None
-        JSON file to write the table to; None: none.
-    figures : str or None
-        Folder for the page of figures; None: none.
-    plant : str
-        Name of the truth plant: "pea" or "third".
-    extent : Extent or None
-        Selection of what is run; None: all.
-
-    Returns
-    -------
-    Table
-        All rows of the experiment.
-
-    Raises
-    ------
-    InputError
-        Where a node fails.
-    """
+    """Record, identify, score and track, and return the table."""
     extent = extent or Extent()
     table = Table("reproduce hampi")
     with tempfile.TemporaryDirectory() as temporary:
@@ -172,17 +130,7 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
 
 
 def second_truth(table: Table, folder: Path, extent: Extent) -> None:
-    """Add Fig. 11 and Table 5 for a truth plant without a drag of its polarization (`third`), by the paper's sequence.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    folder : Path
-        Working folder of the run.
-    extent : Extent
-        Selection of what is run.
-    """
+    """Add Fig. 11 and Table 5 for a truth plant without a drag of its polarization (`third`), by the paper's sequence."""
     steps = record(folder / "sequence", paper_sequence(LOW, extent), SEED + 7, SECOND)
     loops, places = held_out_loops(replace(extent, peaks=(LOW,)))
     held_out = record(folder / "held_out", loops, SEED + 8, SECOND)
@@ -194,38 +142,12 @@ def second_truth(table: Table, folder: Path, extent: Extent) -> None:
 
 
 def in_sequence(data: Dataset, families: Sequence[str] = ("hapi", "rdpi", "hampi")) -> dict[str, Model]:
-    """Identify models by the paper's own steps; RDPI, which has no steps, from the same records at once.
-
-    Parameters
-    ----------
-    data : Dataset
-        The paper's records in one dataset.
-    families : sequence of str
-        Model families.
-
-    Returns
-    -------
-    dict of str to Model
-        Models by name, in capitals.
-    """
+    """Identify models by the paper's own steps; RDPI, which has no steps, from the same records at once."""
     return {family.upper(): identify([data], family, "joint" if family == "rdpi" else "paper").model for family in families}
 
 
-def paper_sequence(peak: float, extent: Extent) -> Array:
-    """Build the drive of paper §3.2 alone: a step of 10 V, loops of 1 Hz and loops of 100 Hz up to the peak.
-
-    Parameters
-    ----------
-    peak : float
-        Highest voltage of the loops, V.
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    ndarray, shape (N, 1)
-        Drive, V.
-    """
+def paper_sequence(peak: float, extent: Extent) -> Annotated[Array, "N 1"]:
+    """Build the drive of paper §3.2 alone: a step of 10 V, loops of 1 Hz and loops of 100 Hz up to the peak."""
     ts, slow = SAMPLE_TIME, dict(extent.excitation).get("quasi_static", 1.0)
     return np.concatenate(
         [
@@ -236,37 +158,13 @@ def paper_sequence(peak: float, extent: Extent) -> Array:
     )[:, None]
 
 
-def training_drive(extent: Extent) -> Array:
-    """Build the excitation of the models that predict loops of 100 and 140 V.
-
-    Parameters
-    ----------
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    ndarray, shape (N, 1)
-        Drive, V.
-    """
+def training_drive(extent: Extent) -> Annotated[Array, "N 1"]:
+    """Build the excitation of the models that predict loops of 100 and 140 V."""
     return identification(TRAINING_PEAK, replace(extent, excitation=(*extent.excitation, ("frequencies", TRAINING_FREQUENCIES))))
 
 
-def identification(peak: float, extent: Extent) -> Array:
-    """Build the excitation of paper §3.2.
-
-    Parameters
-    ----------
-    peak : float
-        Highest voltage, V.
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    ndarray, shape (N, 1)
-        Drive, V.
-    """
+def identification(peak: float, extent: Extent) -> Annotated[Array, "N 1"]:
+    """Build the excitation of paper §3.2."""
     return excitation.build(
         {
             "signal": "hampi_identification",
@@ -281,20 +179,7 @@ def identification(peak: float, extent: Extent) -> Array:
 
 
 def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
-    """Build loops of every height at every frequency, with rests between.
-
-    Parameters
-    ----------
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    drive
-        Drive (N, 1), V.
-    places
-        Rows of the last cycles of each loop.
-    """
+    """Build loops of every height at every frequency, with rests between."""
     return _between_rests(
         [
             (
@@ -310,39 +195,13 @@ def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
 
 
 def harmonic_drive(extent: Extent) -> tuple[Array, list[Place]]:
-    """Build sines of 0 to 50 V (paper Fig. 4, Table 1), of which the second half of each is scored.
-
-    Parameters
-    ----------
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    drive
-        Drive (N, 1), V.
-    places
-        Rows of the last whole cycles of each sine.
-    """
+    """Build sines of 0 to 50 V (paper Fig. 4, Table 1), of which the second half of each is scored."""
     sines = [excitation.loops(SAMPLE_TIME, frequency, LOW, max(2, round(0.05 * frequency))) for frequency in extent.lags]
     return _between_rests([(LOW, frequency, sine, _second_half(sine)) for frequency, sine in zip(extent.lags, sines, strict=True)])
 
 
 def tracking_reference(extent: Extent) -> tuple[Array, list[Place]]:
-    """Build the reference: up to its top and down to its offset once, then sines at every frequency.
-
-    Parameters
-    ----------
-    extent : Extent
-        Selection of what is run.
-
-    Returns
-    -------
-    reference
-        Reference (N, 1), um.
-    places
-        Scored rows of each sine.
-    """
+    """Build the reference: up to its top and down to its offset once, then sines at every frequency."""
     ts, top = SAMPLE_TIME, OFFSET + STROKE
     lead = [excitation.rest(ts, 0.02), excitation.cosine_ramp(ts, 0.0, top, 0.1), excitation.cosine_ramp(ts, top, OFFSET, 0.1)]
     sines = [OFFSET + excitation.loops(ts, frequency, STROKE, max(4, round(0.08 * frequency))) for frequency in extent.tracked]
@@ -358,24 +217,7 @@ def _second_half(signal: Array) -> int:
 def _between_rests(
     waves: Sequence[tuple[float, float, Array, int]], lead: Sequence[Array] = (), level: float = 0.0
 ) -> tuple[Array, list[Place]]:
-    """Waves one after another behind a lead, a rest at a level before and behind each, and where each is scored.
-
-    Parameters
-    ----------
-    waves
-        Peak, frequency (Hz), samples (N,) and scored rows at the end of each wave.
-    lead
-        Samples of what comes first.
-    level
-        Level of the rests.
-
-    Returns
-    -------
-    signal
-        (N, 1).
-    places
-        Scored rows of each wave.
-    """
+    """Waves one after another behind a lead, a rest at a level before and behind each, and where each is scored."""
     rest = excitation.rest(SAMPLE_TIME, 0.02, level)
     pieces, places = [*lead, rest], []
     for peak, frequency, wave, scored in waves:
@@ -385,25 +227,8 @@ def _between_rests(
     return np.concatenate(pieces)[:, None], places
 
 
-def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
-    """Record the truth actuator in open loop, through the five nodes.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    signal : ndarray, shape (N, 1)
-        Drive, V.
-    seed : int
-        Seed of the plant's noise.
-    plant : str
-        Name of the truth plant: "pea" or "third".
-
-    Returns
-    -------
-    Dataset
-        The record.
-    """
+def record(folder: Path, signal: Annotated[Array, "N 1"], seed: int, plant: str) -> Dataset:
+    """Record the truth actuator in open loop, through the five nodes."""
     bag = run_processes(
         folder,
         signal,
@@ -418,27 +243,8 @@ def record(folder: Path, signal: Array, seed: int, plant: str) -> Dataset:
     return datasets_of(read_bag(bag))[0]
 
 
-def track(folder: Path, kind: str, model: Model, reference: Array, plant: str) -> dict[str, Array]:
-    """Run one open-loop tracking experiment with a compensator.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    kind : str
-        Kind of compensator, such as "hampi".
-    model : Model
-        Model that the compensator inverts.
-    reference : ndarray, shape (N, 1)
-        Reference, um.
-    plant : str
-        Name of the truth plant: "pea" or "third".
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 1) by name.
-    """
+def track(folder: Path, kind: str, model: Model, reference: Annotated[Array, "N 1"], plant: str) -> dict[str, Array]:
+    """Run one open-loop tracking experiment with a compensator."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "model.yaml"
     save_model(model, path)

@@ -36,29 +36,7 @@ def write(
     tracked: Mapping[str, Mapping[str, Array]],
     parts: Sequence[Place],
 ) -> None:
-    """Write the page of figures, `hampi.html`.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the page; created if missing.
-    table : Table
-        Table with the rows of the experiment.
-    linear : Model
-        Model with G(s).
-    models : mapping of str to Model
-        Models by name, for loops above 50 V.
-    low_models : mapping of str to Model
-        Models by name, for loops of 50 V.
-    records : mapping of str to Dataset
-        Records "low" and "held_out".
-    places : sequence of Place
-        Rows of the held-out loops.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by compensator and name, um or V.
-    parts : sequence of Place
-        Scored rows of the tracking run.
-    """
+    """Write the page of figures, `hampi.html`."""
     folder.mkdir(parents=True, exist_ok=True)
     page = Page(
         "HAMPI: modeling and feedforward control of a piezo actuator",
@@ -91,36 +69,14 @@ def write(
 
 
 def step(model: Model, data: Dataset) -> go.Figure:
-    """Draw Fig. 2: the measured step and that of G(s).
-
-    Parameters
-    ----------
-    model : Model
-        Model with G(s).
-    data : Dataset
-        Record with a step.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 2: the measured step and that of G(s)."""
     time, measured, answer = hampi_tables.step_response(model, data)
     figure = go.Figure([line(time, measured, "measured", 0), line(time, answer, "G(s)", 1)])
     return figure.update_xaxes(title="s").update_yaxes(title="um")
 
 
 def bode(responses: Mapping[str, Complex]) -> go.Figure:
-    """Draw Bode diagrams over the frequencies of `BODE`.
-
-    Parameters
-    ----------
-    responses : mapping of str to ndarray
-        Complex responses (F,) by name.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Bode diagrams over the frequencies of `BODE`."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=("gain [dB]", "phase [deg]"))
     for colour, (name, value) in enumerate(responses.items()):
         figure.add_trace(line(BODE, 20 * np.log10(np.abs(value)), name, colour), 1, 1)
@@ -129,17 +85,7 @@ def bode(responses: Mapping[str, Complex]) -> go.Figure:
 
 
 def rates(models: Mapping[str, Model]) -> go.Figure:
-    """Draw Fig. 6: simulated loops of 140 V at four frequencies, HAPI beside HAMPI.
-
-    Parameters
-    ----------
-    models : mapping of str to Model
-        Models by name.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 6: simulated loops of 140 V at four frequencies, HAPI beside HAMPI."""
     names = ("HAPI", "HAMPI")
     figure = make_subplots(rows=1, cols=2, shared_yaxes=True, subplot_titles=names)
     for column, name in enumerate(names, start=1):
@@ -156,21 +102,7 @@ def rates(models: Mapping[str, Model]) -> go.Figure:
 
 
 def loops(models: Mapping[str, Model], data: Dataset, places: Sequence[Place]) -> go.Figure:
-    """Draw the last loop of every place, measured and simulated.
-
-    Parameters
-    ----------
-    models : mapping of str to Model
-        Models by name.
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Rows of the held-out loops.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw the last loop of every place, measured and simulated."""
     titles = [f"{place.frequency:g} Hz" for place in places]
     figure = make_subplots(rows=2, cols=3, shared_xaxes=True, shared_yaxes=True, subplot_titles=titles)
     simulated = {name: simulate(model, data.command, data.sample_time, data.hold)[:, 0] for name, model in models.items()}
@@ -184,17 +116,7 @@ def loops(models: Mapping[str, Model], data: Dataset, places: Sequence[Place]) -
 
 
 def accuracy(table: Table) -> go.Figure:
-    """Draw Fig. 14: the NRMSE of Table 4 beside the published one.
-
-    Parameters
-    ----------
-    table : Table
-        Table with the rows of the experiment.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 14: the NRMSE of Table 4 beside the published one."""
     rows = [row for row in table.rows if row.table == "HAMPI Table 4" and row.quantity == "nrmse"]
     figure = go.Figure()
     for name in dict.fromkeys(row.subject for row in rows):
@@ -207,19 +129,7 @@ def accuracy(table: Table) -> go.Figure:
 
 
 def tracking(tracked: Mapping[str, Mapping[str, Array]], parts: Sequence[Place]) -> go.Figure:
-    """Draw Fig. 15: reference, displacement and error over time.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by compensator and name, um or V.
-    parts : sequence of Place
-        Scored rows of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 15: reference, displacement and error over time."""
     figure = make_subplots(rows=2, cols=len(parts), subplot_titles=[f"{part.frequency:g} Hz" for part in parts])
     for column, part in enumerate(parts, start=1):
         time = np.arange(part.end - part.begin)
@@ -234,19 +144,7 @@ def tracking(tracked: Mapping[str, Mapping[str, Array]], parts: Sequence[Place])
 
 
 def linearity(tracked: Mapping[str, Mapping[str, Array]], parts: Sequence[Place]) -> go.Figure:
-    """Draw Fig. 16: displacement over reference.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by compensator and name, um or V.
-    parts : sequence of Place
-        Scored rows of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 16: displacement over reference."""
     figure = make_subplots(rows=1, cols=len(parts), shared_yaxes=True, subplot_titles=[f"{part.frequency:g} Hz" for part in parts])
     for column, part in enumerate(parts, start=1):
         for colour, (name, signals) in enumerate(tracked.items(), start=1):

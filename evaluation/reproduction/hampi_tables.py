@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -55,35 +56,12 @@ class Place:
 
 
 def dynamics(model: Model) -> list[LinearStage]:
-    """Select the linear stages of a model.
-
-    Parameters
-    ----------
-    model : Model
-        Identified model.
-
-    Returns
-    -------
-    list of LinearStage
-    """
+    """Select the linear stages of a model."""
     return [stage for stage in model.chain.stages if isinstance(stage, LinearStage)]
 
 
-def response(model: Model, frequency: Array) -> Complex:
-    """Compute the frequency response of a model's linear stages from held command to sample, with gain 1 at rest.
-
-    Parameters
-    ----------
-    model : Model
-        Model with linear stages.
-    frequency : ndarray, shape (F,)
-        Frequencies, Hz.
-
-    Returns
-    -------
-    ndarray, shape (F,)
-        Complex response.
-    """
+def response(model: Model, frequency: Annotated[Array, "F"]) -> Complex:
+    """Compute the frequency response of a model's linear stages from held command to sample, with gain 1 at rest."""
     z = np.exp(2j * np.pi * frequency * model.sample_time)
     found = sampled_response(dynamics(model), 1, model.sample_time, np.append(z, 1.0 + 1e-9j))[:, 0, 0]
     scaled: Complex = found[:-1] / abs(found[-1])
@@ -94,17 +72,6 @@ def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place
     """Add Table 1: lags of G(s) and of the actuator relative to the lowest frequency, which removes the hysteresis' own.
 
     At that frequency itself both are 0 by definition and have no row.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model with G(s).
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Scored rows.
     """
     lag = {}
     for place in places:
@@ -129,26 +96,7 @@ BEFORE = (0.001, 0.02)
 
 
 def step_response(model: Model, data: Dataset, before: float = BEFORE[0]) -> tuple[Array, Array, Array]:
-    """Compute the measured step and that of G(s), with the gain that fits best.
-
-    Parameters
-    ----------
-    model : Model
-        Model with G(s).
-    data : Dataset
-        Record with a step.
-    before : float
-        Rest before the step that belongs to it, s.
-
-    Returns
-    -------
-    time
-        Times (N,), s.
-    measured
-        Measured displacement (N,), um.
-    answer
-        Simulated displacement (N,), um.
-    """
+    """Compute the measured step and that of G(s), with the gain that fits best."""
     step = select_stretches([data], 0, "step")[0]
     rows = slice(max(step.begin - round(before / data.sample_time), 0), step.end)
     answer = simulate(model.with_stages(dynamics(model)), data.command[rows], data.sample_time, data.hold)[:, 0]
@@ -158,17 +106,7 @@ def step_response(model: Model, data: Dataset, before: float = BEFORE[0]) -> tup
 
 
 def step_fit(table: Table, model: Model, data: Dataset) -> None:
-    """Add Fig. 2: the fit 100 (1 - |y - model| / |y - mean|) of the step of 10 V.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model with G(s).
-    data : Dataset
-        Record with a step.
-    """
+    """Add Fig. 2: the fit 100 (1 - |y - model| / |y - mean|) of the step of 10 V."""
     # The record begins at rest: what it scatters there no model can fit.
     begin = select_stretches([data], 0, "step")[0].begin
     noise = float(np.std(data.measurement[: begin - 1, 0]))
@@ -181,15 +119,7 @@ def step_fit(table: Table, model: Model, data: Dataset) -> None:
 
 
 def bode(table: Table, model: Model) -> None:
-    """Add Fig. 3: "in the range of 1 to 500 Hz the amplitude first decreases and then increases, the phase continues to decrease" (§2).
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model with G(s).
-    """
+    """Add Fig. 3: "in the range of 1 to 500 Hz the amplitude first decreases and then increases, the phase continues to decrease" (§2)."""
     frequency = np.geomspace(1.0, 500.0, 400)
     value = response(model, frequency)
     gain, phase = 20 * np.log10(np.abs(value)), np.degrees(np.unwrap(np.angle(value)))
@@ -207,13 +137,6 @@ def dynamic_weights(table: Table, model: Model) -> None:
     """Add Table 2 and §3.2: m1, m2, k and b of step 3.
 
     The published values belong to the paper's actuator and units; their signs do not.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        HAMPI model.
     """
     core = next(stage for stage in model.chain.stages if isinstance(stage, ModifiedPrandtlIshlinskii))
     for name, unit in (("m1", "s/V"), ("m2", "s/V"), ("k", "1/V"), ("b", "")):
@@ -225,17 +148,6 @@ def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: S
     """Add Figs. 1 and 6: rotation and widening of the highest loops with the rate, measured and simulated.
 
     Tilt (the part of the motion in phase with the drive) and stroke are relative to the slowest loops, area is relative to the loop's box.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    models : mapping of str to Model
-        Models by name.
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Scored rows.
     """
     own = [place for place in places if place.height == max(place.height for place in places)]
     series = {"actuator": data.measurement[:, 0]}
@@ -254,42 +166,14 @@ def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: S
             table.add(title, case, name, "loop area over its box", "%", 100.0 * area / float(np.ptp(u) * np.ptp(y)))
 
 
-def in_phase(command: Array, measurement: Array) -> float:
-    """Slope of the line that fits a loop best: its tilt.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        Drive, V.
-    measurement : ndarray, shape (N,)
-        Displacement, um.
-
-    Returns
-    -------
-    float
-        In um/V.
-    """
+def in_phase(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"]) -> float:
+    """Slope of the line that fits a loop best: its tilt."""
     moving = command - command.mean()
     return float(moving @ measurement / (moving @ moving))
 
 
-def compensated(model: Model, sample_time: float, frequency: Array) -> dict[str, Complex]:
-    """Compute Fig. 8: inverse times G(s), without the preview, by inversion method.
-
-    Parameters
-    ----------
-    model : Model
-        Model with G(s).
-    sample_time : float
-        Sample time, s.
-    frequency : ndarray, shape (F,)
-        Frequencies, Hz.
-
-    Returns
-    -------
-    dict of str to Complex
-        Complex responses (F,) by method.
-    """
+def compensated(model: Model, sample_time: float, frequency: Annotated[Array, "F"]) -> dict[str, Complex]:
+    """Compute Fig. 8: inverse times G(s), without the preview, by inversion method."""
     z = np.exp(2j * np.pi * frequency * sample_time)
     sampling = Sampling(sample_time, 1, "zoh")
     plant = sampled_systems(dynamics(model), sampling)[0].response(z)
@@ -301,39 +185,14 @@ def compensated(model: Model, sample_time: float, frequency: Array) -> dict[str,
 
 
 def inverses(table: Table, model: Model, sample_time: float) -> None:
-    """Add Fig. 8: the largest deviations of the compensated dynamics' gain and phase from 1 between 10 and 500 Hz.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model with G(s).
-    sample_time : float
-        Sample time, s.
-    """
+    """Add Fig. 8: the largest deviations of the compensated dynamics' gain and phase from 1 between 10 and 500 Hz."""
     for method, value in compensated(model, sample_time, np.linspace(10.0, 500.0, 200)).items():
         table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest gain error", "dB", np.abs(20 * np.log10(np.abs(value))).max())
         table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest phase error", "deg", np.abs(np.degrees(np.angle(value))).max())
 
 
 def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[float, float, float]]:
-    """Compute a model's errors on every scored stretch (paper Eq. 25 and 26).
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Scored rows.
-
-    Returns
-    -------
-    list of (float, float, float)
-        RMSE (um), NRMSE (% of the measured range), and NRMSE with means removed.
-    """
+    """Compute a model's errors on every scored stretch (paper Eq. 25 and 26)."""
     error = residual(model, data)[:, 0]
     found = []
     for place in places:
@@ -345,21 +204,7 @@ def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[f
 def predictions(
     table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place], where: str | None = None
 ) -> None:
-    """Add Table 4 and Figs. 11, 12: errors on held-out loops; the paper gives figures for 140 V alone.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    models : mapping of str to Model
-        Models by name.
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Scored rows.
-    where : str or None
-        Another table for all rows; None: the one of the loops' height.
-    """
+    """Add Table 4 and Figs. 11, 12: errors on held-out loops; the paper gives figures for 140 V alone."""
     for name, model in models.items():
         for place, (rmse, nrmse, _) in zip(places, errors(model, data, places), strict=True):
             title = where or {50.0: "HAMPI Fig. 11", 100.0: "HAMPI Fig. 12"}.get(place.height, "HAMPI Table 4")
@@ -390,21 +235,7 @@ def predictions(
 def methods(
     table: Table, joint: Mapping[str, Model], sequence: Mapping[str, Model], data: Dataset, places: Sequence[Place]
 ) -> None:
-    """Add the joint identification beside the paper's sequence, on the same held-out loops.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    joint : mapping of str to Model
-        Jointly identified models by name.
-    sequence : mapping of str to Model
-        Models of the paper's sequence by name.
-    data : Dataset
-        Record of the truth actuator.
-    places : sequence of Place
-        Scored rows.
-    """
+    """Add the joint identification beside the paper's sequence, on the same held-out loops."""
     for name in (name for name in sequence if name in joint and name != "RDPI"):
         model = sequence[name]
         for place, ours, theirs in zip(places, errors(joint[name], data, places), errors(model, data, places), strict=True):
@@ -420,15 +251,6 @@ def pooled(
 
     The mean of a loop moves with its rate and with the drive's past height, which neither HAPI nor HAMPI can express. The errors with
     means removed therefore compare the loops' shape, which both models describe.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    compared : sequence of (mapping of str to Model, mapping of str to Model, sequence of Place)
-        Joint models, models of the sequence, and the places on which they are compared.
-    data : Dataset
-        Record of the truth actuator.
     """
     for name in ("HAPI", "HAMPI"):
         for subject in ("joint", "paper's sequence"):
@@ -450,19 +272,7 @@ def pooled(
 
 
 def attenuation(table: Table, tracked: Mapping[str, Mapping[str, Array]], places: Sequence[Place], sample_time: float) -> None:
-    """Add Figs. 15 and 16: amplitude of the tracked sine relative to the reference; uncompensated rotation reduces it.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by compensator and name, um or V.
-    places : sequence of Place
-        Scored rows.
-    sample_time : float
-        Sample time, s.
-    """
+    """Add Figs. 15 and 16: amplitude of the tracked sine relative to the reference; uncompensated rotation reduces it."""
     for name, signals in tracked.items():
         for place in places:
             turn = np.exp(-2j * np.pi * place.frequency * sample_time * np.arange(place.end - place.begin))
@@ -477,21 +287,7 @@ def tracking(
     stroke: float,
     title: str = "HAMPI Table 5",
 ) -> None:
-    """Add Table 5: open-loop tracking errors, means kept; the published values are of the paper's own sequence.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by compensator and name, um or V.
-    places : sequence of Place
-        Scored rows.
-    stroke : float
-        Stroke of the reference, um.
-    title : str
-        Title of the table.
-    """
+    """Add Table 5: open-loop tracking errors, means kept; the published values are of the paper's own sequence."""
     for name, signals in tracked.items():
         error = (signals["measurement"] - signals["reference"])[:, 0]
         published = TABLE_5[name.split(",")[0]]

@@ -27,18 +27,7 @@ NOT_ITS_PHYSICS = "a truth whose loops do not turn the way HAMPI's weights do"
 
 
 def hampi_targets(rows: Rows) -> list[Target]:
-    """List the targets of the HAMPI experiments.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of the experiments' result.
-
-    Returns
-    -------
-    list of Target
-        Targets with values and bounds.
-    """
+    """List the targets of the HAMPI experiments."""
     targets = TargetList()
     add = targets.add
 

@@ -9,23 +9,7 @@ from hyst_control.errors import InputError
 
 
 def data_folder(name: str) -> Path:
-    """Find the folder of one set of measurements.
-
-    Parameters
-    ----------
-    name : str
-        Name of the set, such as "fsm_cubespec".
-
-    Returns
-    -------
-    Path
-        Existing folder.
-
-    Raises
-    ------
-    InputError
-        Where the folder does not exist.
-    """
+    """Find the folder of one set of measurements."""
     given = os.environ.get("HYST_DATA")
     root = Path(given) if given else Path(__file__).resolve().parents[2].parent / "shared" / "data"
     if (root / name).is_dir():

@@ -23,6 +23,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -106,25 +107,7 @@ class Part:
 
 
 def run(json_path: str | None = None, figures: str | None = None) -> Table:
-    """Record, identify, tune, track and score, and return the table.
-
-    Parameters
-    ----------
-    json_path : str or None
-        JSON file to write the table to; None: none.
-    figures : str or None
-        Folder for the page of figures; None: none.
-
-    Returns
-    -------
-    Table
-        All rows of the experiment.
-
-    Raises
-    ------
-    InputError
-        Where a node fails.
-    """
+    """Record, identify, tune, track and score, and return the table."""
     table, learning = Table("reproduce mhl"), Table("reproduce mhl")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -207,21 +190,8 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     return table
 
 
-def identification(sample_time: float, sweep_time: float) -> Array:
-    """Build the excitation of paper §4.2, one axis after the other.
-
-    Parameters
-    ----------
-    sample_time : float
-        Sample time, s.
-    sweep_time : float
-        Duration of each sweep, s.
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
-        Drive, V.
-    """
+def identification(sample_time: float, sweep_time: float) -> Annotated[Array, "N 2"]:
+    """Build the excitation of paper §4.2, one axis after the other."""
     return excitation.build(
         {"signal": "mhl_identification", "peak": RATING[1], "sweep_time": sweep_time, "lower": RATING[0], "upper": RATING[1]},
         sample_time,
@@ -253,24 +223,10 @@ def fast_check() -> tuple[Array, list[tuple[float, slice, slice]]]:
     return rows, [(frequency, slice(begin, end), slice(begin + shift, end + shift)) for frequency, begin, end in places]
 
 
-def one_after_the_other(wave: Array, sample_time: float) -> tuple[Array, list[slice]]:
+def one_after_the_other(wave: Annotated[Array, "N"], sample_time: float) -> tuple[Array, list[slice]]:
     """Put a wave on each axis in turn, with the other axis at rest at 0 V.
 
     The paper's model has no cross-coupling, so each axis is scored alone.
-
-    Parameters
-    ----------
-    wave : ndarray, shape (N,)
-        Drive of one axis, V.
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    drive
-        Drive (M, 2), V.
-    scored
-        Rows of each axis, from the top of its major loop to the end of the wave.
     """
     back = [excitation.cosine_ramp(sample_time, float(wave[-1]), 0.0, 0.1), excitation.rest(sample_time, 0.05)]
     own = np.concatenate([wave, *back])
@@ -280,21 +236,8 @@ def one_after_the_other(wave: Array, sample_time: float) -> tuple[Array, list[sl
     return rows, [slice(first, len(wave)), slice(len(own) + first, len(own) + len(wave))]
 
 
-def conditioned(sample_time: float, end: float) -> Array:
-    """Build a ramp to the rating, down to 0 and to a final voltage, which fills the hysteresis' memory.
-
-    Parameters
-    ----------
-    sample_time : float
-        Sample time, s.
-    end : float
-        Final voltage, V.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Drive, V.
-    """
+def conditioned(sample_time: float, end: float) -> Annotated[Array, "N"]:
+    """Build a ramp to the rating, down to 0 and to a final voltage, which fills the hysteresis' memory."""
     return np.concatenate(
         [excitation.cosine_ramp(sample_time, *step, 0.2) for step in ((0.0, RATING[1]), (RATING[1], 0.0), (0.0, end))]
         + [excitation.rest(sample_time, 0.02, end)]
@@ -345,19 +288,8 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
     return np.concatenate(pieces), parts
 
 
-def faded_in(wave: Array) -> Array:
-    """Fade a wave in along half a cosine, from rest at the center.
-
-    Parameters
-    ----------
-    wave : ndarray, shape (N,)
-        Reference about the center, mrad.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Reference, mrad.
-    """
+def faded_in(wave: Annotated[Array, "N"]) -> Annotated[Array, "N"]:
+    """Fade a wave in along half a cosine, from rest at the center."""
     return CENTRE + (wave - CENTRE) * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
 
 
@@ -367,18 +299,7 @@ def faded_out(wave: Array) -> Array:
 
 
 def without_coupling(model: Model) -> Model:
-    """Remove the cross-coupling from a model: the compensators treat each axis alone.
-
-    Parameters
-    ----------
-    model : Model
-        Identified model.
-
-    Returns
-    -------
-    Model
-        Model with the other stages.
-    """
+    """Remove the cross-coupling from a model: the compensators treat each axis alone."""
     return model.with_stages([stage for stage in model.chain.stages if not isinstance(stage, CrossCoupling)])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -35,27 +35,7 @@ def write(
     tracked: Mapping[str, Mapping[str, Array]],
     parts: Mapping[str, Any],
 ) -> None:
-    """Write the page of figures, `mhl.html`.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the page; created if missing.
-    table : Table
-        Table with the rows of the experiment.
-    fits : mapping of str to Fit
-        Fits by identification method.
-    fine : Fit
-        Fit to the record at 20 kHz.
-    records : mapping of str to Dataset
-        Records "static", "multi", "fast" and "fine".
-    places : sequence of (float, slice, slice)
-        Frequency (Hz) and rows of each axis in the record "fast".
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    parts : mapping of str to object
-        Parts of the tracking run by name.
-    """
+    """Write the page of figures, `mhl.html`."""
     folder.mkdir(parents=True, exist_ok=True)
     page = Page(
         "MHL: modeling and control of a fast steering mirror",
@@ -83,28 +63,10 @@ def write(
     page.write(folder / "mhl.html")
 
 
-def line(x: NDArray[np.number[Any]], y: Array, name: str, colour: int, *, legend: bool = True, dash: str = "solid") -> go.Scatter:
-    """Make a line, thinned when it has twice `MOST` points or more.
-
-    Parameters
-    ----------
-    x : ndarray, shape (N,)
-        Horizontal values.
-    y : ndarray, shape (N,)
-        Vertical values.
-    name : str
-        Name in the legend.
-    colour : int
-        Index of the color.
-    legend : bool
-        True to show the name in the legend.
-    dash : str
-        Style of the line: "solid", "dash" or "dot".
-
-    Returns
-    -------
-    go.Scatter
-    """
+def line(
+    x: NDArray[np.number[Any]], y: Annotated[Array, "N"], name: str, colour: int, *, legend: bool = True, dash: str = "solid"
+) -> go.Scatter:
+    """Make a line, thinned when it has twice `MOST` points or more."""
     step = max(len(x) // MOST, 1)
     return go.Scatter(
         x=x[::step],
@@ -117,19 +79,7 @@ def line(x: NDArray[np.number[Any]], y: Array, name: str, colour: int, *, legend
 
 
 def prediction(data: Dataset, fits: Mapping[str, Fit]) -> go.Figure:
-    """Draw tilt over drive and the prediction errors over time, axis x.
-
-    Parameters
-    ----------
-    data : Dataset
-        Record of the truth mirror.
-    fits : mapping of str to Fit
-        Fits by identification method.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw tilt over drive and the prediction errors over time, axis x."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=("tilt over drive [mrad over V]", "error over time [mrad over s]"))
     time = data.sample_time * np.arange(len(data.command))
     figure.add_trace(line(data.command[:, 0], data.measurement[:, 0], "measured", 0), 1, 1)
@@ -141,19 +91,7 @@ def prediction(data: Dataset, fits: Mapping[str, Fit]) -> go.Figure:
 
 
 def open_loop(data: Dataset, fit: Fit) -> go.Figure:
-    """Draw Fig. 10: measured and modeled responses by cross spectra of the last small sweep of axis x.
-
-    Parameters
-    ----------
-    data : Dataset
-        Record with the small sweep.
-    fit : Fit
-        Fit of the model.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 10: measured and modeled responses by cross spectra of the last small sweep of axis x."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB re 1 mrad/V]", "phase [deg]"))
     frequency, measured, modelled = mhl_responses.open_loop_responses(fit.model, data, 0)
     for colour, (name, value) in enumerate((("measured", measured), ("model", modelled))):
@@ -165,21 +103,7 @@ def open_loop(data: Dataset, fit: Fit) -> go.Figure:
 
 
 def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, slice, slice]]) -> go.Figure:
-    """Draw Figs. 12 and 13: the last two loops at every frequency, measured and simulated, means removed.
-
-    Parameters
-    ----------
-    data : Dataset
-        Record of the truth mirror.
-    fit : Fit
-        Fit of the model.
-    places : sequence of (float, slice, slice)
-        Frequency (Hz) and rows of each axis.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Figs. 12 and 13: the last two loops at every frequency, measured and simulated, means removed."""
     figure = make_subplots(rows=2, cols=3, subplot_titles=[f"{frequency:g} Hz" for frequency, _, _ in places])
     predicted = simulate(fit.model, data.command, data.sample_time)[:, 0]
     for place, (frequency, scored, _) in enumerate(places):
@@ -203,19 +127,7 @@ def fast_loops(data: Dataset, fit: Fit, places: Sequence[tuple[float, slice, sli
 
 
 def tracking(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
-    """Draw tilt and error of axis x over time.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw tilt and error of axis x over time."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("tilt [mrad]", "error [mrad]"))
     rows = slice(part.begin, part.end)
     time = 1e3 * LOOP * np.arange(part.end - part.begin)
@@ -230,19 +142,7 @@ def tracking(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure
 
 
 def linearity(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
-    """Draw Fig. 14 d: measured over wanted tilt of axis x, the last 100 samples.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 14 d: measured over wanted tilt of axis x, the last 100 samples."""
     figure = go.Figure()
     rows = slice(part.end - 100, part.end)
     for colour, name in enumerate(SHOWN, start=1):
@@ -253,19 +153,7 @@ def linearity(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figur
 
 
 def spiral(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
-    """Draw Fig. 17: the spiral, and the error of both axes over time.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 17: the spiral, and the error of both axes over time."""
     figure = make_subplots(rows=1, cols=2, subplot_titles=("y over x [mrad]", "error over time, both axes [mrad over ms]"))
     rows = slice(part.begin, part.end)
     time = 1e3 * LOOP * np.arange(part.end - part.begin)
@@ -282,19 +170,7 @@ def spiral(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
 
 
 def closed_loop(tracked: Mapping[str, Mapping[str, Array]], part: Any) -> go.Figure:
-    """Draw Fig. 18: the closed-loop response of axis x.
-
-    Parameters
-    ----------
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-
-    Returns
-    -------
-    go.Figure
-    """
+    """Draw Fig. 18: the closed-loop response of axis x."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, subplot_titles=("gain [dB]", "phase [deg]"))
     for colour, name in enumerate(SHOWN, start=1):
         frequency, value = mhl_responses.response(tracked[name], part, LOOP)

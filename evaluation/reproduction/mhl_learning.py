@@ -35,21 +35,7 @@ LEARNED_TIME = 2.0
 
 
 def add(table: Table, folder: Path, tuning: Tuning, preview: int, smoothing: int) -> None:
-    """Run and add what is learned.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    folder : Path
-        Working folder of the runs, which has the models joint.yaml and inverse.yaml.
-    tuning : Tuning
-        Tuned PI feedback.
-    preview : int
-        Ticks that the whole inverse looks ahead.
-    smoothing : int
-        Order of its low-pass without phase.
-    """
+    """Run and add what is learned."""
     period = round(1.0 / FREQUENCY / SAMPLE_TIME)
     trials = {"learning": "trials", "learning_period": period, "learning_settling": 1, "learning_averaged": PERIODS - 1}
     static = {"inverse_model": str(folder / "inverse.yaml"), "discretisation": "tustin"}
@@ -77,30 +63,7 @@ def add(table: Table, folder: Path, tuning: Tuning, preview: int, smoothing: int
 def repeated(
     folder: Path, kind: str, settings: Mapping[str, Any], periods: int, tuning: Tuning, preview: int, change: Mapping[str, Any]
 ) -> Array:
-    """Track a sine that repeats, on both axes.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run, in that of the models.
-    kind : str
-        Kind of compensator.
-    settings : mapping of str to object
-        Further parameters of the feedforward node.
-    periods : int
-        Number of periods.
-    tuning : Tuning
-        Tuned PI feedback.
-    preview : int
-        Ticks that the compensator looks ahead.
-    change : mapping of str to object
-        Further parameters of the plant node.
-
-    Returns
-    -------
-    ndarray, shape (periods, 2 N)
-        Errors of both axes in N ticks of a period, mrad.
-    """
+    """Track a sine that repeats, on both axes."""
     wave = excitation.sine(SAMPLE_TIME, FREQUENCY, REACH, CENTRE, 1.0 / FREQUENCY, -np.pi / 2)
     reference = np.tile(np.stack([wave, wave], axis=1), (periods, 1))
     signals = track(folder, kind, folder.parent / "joint.yaml", reference, tuning, settings, preview, change)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +17,7 @@ Complex = NDArray[np.complex128]
 
 
 def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, Complex, Complex]:
-    """Compute measured and modeled responses by cross spectra of an axis' small sweep.
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    data : Dataset
-        Record with the small sweep.
-    axis : int
-        Index of the axis.
-
-    Returns
-    -------
-    frequency
-        Frequencies (F,) from 30 to 4000 Hz.
-    measured
-        Measured response (F,), mrad/V.
-    modeled
-        Response of the model (F,), mrad/V.
-    """
+    """Compute measured and modeled responses by cross spectra of an axis' small sweep."""
     command = data.command[:, axis]
     own = slice(axis * len(command) // len(data.axes), (axis + 1) * len(command) // len(data.axes))
     moving = np.flatnonzero(np.abs(np.diff(command[own])) > 0)
@@ -49,25 +30,8 @@ def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, 
     return frequency, found[0], found[1]
 
 
-def cross_spectrum(u: Array, y: Array, sample_time: float) -> tuple[Array, Complex]:
-    """Estimate a frequency response from 30 to 4000 Hz in 109 logarithmic bands.
-
-    Parameters
-    ----------
-    u : ndarray, shape (N,)
-        Input.
-    y : ndarray, shape (N,)
-        Output.
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    frequency
-        Centers (F,) of the bands, Hz.
-    response
-        Complex response (F,), output unit / input unit.
-    """
+def cross_spectrum(u: Annotated[Array, "N"], y: Annotated[Array, "N"], sample_time: float) -> tuple[Array, Complex]:
+    """Estimate a frequency response from 30 to 4000 Hz in 109 logarithmic bands."""
     window = np.hanning(len(u))
     spectra = [np.fft.rfft(window * (signal - signal.mean())) for signal in (u, y)]
     frequency = np.fft.rfftfreq(len(u), sample_time)
@@ -89,23 +53,7 @@ def error_spectrum(
     frequency: float = 100.0,
     highest: int = 10,
 ) -> None:
-    """Add the composition of the single frequency's error, in % of the range: fundamental, harmonics and the rest.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-    sample_time : float
-        Sample time, s.
-    frequency : float
-        Fundamental, Hz.
-    highest : int
-        Highest harmonic.
-    """
+    """Add the composition of the single frequency's error, in % of the range: fundamental, harmonics and the rest."""
     for name, signals in tracked.items():
         wanted, actual = (signals[key][part.scored : part.end, 0] for key in ("reference", "measurement"))
         spectrum = np.fft.rfft(actual - wanted) / len(wanted)
@@ -129,26 +77,7 @@ def error_spectrum(
 
 
 def response(signals: Mapping[str, Array], part: Any, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
-    """Compute the response from reference to measurement of axis x, from the small multisine.
-
-    Parameters
-    ----------
-    signals : mapping of str to ndarray
-        Signals (N, 2) of one tracking run by name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-    sample_time : float
-        Sample time, s.
-    period : float
-        Period of the multisine, s.
-
-    Returns
-    -------
-    frequency
-        Frequencies (F,), Hz.
-    value
-        Complex response (F,).
-    """
+    """Compute the response from reference to measurement of axis x, from the small multisine."""
     count = int(round(period / sample_time))
     r, y = (
         np.fft.rfft(signals[key][part.scored : part.end, 0].reshape(-1, count).mean(axis=0)) for key in ("reference", "measurement")
@@ -159,66 +88,21 @@ def response(signals: Mapping[str, Array], part: Any, sample_time: float, period
 
 
 def fundamental(signals: Mapping[str, Array], part: Any, sample_time: float, frequency: float) -> complex:
-    """Compute measurement over reference of axis x at one frequency, over whole cycles.
-
-    Parameters
-    ----------
-    signals : mapping of str to ndarray
-        Signals (N, 2) of one tracking run by name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-    sample_time : float
-        Sample time, s.
-    frequency : float
-        Frequency, Hz.
-
-    Returns
-    -------
-    complex
-        Complex ratio.
-    """
+    """Compute measurement over reference of axis x at one frequency, over whole cycles."""
     rows = slice(part.scored, part.end)
     turn = np.exp(-2j * np.pi * frequency * sample_time * np.arange(part.end - part.scored))
     return complex((turn @ signals["measurement"][rows, 0]) / (turn @ signals["reference"][rows, 0]))
 
 
-def bandwidth(frequency: Array, value: Complex) -> float:
-    """Find the first frequency at which the gain, as a mean of three neighboring lines, falls below -3 dB.
-
-    Parameters
-    ----------
-    frequency : ndarray, shape (F,)
-        Frequencies, Hz.
-    value : ndarray, shape (F,)
-        Complex response.
-
-    Returns
-    -------
-    float
-        In Hz; the last frequency where the gain stays above.
-    """
+def bandwidth(frequency: Annotated[Array, "F"], value: Complex) -> float:
+    """Find the first frequency at which the gain, as a mean of three neighboring lines, falls below -3 dB."""
     size = np.sqrt(np.convolve(np.abs(value) ** 2, np.ones(3) / 3.0, "valid"))
     below = np.flatnonzero(size < np.sqrt(0.5))
     return float(frequency[1:-1][below[0]]) if len(below) else float(frequency[-1])
 
 
 def settling_time(signals: Mapping[str, Array], part: Any, sample_time: float) -> float:
-    """Find the time after the step from which the measurement stays within 2 % of the step's height.
-
-    Parameters
-    ----------
-    signals : mapping of str to ndarray
-        Signals (N, 2) of one tracking run by name, mrad or V.
-    part : object
-        Rows of one experiment of the tracking run.
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    float
-        In s.
-    """
+    """Find the time after the step from which the measurement stays within 2 % of the step's height."""
     reference, measurement = (signals[key][part.begin : part.end, 0] for key in ("reference", "measurement"))
     height = reference[-1] - reference[0]
     start = int(np.flatnonzero(reference != reference[0])[0])

@@ -10,19 +10,7 @@ from hyst_plant_sim.physics import load_plant
 
 
 def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "MHL robustness") -> None:
-    """Add the tuned loop of its model, and its margins on the truth plant with other gains and first modes.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tuning : Tuning
-        Tuned PI feedback.
-    plant : str
-        Name of the truth plant: "fsm" or "pea".
-    title : str
-        Title of the table.
-    """
+    """Add the tuned loop of its model, and its margins on the truth plant with other gains and first modes."""
     gains = (("kp", "V/unit"), ("ki", "V/(unit s)"), *((("roll_off", "Hz"),) if tuning.roll_off else ()), ("settling_time", "s"))
     for quantity, unit in gains:
         table.add(title, "model", "tuned PI", quantity, unit, getattr(tuning, quantity))
@@ -38,24 +26,7 @@ def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "M
 
 
 def truth_margins(tuning: Tuning, gain: float, mode: float, plant: str = "fsm") -> tuple[float, float]:
-    """Measure gain and phase margin on a changed truth plant.
-
-    Parameters
-    ----------
-    tuning : Tuning
-        Tuned PI feedback.
-    gain : float
-        Factor of the plant's gain.
-    mode : float
-        Factor of the first mode's frequency.
-    plant : str
-        Name of the truth plant: "fsm" or "pea".
-
-    Returns
-    -------
-    tuple of (float, float)
-        Gain (dB) and phase margin (degrees), the least of all axes; NaN where the loop is unstable.
-    """
+    """Measure gain and phase margin on a changed truth plant."""
     modes, centre, rms, top = MEASURED[plant]
     found = []
     for axis in range(len(modes)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from hyst_control.chain.stage import Array
 from hyst_control.config_files import config_path
@@ -27,25 +27,8 @@ SEED = 626
 BLOCK = 500
 
 
-def record(folder: Path, signal: Array, sample_time: float, seed: int) -> Dataset:
-    """Record the truth mirror in open loop, through the five nodes.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    signal : ndarray, shape (N, 2)
-        Drive, V.
-    sample_time : float
-        Sample time, s.
-    seed : int
-        Seed of the plant's noise.
-
-    Returns
-    -------
-    Dataset
-        The record.
-    """
+def record(folder: Path, signal: Annotated[Array, "N 2"], sample_time: float, seed: int) -> Dataset:
+    """Record the truth mirror in open loop, through the five nodes."""
     bag = run_processes(
         folder,
         signal,
@@ -67,38 +50,13 @@ def track(
     folder: Path,
     kind: str,
     path: Path,
-    reference: Array,
+    reference: Annotated[Array, "N 2"],
     tuning: Tuning | None,
     settings: Mapping[str, Any],
     preview: int,
     plant: Mapping[str, Any] | None = None,
 ) -> dict[str, Array]:
-    """Run one tracking experiment with a compensator, and with feedback if it is tuned.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    kind : str
-        Kind of compensator, such as "mhl".
-    path : Path
-        Model file for the feedforward node.
-    reference : ndarray, shape (N, 2)
-        Reference, mrad.
-    tuning : Tuning or None
-        Tuned PI feedback; None: open loop.
-    settings : mapping of str to object
-        Further parameters of the feedforward node.
-    preview : int
-        Ticks that the compensator looks ahead.
-    plant : mapping of str to object or None
-        Further parameters of the plant node.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
+    """Run one tracking experiment with a compensator, and with feedback if it is tuned."""
     bag = run_processes(
         folder,
         reference,
@@ -123,23 +81,8 @@ def feedback_parameters(tuning: Tuning | None) -> dict[str, Any]:
     return limits if tuning is None else {**limits, "kp": tuning.kp, "ki": tuning.ki, "roll_off": float(tuning.roll_off)}
 
 
-def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
-    """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    model : Model
-        Model that is inverted.
-    reference : ndarray, shape (N, 2)
-        Reference, mrad.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
+def lifted(folder: Path, model: Model, reference: Annotated[Array, "N 2"]) -> dict[str, Array]:
+    """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward."""
     command = lifted_inverse(model, reference, sample_time=SAMPLE_TIME, limits=RATING).command
     bag = run_processes(
         folder,
@@ -159,16 +102,5 @@ def lifted(folder: Path, model: Model, reference: Array) -> dict[str, Array]:
 
 
 def signals_of(bag: Path) -> dict[str, Array]:
-    """Read every signal of a tracking bag on one clock.
-
-    Parameters
-    ----------
-    bag : Path
-        Bag of a tracking run.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 2) by name, mrad or V.
-    """
+    """Read every signal of a tracking bag on one clock."""
     return dict(read_bag(bag).aligned(("reference", "feedforward", "feedback", "command", "measurement"))[0].values)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 
@@ -79,21 +79,8 @@ def rival_of(name: str) -> str:
     return TRADITIONAL + PLAIN if name.endswith(PLAIN) else TRADITIONAL
 
 
-def errors(wanted: Array, actual: Array) -> tuple[float, float, float]:
-    """Compute NME and NRMSE in % of the wanted range (paper Eq. 10, 11), and the NRMSE with the means removed.
-
-    Parameters
-    ----------
-    wanted : ndarray, shape (N,)
-        Wanted tilt, mrad.
-    actual : ndarray, shape (N,)
-        Measured or simulated tilt, mrad.
-
-    Returns
-    -------
-    tuple of (float, float, float)
-        NME, NRMSE, NRMSE with means removed, %.
-    """
+def errors(wanted: Annotated[Array, "N"], actual: Annotated[Array, "N"]) -> tuple[float, float, float]:
+    """Compute NME and NRMSE in % of the wanted range (paper Eq. 10, 11), and the NRMSE with the means removed."""
     error, span = actual - wanted, float(np.ptp(wanted))
     greatest, root, spread = (
         100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std())
@@ -114,17 +101,7 @@ def rate_correction_of(inverse: Model) -> RateCorrection:
 
 
 def parameters(table: Table, fit: Fit, inverse: Model) -> None:
-    """Add Tables 1 and 2 and Fig. 5, with the curves normalized to end at 1; the published values are of another mirror.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    fit : Fit
-        Fit of the paper's sequence.
-    inverse : Model
-        Identified inverse model.
-    """
+    """Add Tables 1 and 2 and Fig. 5, with the curves normalized to end at 1; the published values are of another mirror."""
     core = parallel_of(fit.model).branches[0][0]
     inverted = parallel_of(inverse)
     curves, correction = inverted.branches[0][0], rate_correction_of(inverse)
@@ -161,15 +138,7 @@ RATING_OVER = 100.0
 
 
 def widening(table: Table, data: Dataset) -> None:
-    """Add Fig. 1b: area of the measured loop relative to its box, for the first full slow loop and for the sweep's last at 100 Hz.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    data : Dataset
-        Record of the identification.
-    """
+    """Add Fig. 1b: area of the measured loop relative to its box, for the first full slow loop and for the sweep's last at 100 Hz."""
     for index, axis in enumerate(data.axes):
         command, measurement = data.command[:, index], data.measurement[:, index]
         top = np.flatnonzero(command >= 0.999 * command.max())
@@ -186,19 +155,7 @@ def widening(table: Table, data: Dataset) -> None:
 def predictions(
     table: Table, models: Mapping[str, Model], static: tuple[Dataset, list[slice]], multi: tuple[Dataset, list[slice]]
 ) -> None:
-    """Add Figs. 9 and 11: prediction errors on held-out records, after the drive has been at the top of the major loop.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    models : mapping of str to Model
-        Models by identification method.
-    static : tuple of (Dataset, list of slice)
-        Record of 1 Hz loops and the scored rows of each axis.
-    multi : tuple of (Dataset, list of slice)
-        Record of several frequencies and the scored rows of each axis.
-    """
+    """Add Figs. 9 and 11: prediction errors on held-out records, after the drive has been at the top of the major loop."""
     for title, (data, scored), published in (("MHL Fig. 9", static, (0.96, 0.25)), ("MHL Fig. 11", multi, (2.66, 0.85))):
         for method, model in models.items():
             predicted = simulate(model, data.command, data.sample_time)
@@ -208,19 +165,7 @@ def predictions(
 
 
 def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float, slice, slice]]) -> None:
-    """Add Table 3: errors on sines of 10 V about mid-drive.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model to simulate.
-    data : Dataset
-        Record of the sines.
-    places : sequence of (float, slice, slice)
-        Frequency (Hz) and scored rows of each axis.
-    """
+    """Add Table 3: errors on sines of 10 V about mid-drive."""
     predicted = simulate(model, data.command, data.sample_time)
     for frequency, *scored in places:
         for index, (axis, rows) in enumerate(zip(model.axes, scored, strict=True)):
@@ -233,15 +178,6 @@ def open_loop(table: Table, model: Model, data: Dataset) -> None:
 
     The relative error of the response, rms over the frequencies. Beside it stands the largest NRMSE of Table 3. Over a sine, that is an
     error relative to twice the amplitude; times 2 √2 it is a relative error of the response.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    model : Model
-        Model to simulate.
-    data : Dataset
-        Record with the small sweep.
     """
     for index, axis in enumerate(model.axes):
         frequency, measured, modelled = open_loop_responses(model, data, index)
@@ -265,40 +201,14 @@ def open_loop(table: Table, model: Model, data: Dataset) -> None:
 def add_errors(
     table: Table, title: str, case: str, subject: str, found: tuple[float, float, float], published: tuple[float, float] | None
 ) -> None:
-    """Add NME, NRMSE, and the NRMSE with the means removed.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    title : str
-        Title of the table.
-    case : str
-        Case of the rows.
-    subject : str
-        Subject of the rows.
-    found : tuple of (float, float, float)
-        Errors from `errors`, %.
-    published : tuple of (float, float) or None
-        Published NME and NRMSE, %; None: none.
-    """
+    """Add NME, NRMSE, and the NRMSE with the means removed."""
     table.add(title, case, subject, "nme", "%", found[0], published=published[0] if published else None)
     table.add(title, case, subject, "nrmse", "%", found[1], published=published[1] if published else None)
     table.add(title, case, subject, "nrmse, means removed", "%", found[2])
 
 
 def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
-    """Add Table 4, the reductions of §4.4, and the spiral of Fig. 17.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    parts : mapping of str to object
-        Parts of the tracking run by name.
-    """
+    """Add Table 4, the reductions of §4.4, and the spiral of Fig. 17."""
     for case, published in TABLE_4.items():
         part = parts[case]
         found = {}
@@ -332,17 +242,7 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
 
 
 def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
-    """Add the rms of the PI feedback's output, axis x, mean removed (paper §3: 40 % less with the proposed composite).
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    parts : mapping of str to object
-        Parts of the tracking run by name.
-    """
+    """Add the rms of the PI feedback's output, axis x, mean removed (paper §3: 40 % less with the proposed composite)."""
     for case in TABLE_4:
         rows = slice(parts[case].scored, parts[case].end)
         effort = {name: float(np.std(signals["feedback"][rows, 0])) for name, signals in tracked.items()}
@@ -361,21 +261,8 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
 
 
 def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
-    """Add the lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of the identified Ψ', and of N(s).
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    data : Dataset
-        Record under the drive of Fig. 11.
-    scored : sequence of slice
-        Scored rows of each axis.
-    inverse : Model
-        Identified inverse model with Ψ'.
-    rate_filter : sequence of float
-        Denominator coefficients of N(s), highest power of s first.
-    """
+    """Add the lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of the identified Ψ', and of N(s)."""
+    # data: record under the drive of Fig. 11
     k2 = cast(Sequence[float], rate_correction_of(inverse).k2)  # per axis
     s = 2j * np.pi * 100.0
     for index, axis in enumerate(data.axes):
@@ -391,19 +278,7 @@ def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model,
 
 
 def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any], sample_time: float) -> None:
-    """Add Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    tracked : mapping of str to mapping of str to ndarray
-        Signals (N, 2) by compensator and name, mrad or V.
-    parts : mapping of str to object
-        Parts of the tracking run by name.
-    sample_time : float
-        Sample time, s.
-    """
+    """Add Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time."""
     for name, signals in tracked.items():
         composite = name in COMPOSITES
         frequency, value = response(signals, parts["response"], sample_time)

@@ -66,18 +66,7 @@ SETTLING = (
 
 
 def mhl_targets(rows: Rows) -> list[Target]:
-    """List the targets of the MHL experiments.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of the experiments' result.
-
-    Returns
-    -------
-    list of Target
-        Targets with values and bounds.
-    """
+    """List the targets of the MHL experiments."""
     targets = TargetList()
     add = targets.add
 

@@ -20,22 +20,7 @@ SOURCES = ("reproduce hampi", "reproduce mhl")
 
 
 def read_result(path: str | Path) -> Table:
-    """Read the table of a result file.
-
-    Parameters
-    ----------
-    path : str or Path
-        JSON file written by `hyst reproduce --json`.
-
-    Returns
-    -------
-    Table
-
-    Raises
-    ------
-    InputError
-        Where it is not a result of HAMPI or MHL.
-    """
+    """Read the table of a result file."""
     document = read_json(path)
     if document.get("schema") != SCHEMA or document.get("source") not in SOURCES:
         raise InputError(f"{path}: is no result of hyst reproduce hampi or mhl")
@@ -56,20 +41,7 @@ TARGETS: dict[str, tuple[str, Callable[[Rows], list[Target]]]] = {
 
 
 def write_page(results: Sequence[str | Path], path: str | Path) -> None:
-    """Write the page of results.
-
-    Parameters
-    ----------
-    results
-        Files of `hyst reproduce --json`, one of each experiment.
-    path
-        Markdown file to write.
-
-    Raises
-    ------
-    InputError
-        When a file is no such result, or the page cannot be written.
-    """
+    """Write the page of results."""
     tables = [read_result(result) for result in results]
     files = [f"{table.source.split()[-1]}.json" for table in tables]
     text = render(

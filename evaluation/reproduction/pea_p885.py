@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
@@ -51,19 +51,7 @@ class Change:
     zero: float
 
     def of(self, record: Dataset, cut: int = 0) -> Dataset:
-        """Change a record and cut off its first rows; how it begins is for the identification to find.
-
-        Parameters
-        ----------
-        record : Dataset
-            Record to change.
-        cut : int
-            Rows to cut off.
-
-        Returns
-        -------
-        Dataset
-        """
+        """Change a record and cut off its first rows; how it begins is for the identification to find."""
         command = self.sign * record.command[cut:] + self.shift
         return replace(
             record, command=command, measurement=self.factor * record.measurement[cut:] + self.zero, start="auto", beginning=None
@@ -90,13 +78,7 @@ class Prediction:
 
 
 def load() -> tuple[Dataset, Dataset]:
-    """Load the two files: full loops and nested loops.
-
-    Raises
-    ------
-    InputError
-        Where they are absent or of another form.
-    """
+    """Load the two files: full loops and nested loops."""
     folder = data_folder("pea_p885")
     records = []
     for name, columns in (("Model_Vi_Do.dat", 7), ("Test_Vi_Do_Di.dat", 11)):
@@ -112,98 +94,35 @@ def load() -> tuple[Dataset, Dataset]:
 
 
 def cycles(record: Dataset) -> list[Dataset]:
-    """Split the first file into full cycles, each from one lowest command to the next.
-
-    Parameters
-    ----------
-    record : Dataset
-        First file, with the full loops.
-
-    Returns
-    -------
-    list of Dataset
-    """
+    """Split the first file into full cycles, each from one lowest command to the next."""
     command = record.command[:, 0]
     turns = turning_points(command)
     lowest = [int(turn) for turn in turns if command[turn] < 0.02 * command.max()]
     return [replace(record.rows(begin, end + 1), name=f"cycle {i + 1}") for i, (begin, end) in enumerate(zip(lowest, lowest[1:]))]
 
 
-def score(measured: Array, predicted: Array) -> float:
-    """Compute the NRMSE in % of the measured range, means removed.
-
-    Parameters
-    ----------
-    measured : ndarray, shape (N,)
-        Displacement, um.
-    predicted : ndarray, shape (N,)
-        Predicted displacement, um.
-
-    Returns
-    -------
-    float
-        In %.
-    """
+def score(measured: Annotated[Array, "N"], predicted: Annotated[Array, "N"]) -> float:
+    """Compute the NRMSE in % of the measured range, means removed."""
     return 100.0 * float(np.std(measured - predicted)) / float(np.ptp(measured))
 
 
-def predict(model: Model, record: Dataset) -> Array:
-    """Predict a record from its command.
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    record : Dataset
-        Record to predict.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Displacement, um.
-    """
+def predict(model: Model, record: Dataset) -> Annotated[Array, "N"]:
+    """Predict a record from its command."""
     return simulate(model, record.command)[:, 0]
 
 
 def fitted_error(model: Model, cycle: Dataset) -> float:
-    """Compute the error of a model on the cycle it was fitted on.
-
-    Parameters
-    ----------
-    model : Model
-        Model to simulate.
-    cycle : Dataset
-        Cycle on which the model is fitted.
-
-    Returns
-    -------
-    float
-        NRMSE with the mean removed, % of the range.
-    """
+    """Compute the error of a model on the cycle it was fitted on."""
     return float(record_rows(model, [cycle])[0][0]["nrmse_centered"])
 
 
-def nested_branches(command: Array, up: Callable[[float], float], down: Callable[[float], float], rule: str) -> Array:
+def nested_branches(
+    command: Annotated[Array, "N"], up: Callable[[float], float], down: Callable[[float], float], rule: str
+) -> Annotated[Array, "N"]:
     """Apply Madelung's rules with one of three branch rules.
 
     From a turning point A back to B: "scaled" moves the major curve to A and scales it in y to meet B; "affine" stretches it in
     both directions; "moved" only moves it, and jumps where it rejoins an outer branch.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        Command normalized to 0…1.
-    up : callable
-        Ascending major curve, from 0 to 1.
-    down : callable
-        Descending major curve, from 0 to 1.
-    rule : str
-        "scaled", "affine" or "moved".
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Output normalized to 0…1.
     """
     stack = [(1.0, 1.0), (0.0, 0.0)]
     u, y, direction = 0.0, 0.0, 1.0
@@ -237,23 +156,8 @@ def nested_branches(command: Array, up: Callable[[float], float], down: Callable
     return output
 
 
-def other_branches(model: Model, record: Dataset, rule: str) -> Array:
-    """Predict a record from a Madelung model's curves with another branch rule, under the record's own timing.
-
-    Parameters
-    ----------
-    model : Model
-        Madelung model.
-    record : Dataset
-        Record to predict.
-    rule : str
-        Branch rule of `nested_branches`.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Displacement, um.
-    """
+def other_branches(model: Model, record: Dataset, rule: str) -> Annotated[Array, "N"]:
+    """Predict a record from a Madelung model's curves with another branch rule, under the record's own timing."""
     stage = model.chain.stages[0]
     assert isinstance(stage, Madelung), f"{stage.name} has no branches"
     rising, falling = stage.curves(1)[0]
@@ -267,22 +171,7 @@ def other_branches(model: Model, record: Dataset, rule: str) -> Array:
 
 
 def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
-    """Fit a Madelung model behind a delay on a cycle and predict a record; the command is linear between its samples.
-
-    Parameters
-    ----------
-    cycle : Dataset
-        Cycle on which the model is fitted.
-    record : Dataset
-        Record to predict.
-
-    Returns
-    -------
-    prediction
-        Prediction of the record.
-    delay
-        Fitted delay, s.
-    """
+    """Fit a Madelung model behind a delay on a cycle and predict a record; the command is linear between its samples."""
 
     def fitted(delay: float) -> tuple[Model, float]:
         late = replace(cycle, command=shifted(cycle.command, delay))
@@ -296,44 +185,17 @@ def with_delay(cycle: Dataset, record: Dataset) -> tuple[Prediction, float]:
     return Prediction("Madelung, quintic, behind a delay", error, predict(model, replace(record, command=command[:, None]))), delay
 
 
-def shifted(command: Array, delay: float) -> Array:
-    """Delay a closed cycle, linear between its samples.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, 1)
-        Cycle whose first and last sample are equal, V.
-    delay : float
-        Delay, s.
-
-    Returns
-    -------
-    ndarray, shape (N, 1)
-        Delayed cycle, V.
-    """
+def shifted(command: Annotated[Array, "N 1"], delay: float) -> Annotated[Array, "N 1"]:
+    """Delay a closed cycle, linear between its samples."""
     n = len(command) - 1
     late: Array = np.interp(np.arange(n + 1) - delay / SAMPLE_TIME, np.arange(n + 1), command[:, 0], period=n)[:, None]
     return late
 
 
-def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
+def odd_map(command: Annotated[Array, "N"], highest: float, coefficients: Annotated[Array, "C"]) -> Array:
     """Apply the input map of Hammerstein-like models: c (1 + x + c3 x³ + c5 x⁵ + …).
 
     x is the distance from mid-drive c, relative to c.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,) or (N, 1)
-        Command, V.
-    highest : float
-        Highest command, V; mid-drive is half of it.
-    coefficients : ndarray, shape (C,)
-        c3, c5, …, without unit.
-
-    Returns
-    -------
-    ndarray
-        Mapped command, V.
     """
     center = 0.5 * highest
     x = (command - center) / center
@@ -342,22 +204,7 @@ def odd_map(command: Array, highest: float, coefficients: Array) -> Array:
 
 
 def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
-    """Fit play operators behind an odd polynomial of the command, both on the cycle.
-
-    Parameters
-    ----------
-    cycle : Dataset
-        Cycle on which the model is fitted.
-    record : Dataset
-        Record to predict.
-    count : int
-        Number of polynomial coefficients, from the cubic one on.
-
-    Returns
-    -------
-    Prediction
-        Prediction of the record.
-    """
+    """Fit play operators behind an odd polynomial of the command, both on the cycle."""
     highest = float(cycle.command.max())
 
     def fitted(coefficients: Array) -> tuple[Model, float]:
@@ -373,19 +220,7 @@ def mapped_operators(cycle: Dataset, record: Dataset, count: int) -> Prediction:
 
 
 def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
-    """Fit every static model on one cycle and predict the second file.
-
-    Parameters
-    ----------
-    cycle : Dataset
-        Cycle on which the model is fitted.
-    record : Dataset
-        Second file, with the nested loops.
-
-    Returns
-    -------
-    list of Prediction
-    """
+    """Fit every static model on one cycle and predict the second file."""
     found: list[Prediction] = []
     quintic = identify([cycle], "madelung").model
     found.append(Prediction("Madelung, quintic", fitted_error(quintic, cycle), predict(quintic, record)))
@@ -404,22 +239,7 @@ def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
 
 
 def generalized_operators(cycle: Dataset, record: Dataset, each_way: bool) -> Prediction:
-    """Fit generalized play operators, whose edges bend, on a cycle and predict a record.
-
-    Parameters
-    ----------
-    cycle : Dataset
-        Cycle on which the operators are fitted.
-    record : Dataset
-        Record to predict.
-    each_way : bool
-        A curve for each direction; False: one for both.
-
-    Returns
-    -------
-    Prediction
-        Prediction of the record.
-    """
+    """Fit generalized play operators, whose edges bend, on a cycle and predict a record."""
     measured, thresholds = cycle.measurement[:, 0], np.linspace(0.0, 0.5, OPERATORS, endpoint=False)
     model = fit_generalized_play(cycle.command[:, 0], measured, thresholds, each_way=each_way)
     name = f"{OPERATORS} generalized play operators, {GENERALIZED[each_way]}"
@@ -427,25 +247,7 @@ def generalized_operators(cycle: Dataset, record: Dataset, each_way: bool) -> Pr
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
-    """Compare every static model on held-out loops and return the table.
-
-    Parameters
-    ----------
-    json_path : str or Path or None
-        JSON file to write the table to; None: none.
-    figures_dir : str or Path or None
-        Folder for the figure; None: none.
-
-    Returns
-    -------
-    Table
-        All rows of the experiment.
-
-    Raises
-    ------
-    InputError
-        Where the measurements are absent.
-    """
+    """Compare every static model on held-out loops and return the table."""
     full, nested = load()
     available = cycles(full)
     table = Table("reproduce pea-p885")
@@ -465,17 +267,7 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
 
 
 def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
-    """Add the held-out and fitted errors of every model.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    found : sequence of Prediction
-        Predictions of every model.
-    nested : Dataset
-        Second file, with the nested loops.
-    """
+    """Add the held-out and fitted errors of every model."""
     title = "P-885.91, fitted on one cycle, nested loops held out"
     for model in found:
         for case, rows in SCORED.items():
@@ -484,17 +276,7 @@ def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
 
 
 def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -> None:
-    """Add the scatter of the error when other cycles are fitted.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    available : sequence of Dataset
-        Full cycles; every fourth one is fitted.
-    nested : Dataset
-        Second file, with the nested loops.
-    """
+    """Add the scatter of the error when other cycles are fitted."""
     found: dict[str, list[Array]] = {}
     for cycle in available[::4]:
         found.setdefault("Madelung, quintic", []).append(predict(identify([cycle], "madelung").model, nested))
@@ -513,15 +295,7 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
 
 
 def report_fitted_there(table: Table, nested: Dataset) -> None:
-    """Add play operators fitted on the scored rows themselves: the least error that their predictions can reach.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    nested : Dataset
-        Second file, with the nested loops.
-    """
+    """Add play operators fitted on the scored rows themselves: the least error that their predictions can reach."""
     for case, rows in SCORED.items():
         part = nested.rows(rows.start, rows.stop + 1)
         model = identify([part], "pi", operators=OPERATORS, nuisance="offset").model
@@ -537,17 +311,7 @@ def report_fitted_there(table: Table, nested: Dataset) -> None:
 
 
 def report_changes(table: Table, cycle: Dataset, nested: Dataset) -> None:
-    """Add the held-out error when signs, offsets and beginnings of the records are others.
-
-    Parameters
-    ----------
-    table : Table
-        Table to which rows are added.
-    cycle : Dataset
-        Cycle on which the model is fitted.
-    nested : Dataset
-        Second file, with the nested loops.
-    """
+    """Add the held-out error when signs, offsets and beginnings of the records are others."""
     for name, change in CHANGES.items():
         model = identify([change.of(cycle)], "madelung").model
         record = with_beginning(change.of(nested, CUT))
@@ -560,17 +324,7 @@ def report_changes(table: Table, cycle: Dataset, nested: Dataset) -> None:
 
 
 def draw(folder: Path, found: Sequence[Prediction], nested: Dataset) -> None:
-    """Draw nested loops, measured and predicted, and the errors of every model over time.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for the figure; created if missing.
-    found : sequence of Prediction
-        Predictions of every model.
-    nested : Dataset
-        Second file, with the nested loops.
-    """
+    """Draw nested loops, measured and predicted, and the errors of every model over time."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -52,13 +52,7 @@ class TargetList:
         cause: str = "",
         origin: str = PAPER,
     ) -> None:
-        """Add a target, whose name begins with its claim.
-
-        Parameters
-        ----------
-        claim, name, value, bound, unit, at_least, cause, origin
-            As in `Target`.
-        """
+        """Add a target, whose name begins with its claim."""
         self.found.append(Target(f"{claim}: {name}", value, bound, unit, at_least, cause, claim, origin))
 
 
@@ -69,29 +63,7 @@ class Rows:
         self.rows = rows
 
     def value(self, table: str, case: str, subject: str, quantity: str) -> float:
-        """Look up the value of one row.
-
-        Parameters
-        ----------
-        table : str
-            Title of the table.
-        case : str
-            Its case.
-        subject : str
-            Its subject.
-        quantity : str
-            Its quantity.
-
-        Returns
-        -------
-        float
-            In the row's unit.
-
-        Raises
-        ------
-        InputError
-            Where the result does not have exactly one such row: it is of another version.
-        """
+        """Look up the value of one row."""
         found = [
             row.value for row in self.rows if (row.table, row.case, row.subject, row.quantity) == (table, case, subject, quantity)
         ]
@@ -100,20 +72,7 @@ class Rows:
         return found[0]
 
     def least(self, table: str, quantity: str) -> float:
-        """Look up the least value of a quantity over the cases measured on the truth plant.
-
-        Parameters
-        ----------
-        table : str
-            Title of the table.
-        quantity : str
-            Quantity to look up.
-
-        Returns
-        -------
-        float
-            In the rows' unit; NaN where a value is missing.
-        """
+        """Look up the least value of a quantity over the cases measured on the truth plant."""
         values = [
             row.value for row in self.rows if row.table == table and row.quantity == quantity and row.case.startswith("truth")
         ]
@@ -121,22 +80,7 @@ class Rows:
 
 
 def margin_targets(rows: Rows, table: str, cause: str) -> list[Target]:
-    """List gain and phase margin of the tuned feedback on the truth plant, the worst over gain ±10 % and first mode ±20 %.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of one result.
-    table : str
-        Title of the table of margins.
-    cause : str
-        Reason why a target is missed.
-
-    Returns
-    -------
-    list of Target
-        Two targets, dB and degrees.
-    """
+    """List gain and phase margin of the tuned feedback on the truth plant, the worst over gain ±10 % and first mode ±20 %."""
     where = "tuned feedback on the truth plant, ±10 % gain, ±20 % mode"
     return [
         Target(f"{where}: gain margin", rows.least(table, "gain_margin"), 6.0, "dB", True, cause, origin=OURS),

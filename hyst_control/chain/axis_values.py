@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 
@@ -13,18 +13,7 @@ from hyst_control.errors import InputError
 
 
 def frozen(value: Any) -> Any:
-    """Nested lists and arrays as nested tuples of Python numbers.
-
-    Parameters
-    ----------
-    value
-        Of a parameter.
-
-    Returns
-    -------
-    object
-        Hashable and comparable.
-    """
+    """Nested lists and arrays as nested tuples of Python numbers."""
     if type(value) in PLAIN:
         return value
     if isinstance(value, np.ndarray):
@@ -37,61 +26,17 @@ def frozen(value: Any) -> Any:
 
 
 def thawed(value: Any) -> Any:
-    """Nested tuples as nested lists, as YAML writes them.
-
-    Parameters
-    ----------
-    value
-        Of a stage's parameter.
-
-    Returns
-    -------
-    object
-        For a model file.
-    """
+    """Nested tuples as nested lists, as YAML writes them."""
     return [thawed(item) for item in value] if isinstance(value, tuple) else value
 
 
 def depth(value: Any) -> int:
-    """Nesting depth of a checked value.
-
-    Parameters
-    ----------
-    value
-        Number or nested tuples.
-
-    Returns
-    -------
-    int
-        0 for a number, 1 for a list of numbers, and so on.
-    """
+    """Nesting depth of a checked value."""
     return 1 + (depth(value[0]) if value else 0) if isinstance(value, tuple) else 0
 
 
 def per_axis(value: VectorPerAxis | ScalarPerAxis | AllAxes, axes: int, due: int, field: str) -> list[Array]:
-    """Spread a parameter over the axes.
-
-    Parameters
-    ----------
-    value
-        Of a stage, for all axes alike or per axis.
-    axes
-        Number of axes.
-    due
-        Dimensions of one axis' value: 0 for a number, 1 for a list.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    list of ndarray
-        One array of `due` dimensions per axis.
-
-    Raises
-    ------
-    InputError
-        When a per-axis list has another length than there are axes.
-    """
+    """Spread a parameter over the axes."""
     found = depth(value)
     if found == due:
         return [_array(value, due, field)] * axes
@@ -113,65 +58,18 @@ def _array(value: Any, dimensions: int, field: str) -> Array:
     return array
 
 
-def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Array:
-    """Spread a parameter that is a number per axis over the axes.
-
-    Parameters
-    ----------
-    value
-        For all axes alike or per axis.
-    axes
-        Number of axes.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    ndarray
-        (A,).
-    """
+def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Annotated[Array, "A"]:
+    """Spread a parameter that is a number per axis over the axes."""
     if type(value) is float:
         return np.array([value] * axes)
     return np.array([float(item) for item in per_axis(value, axes, 0, field)])
 
 
 def per_axis_scalars(stage: object, axes: int, *names: str) -> list[Array]:
-    """Spread parameters of a stage that are a number per axis over the axes.
-
-    Parameters
-    ----------
-    stage
-        With the parameters.
-    axes
-        Number of axes.
-    names
-        Of the parameters.
-
-    Returns
-    -------
-    list of ndarray
-        Each (A,).
-    """
+    """Spread parameters of a stage that are a number per axis over the axes."""
     return [per_axis_scalar(getattr(stage, name), axes, name) for name in names]
 
 
-def scaled(value: VectorPerAxis | ScalarPerAxis, factor: Array, due: int, field: str) -> Any:
-    """Multiply a parameter by a factor per axis.
-
-    Parameters
-    ----------
-    value
-        For all axes alike or per axis.
-    factor
-        (A,).
-    due
-        Dimensions of one axis' value: 0 for a number, 1 for a list.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    tuple
-        Per axis, as a stage keeps it.
-    """
+def scaled(value: VectorPerAxis | ScalarPerAxis, factor: Annotated[Array, "A"], due: int, field: str) -> Any:
+    """Multiply a parameter by a factor per axis."""
     return frozen([item * share for item, share in zip(per_axis(value, len(factor), due, field), factor, strict=True)])

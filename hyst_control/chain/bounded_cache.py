@@ -34,18 +34,7 @@ class _Call:
 
 
 def remembered(work: Callable[..., Result]) -> Callable[..., Result]:
-    """Keep the results of a function: for the same values it returns the same object, which must not be changed.
-
-    Parameters
-    ----------
-    work
-        A function of positional arguments: arrays, dataclasses of arrays, lists, and what can be a dictionary's key.
-
-    Returns
-    -------
-    Callable
-        The function with its cache of `KEPT` results.
-    """
+    """Keep the results of a function: for the same values it returns the same object, which must not be changed."""
 
     @lru_cache(KEPT)
     def result_of(call: _Call) -> Result:

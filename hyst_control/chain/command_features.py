@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
@@ -34,43 +34,17 @@ LONGEST, BLOCK = 2**20, 2**18
 
 @dataclass(frozen=True)
 class CommandFeatures:
-    """Features of the command of one axis.
+    """Features of the command of one axis."""
 
-    Parameters
-    ----------
-    center : float
-        Middle of the range on which the scales were set, V.
-    span : float
-        Range, V.
-    rate : float
-        Largest rate, V/s.
-    lag : float
-        Time in which the fastest part crosses a 64th of the range, s.
-    duration : float
-        Length of the longest record, s.
-    """
-
-    center: float
-    span: float
-    rate: float
-    lag: float
-    duration: float
+    center: float  # Middle of the range on which the scales were set, V
+    span: float  # Range, V
+    rate: float  # Largest rate, V/s
+    lag: float  # Time in which the fastest part crosses a 64th of the range, s
+    duration: float  # Length of the longest record, s
 
     @classmethod
     def of(cls, commands: Sequence[Array], sample_time: float) -> CommandFeatures:
-        """Set the scales on commands.
-
-        Parameters
-        ----------
-        commands : sequence of ndarray, shape (N,)
-            Commands of one axis, V.
-        sample_time : float
-            Their sample time, s.
-
-        Returns
-        -------
-        CommandFeatures
-        """
+        """Set the scales on commands."""
         low, high = min(float(u.min()) for u in commands), max(float(u.max()) for u in commands)
         span = max(high - low, 1e-12)
         rate = max(rate_quantile(u, sample_time, 0.99) for u in commands)
@@ -79,40 +53,17 @@ class CommandFeatures:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> CommandFeatures:
-        """Read the scales from a model file.
-
-        Parameters
-        ----------
-        document : mapping
-            As `document` makes it.
-
-        Returns
-        -------
-        CommandFeatures
-        """
+        """Read the scales from a model file."""
         return cls(**{name: float(document[name]) for name in cls.__dataclass_fields__})
 
     def document(self) -> dict[str, float]:
         """Convert the scales to JSON types."""
         return asdict(self)
 
-    def rows(self, command: Array, sample_time: float, causal: bool = False) -> Array:
-        """Compute the features of a command.
-
-        Parameters
-        ----------
-        command : ndarray, shape (N,)
-            Command, V.
-        sample_time : float
-            Its sample time, s.
-        causal : bool
-            Whether the rate is one of past samples alone, as a stage has it that runs along with the command; else it is centered.
-
-        Returns
-        -------
-        ndarray, shape (N, F)
-            Features, without unit.
-        """
+    def rows(self, command: Annotated[Array, "N"], sample_time: float, causal: bool = False) -> Annotated[Array, "N F"]:
+        """Compute the features of a command."""
+        # causal: whether the rate is one of past samples alone, as a stage has it that runs along with the command; else it is
+        # centered
         running = FeatureFilter(self, sample_time)
         running.settle(float(command[0]))
         if causal:
@@ -121,23 +72,8 @@ class CommandFeatures:
         ahead, behind = _late(u[::-1], width)[::-1], _late(u, width)
         return running.process(command, (ahead - behind) / running.crossing)
 
-    def blocks(self, command: Array, sample_time: float) -> Iterator[tuple[slice, Array]]:
-        """Compute the features of a command of any length block by block: those of `rows`, the rate being centered.
-
-        Parameters
-        ----------
-        command : ndarray, shape (N,)
-            Command, V.
-        sample_time : float
-            Its sample time, s.
-
-        Yields
-        ------
-        part : slice
-            Rows of the command.
-        features : ndarray, shape (n, F)
-            Their features, without unit.
-        """
+    def blocks(self, command: Annotated[Array, "N"], sample_time: float) -> Iterator[tuple[slice, Array]]:
+        """Compute the features of a command of any length block by block: those of `rows`, the rate being centered."""
         running = FeatureFilter(self, sample_time)
         running.settle(float(command[0]))
         for begin in range(0, len(command), BLOCK):
@@ -148,23 +84,8 @@ class CommandFeatures:
             yield part, running.process(command[part], (ahead - behind) / running.crossing)
 
 
-def rate_quantile(command: Array, sample_time: float, share: float) -> float:
-    """Quantile of the size of a command's rate.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        Command, V.
-    sample_time : float
-        Its sample time, s.
-    share : float
-        Share of the samples that are slower; of more than `LONGEST` samples so many are looked at, spread evenly.
-
-    Returns
-    -------
-    float
-        V/s.
-    """
+def rate_quantile(command: Annotated[Array, "N"], sample_time: float, share: float) -> float:
+    """Quantile of the size of a command's rate."""
     if len(command) <= LONGEST:
         return float(np.quantile(np.abs(np.gradient(command, sample_time)), share))
     rows = np.linspace(1, len(command) - 2, LONGEST).astype(np.int64)
@@ -179,40 +100,18 @@ FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)
 
 @njit(cache=True, error_model="numpy")
 def features_of_tick(
-    ring: Array,
+    ring: Annotated[Array, "L"],
     now: int,
     rate: float,
     lags: NDArray[np.int64],
     half_widths: Array,
     keeps: Array,
-    turning: Array,
+    turning: Annotated[Array, "3"],
     plays: Array,
     slow: Array,
-    features: Array,
+    features: Annotated[Array, "F"],
 ) -> None:
-    """Advance the memories by one tick and compute its features.
-
-    Parameters
-    ----------
-    ring
-        (L,), scaled commands.
-    now
-        Place of the tick's command, plus any multiple of L that keeps the places before it positive.
-    rate
-        As a share of the largest.
-    lags
-        Ticks of the lagged copies.
-    half_widths
-        Of the play operators.
-    keeps
-        Factors by which the low-passes keep their values in a tick.
-    turning
-        (3,), last turning point, extreme since, 1 while rising; changed.
-    plays, slow
-        Outputs of the play operators and low-passes; changed.
-    features
-        (F,), filled.
-    """
+    """Advance the memories by one tick and compute its features."""
     length = ring.size
     u = ring[now % length]
     turn, extreme, rising = turning[0], turning[1], turning[2]
@@ -322,15 +221,7 @@ FEATURES_IN_C = FEATURES_IN_C.replace("LEAST_REVERSAL", repr(LEAST_REVERSAL))
 
 
 def feature_memory(axes: int, length: int) -> dict[str, Member]:
-    """State of the features in C.
-
-    Parameters
-    ----------
-    axes
-        Number of axes.
-    length
-        Of the rings.
-    """
+    """State of the features in C."""
     shapes = {"ring": (length, "scaled commands"), "plays": (len(PLAYS), "play operators"), "slow": (len(CREEPS), "low-passes")}
     found = {name: reals(np.zeros((axes, count)), text, wide=True) for name, (count, text) in shapes.items()}
     return {**found, "turning": reals(np.zeros((axes, 3)), "turning point, farthest value since, 1 while rising", wide=True)}
@@ -338,35 +229,19 @@ def feature_memory(axes: int, length: int) -> dict[str, Member]:
 
 @njit(cache=True, error_model="numpy")
 def feature_rows(
-    command: Array,
-    rate: Array,
+    command: Annotated[Array, "N"],
+    rate: Annotated[Array, "N"],
     crossing: float,
     ticks: NDArray[np.int64],
     half_widths: Array,
     keeps: Array,
-    ring: Array,
+    ring: Annotated[Array, "L"],
     position: NDArray[np.int64],
     turning: Array,
     plays: Array,
     slow: Array,
 ) -> Array:
-    """Features (N, F) of successive ticks of one axis.
-
-    Parameters
-    ----------
-    command
-        (N,), scaled.
-    rate
-        (N,), as shares of the largest; empty for the rate of past samples.
-    crossing
-        Change of the scaled command over the ticks of the rate's difference at the largest rate.
-    ticks
-        Ticks of the rate's difference, then of the lagged copies.
-    half_widths, keeps, turning, plays, slow
-        As for `features_of_tick`.
-    ring, position
-        (L,) and (1,): scaled commands and the place of the newest; changed.
-    """
+    """Features (N, F) of successive ticks of one axis."""
     length = ring.size
     rows = np.empty((command.size, FEATURES))
     for row in range(command.size):
@@ -379,15 +254,7 @@ def feature_rows(
 
 
 class FeatureFilter:
-    """Streaming features of the command of one axis: blocks may be cut anywhere.
-
-    Parameters
-    ----------
-    features : CommandFeatures
-        Scales.
-    sample_time : float
-        s.
-    """
+    """Streaming features of the command of one axis: blocks may be cut anywhere."""
 
     def __init__(self, features: CommandFeatures, sample_time: float) -> None:
         self.features = features
@@ -399,19 +266,8 @@ class FeatureFilter:
         self.ticks = np.concatenate([[2 * self.width], self.lags]).astype(np.int64)
         self.settle(features.center)
 
-    def settle(self, value: float) -> Array:
-        """Begin at a command, V, that has rested.
-
-        Parameters
-        ----------
-        value : float
-            V.
-
-        Returns
-        -------
-        ndarray, shape (F,)
-            Features.
-        """
+    def settle(self, value: float) -> Annotated[Array, "F"]:
+        """Begin at a command, V, that has rested."""
         u = (value - self.features.center) / self.features.span
         self.ring, self.position = np.full(int(self.ticks.max()) + 1, u), np.zeros(1, dtype=np.int64)
         self.turning = np.array([u, u, 1.0])
@@ -419,21 +275,8 @@ class FeatureFilter:
         features: Array = at_rest(np.array([u]))[0]
         return features
 
-    def process(self, command: Array, rate: Array | None = None) -> Array:
-        """Compute the features of the next samples.
-
-        Parameters
-        ----------
-        command : ndarray, shape (N,)
-            V.
-        rate : ndarray, shape (N,), optional
-            Rate as a share of the largest, from elsewhere than the past samples.
-
-        Returns
-        -------
-        ndarray, shape (N, F)
-            Features.
-        """
+    def process(self, command: Annotated[Array, "N"], rate: Array | None = None) -> Annotated[Array, "N F"]:
+        """Compute the features of the next samples."""
         u = (command - self.features.center) / self.features.span
         given = np.zeros(0) if rate is None else rate
         memory = (self.ring, self.position, self.turning, self.plays, self.slow)
@@ -441,14 +284,8 @@ class FeatureFilter:
         return rows
 
 
-def at_rest(u: Array) -> Array:
-    """Features (A, F) of scaled commands (A,) that have rested.
-
-    Parameters
-    ----------
-    u
-        (A,).
-    """
+def at_rest(u: Annotated[Array, "A"]) -> Array:
+    """Features (A, F) of scaled commands (A,) that have rested."""
     found = np.zeros((len(u), FEATURES))
     found[:, 0], found[:, 1], found[:, 2] = u, u * u, u * u * u
     found[:, FIRST_PLAY : FIRST_PLAY + len(PLAYS)] = u[:, None]
@@ -461,21 +298,8 @@ def _late(u: Array, count: int) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def play(values: Array, half: float) -> Array:
-    """Play operator, which begins at its input.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Input.
-    half : float
-        Half its width, in the input's unit.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Output.
-    """
+def play(values: Annotated[Array, "N"], half: float) -> Annotated[Array, "N"]:
+    """Play operator, which begins at its input."""
     state, output = values[0], np.empty_like(values)
     for k in range(values.size):
         state = min(max(state, values[k] - half), values[k] + half)

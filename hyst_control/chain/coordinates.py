@@ -17,20 +17,7 @@ Place = tuple[int, ...]
 
 
 def chain_coordinates(stages: Sequence[Stage], axes: Sequence[str]) -> dict[str, Coordinate]:
-    """Every number of a chain that may scatter.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    axes
-        Names of the axes.
-
-    Returns
-    -------
-    dict
-        By name.
-    """
+    """Every number of a chain that may scatter."""
     found = {}
     for title, _, stage in _titled(stages):
         for (name, axis), coordinate in stage.coordinates(len(axes)).items():
@@ -39,27 +26,7 @@ def chain_coordinates(stages: Sequence[Stage], axes: Sequence[str]) -> dict[str,
 
 
 def with_coordinates(stages: Sequence[Stage], values: Mapping[str, float], axes: Sequence[str]) -> tuple[Stage, ...]:
-    """A chain with other values of some of its numbers.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    values
-        By the names of `chain_coordinates`; others are not looked at.
-    axes
-        Names of the axes.
-
-    Returns
-    -------
-    tuple of Stage
-        The chain.
-
-    Raises
-    ------
-    InputError
-        The values make no such stage.
-    """
+    """A chain with other values of some of its numbers."""
     changed: dict[Place, Stage] = {}
     for title, place, stage in _titled(stages):
         own = {}

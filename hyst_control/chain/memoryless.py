@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numba import njit
@@ -84,34 +84,17 @@ class Offset(Stage):
 
 @njit(cache=True, error_model="numpy")
 def rectified(x: float) -> float:
-    """log(1 + e^x), which is x far above 0 and 0 far below, by the functions of the C library, which the exported C calls too.
-
-    Parameters
-    ----------
-    x
-        Any number.
-    """
+    """log(1 + e^x), which is x far above 0 and 0 far below, by the functions of the C library, which the exported C calls too."""
     if x > 0.0:
         return x + math.log1p(math.exp(-x))
     return math.log1p(math.exp(x))
 
 
 @njit(cache=True, error_model="numpy")
-def gradual_limits(signal: Array, lower: Array, upper: Array, knee: Array) -> Array:
-    """Limit a signal (N, A) as `Saturation` says.
-
-    Parameters
-    ----------
-    signal
-        (N, A), signal unit.
-    lower, upper, knee
-        (A,), signal unit.
-
-    Returns
-    -------
-    ndarray
-        (N, A).
-    """
+def gradual_limits(
+    signal: Annotated[Array, "N A"], lower: Annotated[Array, "A"], upper: Annotated[Array, "A"], knee: Annotated[Array, "A"]
+) -> Annotated[Array, "N A"]:
+    """Limit a signal (N, A) as `Saturation` says."""
     output = np.empty_like(signal)
     for row in range(signal.shape[0]):
         for axis in range(signal.shape[1]):

@@ -63,64 +63,33 @@ class Scattering(Enum):
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A number in which the uncertainty of a stage is stated.
+    """A number in which the uncertainty of a stage is stated."""
 
-    Parameters
-    ----------
-    value
-        Nominal value.
-    size
-        What a relative uncertainty of it refers to: its own size, or of a list's entry the mean size of the list, if that is larger.
-    unit
-        "" where it has none.
-    parameter
-        Parameter of the model file that it is written in.
-    """
-
-    value: float
+    value: float  # Nominal value
+    # What a relative uncertainty of it refers to: its own size, or of a list's entry the mean size of the list, if that is larger
     size: float
-    unit: str
-    parameter: str
+    unit: str  # "" where it has none
+    parameter: str  # Parameter of the model file that it is written in
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Declaration of one parameter of a stage.
+    """Declaration of one parameter of a stage."""
 
-    Parameters
-    ----------
-    kind
-        Form in the model file, which tells how it belongs to the axes.
-    unit
-        "" where it has none.
-    text
-        One phrase for the documents.
-    lower, above, upper, below
-        Bounds of every number: >= lower, > above, <= upper, < below.
-    infinite
-        Whether infinite numbers are allowed.
-    whole
-        Whether every number is a whole one.
-    dimensions
-        Nesting of a parameter of all axes: 0 a number, 1 a list, 2 a matrix; several where it may have several.
-    optional
-        Whether it may be left out without a value (`None`).
-    scatter
-        The way in which it is uncertain.
-    """
-
-    kind: Kind
-    unit: str
-    text: str
+    kind: Kind  # Form in the model file, which tells how it belongs to the axes
+    unit: str  # "" where it has none
+    text: str  # One phrase for the documents
+    # lower, above, upper, below: Bounds of every number: >= lower, > above, <= upper, < below
     lower: float = -np.inf
     above: float = -np.inf
     upper: float = np.inf
     below: float = np.inf
-    infinite: bool = False
-    whole: bool = False
+    infinite: bool = False  # Whether infinite numbers are allowed
+    whole: bool = False  # Whether every number is a whole one
+    # Nesting of a parameter of all axes: 0 a number, 1 a list, 2 a matrix; several where it may have several
     dimensions: tuple[int, ...] = ()
-    optional: bool = False
-    scatter: Scattering = Scattering.RELATIVE
+    optional: bool = False  # Whether it may be left out without a value (`None`)
+    scatter: Scattering = Scattering.RELATIVE  # The way in which it is uncertain
 
     @cached_property
     def per_axis(self) -> int | None:
@@ -133,15 +102,7 @@ class Parameter:
         return self.dimensions if self.per_axis is None else (self.per_axis, self.per_axis + 1)
 
     def check(self, name: str, value: Any) -> None:
-        """Raise `InputError` naming the parameter and the remedy unless a value has the declared form and bounds.
-
-        Parameters
-        ----------
-        name
-            Of the parameter, for the message.
-        value
-            Nested tuples of numbers, as `stage.frozen` makes them.
-        """
+        """Raise `InputError` naming the parameter and the remedy unless a value has the declared form and bounds."""
         if value is None and self.optional or self.kind is Kind.CHAINS:
             return
         if self.kind is Kind.FLAG:
@@ -206,71 +167,27 @@ def _short(value: Any) -> str:
 
 
 def scalar(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that is a number for every axis alike or a list with one per axis.
-
-    Parameters
-    ----------
-    unit
-        As for `Parameter`.
-    text
-        One phrase for the documents.
-    default
-        Value where the model file has none; None: it may be left out.
-    declared
-        The rest of `Parameter`.
-    """
+    """Declare a field that is a number for every axis alike or a list with one per axis."""
     return _field(Parameter(Kind.SCALAR, unit, text, optional=default is None, **declared), default)
 
 
 def vector(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that is a list for every axis alike or a list of lists, one per axis.
-
-    Parameters
-    ----------
-    unit, text, default, declared
-        As for `scalar`.
-    """
+    """Declare a field that is a list for every axis alike or a list of lists, one per axis."""
     return _field(Parameter(Kind.VECTOR, unit, text, optional=default is None, **declared), default)
 
 
 def all_axes(unit: str, text: str, *dimensions: int, default: Any = MISSING, **declared: Any) -> Any:
-    """Declare a field that belongs to all axes together.
-
-    Parameters
-    ----------
-    unit, text, default, declared
-        As for `scalar`.
-    dimensions
-        Number (0), list (1), matrix (2) or list of matrices (3); several where it may be several.
-    """
+    """Declare a field that belongs to all axes together."""
     return _field(Parameter(Kind.ALL_AXES, unit, text, dimensions=dimensions, optional=default is None, **declared), default)
 
 
 def count(text: str, *, default: Any = MISSING, lower: int = 0) -> Any:
-    """Declare a field that is a whole number, and known exactly.
-
-    Parameters
-    ----------
-    text
-        One phrase for the documents.
-    default
-        Value where the model file has none; None: it may be left out.
-    lower
-        Least value.
-    """
+    """Declare a field that is a whole number, and known exactly."""
     return _field(Parameter(Kind.COUNT, "", text, lower=lower, scatter=Scattering.NONE), default)
 
 
 def flag(text: str, *, default: bool = False) -> Any:
-    """Declare a field that is true or false.
-
-    Parameters
-    ----------
-    text
-        One phrase for the documents.
-    default
-        Value where the model file has none.
-    """
+    """Declare a field that is true or false."""
     return _field(Parameter(Kind.FLAG, "", text, scatter=Scattering.NONE), default)
 
 

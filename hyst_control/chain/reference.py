@@ -23,13 +23,7 @@ identification knows it.
 
 
 def stages_reference() -> str:
-    """Every registered stage in alphabetical order: its first sentence, its equation and a table of its parameters.
-
-    Returns
-    -------
-    str
-        Text of the page `docs/stages.md`.
-    """
+    """Every registered stage in alphabetical order: its first sentence, its equation and a table of its parameters."""
     return HEAD + "".join(_section(name, STAGES[name]) for name in sorted(STAGES))
 
 

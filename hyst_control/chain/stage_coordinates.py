@@ -15,22 +15,7 @@ NEXT = 1e-3
 
 
 def of_parameters(known: Mapping[str, Parameter], values: Mapping[str, Any], axes: int) -> dict[tuple[str, int | None], Coordinate]:
-    """Every number of the parameters that are declared as uncertain.
-
-    Parameters
-    ----------
-    known
-        Declarations by name.
-    values
-        Values by name, nested tuples.
-    axes
-        Number of axes.
-
-    Returns
-    -------
-    dict
-        By name with index, and axis; None for what belongs to all axes together.
-    """
+    """Every number of the parameters that are declared as uncertain."""
     found: dict[tuple[str, int | None], Coordinate] = {}
     for name, parameter in known.items():
         if parameter.scatter not in UNCERTAIN or values[name] is None or parameter.kind in (Kind.FLAG, Kind.COUNT, Kind.CHAINS):
@@ -47,24 +32,7 @@ def of_parameters(known: Mapping[str, Parameter], values: Mapping[str, Any], axe
 def changed(
     known: Mapping[str, Parameter], values: Mapping[str, Any], changes: Mapping[tuple[str, int | None], float], axes: int
 ) -> dict[str, Any]:
-    """Parameters with other numbers in some of their places.
-
-    Parameters
-    ----------
-    known
-        Declarations by name.
-    values
-        Values by name, nested tuples.
-    changes
-        New numbers by name with index, and axis.
-    axes
-        Number of axes.
-
-    Returns
-    -------
-    dict
-        The parameters that changed, by name; numbers beyond a bound are moved to it.
-    """
+    """Parameters with other numbers in some of their places."""
     found = {}
     for name, parameter in known.items():
         own = {key: value for key, value in changes.items() if key[0].partition("[")[0] == name}

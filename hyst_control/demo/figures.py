@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import matplotlib
 import numpy as np
@@ -37,36 +37,14 @@ def write(
     folder: Path,
     excitation: Path,
     fits: Mapping[str, Fit],
-    reference: Array,
+    reference: Annotated[Array, "N 1"],
     measured: Mapping[str, Mapping[str, Array]],
     stretches: Sequence[tuple[float, int, int]],
     table: Table,
     gap: Mapping[str, Any],
     origins: Sequence[Origin],
 ) -> None:
-    """Write `figures/*.svg` and `report.html` into the demo's folder.
-
-    Parameters
-    ----------
-    folder : Path
-        The demo's folder.
-    excitation : Path
-        Bag of the excitation run.
-    fits : mapping of str to Fit
-        Fits by model family.
-    reference : ndarray, shape (N, 1)
-        Reference, um.
-    measured : mapping of str to mapping of str to ndarray
-        Signals (N, 1) by controller and name, um or V.
-    stretches : sequence of (float, int, int)
-        Frequency (Hz), begin and end row of each scored stretch.
-    table : Table
-        Tracking errors.
-    gap : mapping of str
-        Gap report of the record with a withheld effect, which stands under "withheld".
-    origins : sequence of Origin
-        Where the page comes from.
-    """
+    """Write `figures/*.svg` and `report.html` into the demo's folder."""
     data = datasets_of(read_bag(excitation))[0]
     loops = _loops(data, fits)
     (folder / "figures").mkdir()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ ROUNDS_TIMEOUT = 0.05
 
 def run_processes(
     folder: Path,
-    reference: Array,
+    reference: Annotated[Array, "N A"],
     sample_time: float,
     nodes: Mapping[str, Mapping[str, Any]],
     axes: tuple[str, ...] = ("x",),
@@ -29,39 +29,7 @@ def run_processes(
     lead: int = 0,
     feedforward: str = "hampi_feedforward",
 ) -> Path:
-    """Run the five nodes in lockstep over a reference.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    reference : ndarray, shape (N, A)
-        Reference, in `unit`, or drive, V.
-    sample_time : float
-        Sample time of the loop, s.
-    nodes : mapping of str to mapping of str to object
-        Parameters by node name, added to those that the run sets itself.
-    axes : tuple of str
-        Names of the axes.
-    unit : str
-        Unit of reference and measurement.
-    block : int
-        Samples per message; 1 for a closed loop.
-    lead : int
-        Samples by which the reference runs ahead, at least one block.
-    feedforward : str
-        Name of the feedforward node.
-
-    Returns
-    -------
-    Path
-        Recorded bag, `folder`/bag.
-
-    Raises
-    ------
-    InputError
-        Where a node fails, or a name in `nodes` is not a node of the run.
-    """
+    """Run the five nodes in lockstep over a reference."""
     progress.step(f"run {len(reference)} ticks through the nodes ({folder.name})")
     folder.mkdir(parents=True, exist_ok=True)
     signal = folder / "reference.npy"

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -60,25 +60,7 @@ class Stretch:
 
 
 def run(folder: str | Path = "demo_out", progress: Callable[[str], None] = lambda step: None) -> Table:
-    """Run the demo into a folder, which appears only when everything is done; an earlier demo's folder is replaced.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Output folder.
-    progress : callable
-        Called with the name of each step.
-
-    Returns
-    -------
-    Table
-        Tracking errors, as written to `summary.json`.
-
-    Raises
-    ------
-    InputError
-        Where the folder is something else than an earlier demo's, or a node fails.
-    """
+    """Run the demo into a folder, which appears only when everything is done; an earlier demo's folder is replaced."""
     folder = Path(folder)
     if folder.exists() and not (folder / "summary.json").is_file():
         raise InputError(f"{folder}: exists and is not an earlier demo's: choose another folder or remove it")
@@ -153,22 +135,7 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
 
 
 def diagnose_withheld(work: Path, model: Path, plant: str) -> dict[str, Any]:
-    """Record the actuator with an effect that the model does not have, and diagnose the record without telling which.
-
-    Parameters
-    ----------
-    work : Path
-        The demo's folder; gets the bag, the page and the report.
-    model : Path
-        Identified model.
-    plant : str
-        Plant file.
-
-    Returns
-    -------
-    dict of str
-        Gap report, with the effect that was withheld under "withheld".
-    """
+    """Record the actuator with an effect that the model does not have, and diagnose the record without telling which."""
     signal = excitation.build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.7}, SAMPLE_TIME)
     recorded = run_processes(
         work / "withheld",
@@ -189,15 +156,7 @@ def diagnose_withheld(work: Path, model: Path, plant: str) -> dict[str, Any]:
 
 
 def tracking_reference() -> tuple[Array, list[Stretch]]:
-    """Build the reference: from 0 to the offset, then loops of 4 um at each frequency with rests between.
-
-    Returns
-    -------
-    reference
-        Reference (N, 1), um.
-    stretches
-        Scored rows of each frequency.
-    """
+    """Build the reference: from 0 to the offset, then loops of 4 um at each frequency with rests between."""
     pieces = [excitation.cosine_ramp(SAMPLE_TIME, 0.0, OFFSET, 0.05), excitation.rest(SAMPLE_TIME, 0.02, OFFSET)]
     stretches = []
     for frequency in FREQUENCIES:
@@ -209,29 +168,10 @@ def tracking_reference() -> tuple[Array, list[Stretch]]:
     return np.concatenate(pieces)[:, None], stretches
 
 
-def track(folder: Path, controller: str, reference: Array, results: dict[str, Result], models: Path, plant: str) -> Path:
-    """Run one tracking experiment through the nodes.
-
-    Parameters
-    ----------
-    folder : Path
-        Working folder of the run.
-    controller : str
-        One of `CONTROLLERS`.
-    reference : ndarray, shape (N, 1)
-        Reference, um.
-    results : dict of str to Result
-        Identification results by model family.
-    models : Path
-        Folder of the model files.
-    plant : str
-        Plant file.
-
-    Returns
-    -------
-    Path
-        Recorded bag.
-    """
+def track(
+    folder: Path, controller: str, reference: Annotated[Array, "N 1"], results: dict[str, Result], models: Path, plant: str
+) -> Path:
+    """Run one tracking experiment through the nodes."""
     family = {"no feedforward": "hampi", "HAPI": "hapi", "HAMPI": "hampi", "HAMPI + PI": "hampi"}[controller]
     kind = "none" if controller == "no feedforward" else family
     closed = controller == "HAMPI + PI"
@@ -256,39 +196,13 @@ def track(folder: Path, controller: str, reference: Array, results: dict[str, Re
 
 
 def aligned(bag: Path) -> dict[str, Array]:
-    """Read every signal of a tracking bag on one clock.
-
-    Parameters
-    ----------
-    bag : Path
-        Bag of a tracking run.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Signals (N, 1) by name.
-    """
+    """Read every signal of a tracking bag on one clock."""
     signals = ("reference", "feedforward", "feedback", "command", "measurement")
     return dict(read_bag(bag).aligned(signals)[0].values)
 
 
-def score(measured: dict[str, dict[str, Array]], reference: Array, stretches: list[Stretch]) -> Table:
-    """Compute the tracking error of the last cycles at every frequency: NRMSE in % of the range (HAMPI paper Eq. 26).
-
-    Parameters
-    ----------
-    measured : dict of str to dict of str to ndarray
-        Signals (N, 1) by controller and name, um or V.
-    reference : ndarray, shape (N, 1)
-        Reference, um.
-    stretches : list of Stretch
-        Scored rows of each frequency.
-
-    Returns
-    -------
-    Table
-        Rows beside the published values.
-    """
+def score(measured: dict[str, dict[str, Array]], reference: Annotated[Array, "N 1"], stretches: list[Stretch]) -> Table:
+    """Compute the tracking error of the last cycles at every frequency: NRMSE in % of the range (HAMPI paper Eq. 26)."""
     table = Table("demo")
     for index, stretch in enumerate(stretches):
         rows = slice(stretch.begin, stretch.end)

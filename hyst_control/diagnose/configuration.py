@@ -393,35 +393,12 @@ class Configuration:
     tuning_seeds: tuple[int, ...]
 
     def digest(self) -> str:
-        """Hash of all values, for the keys of caches.
-
-        Returns
-        -------
-        str
-            SHA-256, hexadecimal.
-
-        """
+        """Hash of all values, for the keys of caches."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
 def load_configuration(path: str | Path) -> Configuration:
-    """Read a configuration file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A YAML file with every group and every value of `Configuration`.
-
-    Returns
-    -------
-    Configuration
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be read, or a value is missing, unknown or of another kind.
-
-    """
+    """Read a configuration file."""
     document = read_yaml(path, "give a YAML file with all groups of the configuration")
     try:
         return _group(Configuration, document, "")
@@ -430,19 +407,7 @@ def load_configuration(path: str | Path) -> Configuration:
 
 
 def configuration_text(configuration: Configuration) -> str:
-    """Text of a configuration file, with the unit and the meaning of every value as its comment.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The values.
-
-    Returns
-    -------
-    str
-        YAML that `load_configuration` reads.
-
-    """
+    """Text of a configuration file, with the unit and the meaning of every value as its comment."""
     lines = [
         "# Configuration of the diagnosis. Set on the tuning seeds of the blind test (0-999) and frozen before scoring.",
         "# The comments are made by configuration.py: change values here, and meanings there.",

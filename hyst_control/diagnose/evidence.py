@@ -15,259 +15,116 @@ from hyst_control.effects.effect import RecordCheck
 
 @dataclass(frozen=True)
 class RoughnessEvidence:
-    """Roughness of a recorded command, and how much of it the plant received.
+    """Roughness of a recorded command, and how much of it the plant received."""
 
-    Parameters
-    ----------
-    samples : int
-        Samples of the command.
-    rms : float
-        Size of the roughness, V.
-    share : float
-        Its energy in that of the smooth command.
-    correlation : float
-        Largest correlation with itself one, two or three samples later: 0 for white roughness.
-    tail : float
-        95 % quantile of its size over the median: 1.9 where it is uniform, 2.9 where it is normal.
-    coefficient : float
-        Of the residual on what the model makes of the roughness: -1 where the plant did not receive it, 0 where it did.
-    deviation : float
-        Standard deviation of the coefficient.
-    bands : tuple of (float, float)
-        The same in bands of frequency, the lowest first.
-    echo : float
-        Largest coefficient of the same later or earlier, on what is left where the plant did not receive it.
-    response : float
-        What the model makes of the roughness, rms, measurement unit.
-
-    """
-
-    samples: int
-    rms: float
-    share: float
+    samples: int  # Samples of the command
+    rms: float  # Size of the roughness, V
+    share: float  # Its energy in that of the smooth command
+    # Largest correlation with itself one, two or three samples later: 0 for white roughness
     correlation: float
+    # 95 % quantile of its size over the median: 1.9 where it is uniform, 2.9 where it is normal
     tail: float
+    # Of the residual on what the model makes of the roughness: -1 where the plant did not receive it, 0 where it did
     coefficient: float
-    deviation: float
-    bands: tuple[tuple[float, float], ...]
+    deviation: float  # Standard deviation of the coefficient
+    bands: tuple[tuple[float, float], ...]  # The same in bands of frequency, the lowest first
+    # Largest coefficient of the same later or earlier, on what is left where the plant did not receive it
     echo: float
-    response: float
+    response: float  # What the model makes of the roughness, rms, measurement unit
 
 
 @dataclass(frozen=True)
 class RecordEvidence:
-    """Record of one axis, looked at without a fit of effects.
+    """Record of one axis, looked at without a fit of effects."""
 
-    Parameters
-    ----------
-    samples : int
-        Samples that count.
-    repeated : float
-        Share of the samples that repeat the one before exactly, beyond what a lattice explains.
-    repeats_counted : int
-        Samples that this share was counted on.
-    repeated_rms : float
-        Error (rms, measurement unit) that repeated samples bring.
-    step : float
-        Step of the lattice that all values lie on, measurement unit; 0 without a lattice.
-    step_modelled : bool
-        Whether the model has a lattice of its own.
-    noise : float
-        White noise (rms, measurement unit) in what the coefficients leave.
-    usual_repeated : float
-        The same share of repeated samples in clean records.
-    usual_step : float
-        Step of their lattice, measurement unit; 0 without one.
-    roughness : RoughnessEvidence or None
-        That of a command that the plant did not receive; None of any other.
-    usual_roughness : float
-        Its size (rms, V) in clean records; 0 without one.
-    stuck : int
-        Stretches that stand on one and the same value while the command moves, where they are most of the repeated samples; else 0.
-    usual_stuck : int
-        The same in clean records.
-
-    """
-
-    samples: int
+    samples: int  # Samples that count
+    # Share of the samples that repeat the one before exactly, beyond what a lattice explains
     repeated: float
-    repeats_counted: int
-    repeated_rms: float
-    step: float
-    step_modelled: bool
-    noise: float
-    usual_repeated: float = 0.0
-    usual_step: float = 0.0
+    repeats_counted: int  # Samples that this share was counted on
+    repeated_rms: float  # Error (rms, measurement unit) that repeated samples bring
+    step: float  # Step of the lattice that all values lie on, measurement unit; 0 without a lattice
+    step_modelled: bool  # Whether the model has a lattice of its own
+    noise: float  # White noise (rms, measurement unit) in what the coefficients leave
+    usual_repeated: float = 0.0  # The same share of repeated samples in clean records
+    usual_step: float = 0.0  # Step of their lattice, measurement unit; 0 without one
+    # That of a command that the plant did not receive; None of any other
     roughness: RoughnessEvidence | None = None
-    usual_roughness: float = 0.0
+    usual_roughness: float = 0.0  # Its size (rms, V) in clean records; 0 without one
+    # Stretches that stand on one and the same value while the command moves, where they are most of the repeated samples; else 0
     stuck: int = 0
-    usual_stuck: int = 0
+    usual_stuck: int = 0  # The same in clean records
 
 
 @dataclass(frozen=True)
 class FlickerEvidence:
-    """1/f noise beside white noise in a residual, all in the residual's unit.
+    """1/f noise beside white noise in a residual, all in the residual's unit."""
 
-    Parameters
-    ----------
-    rms : float
-        Size of the 1/f noise.
-    ci90 : tuple of float
-        90 % interval of the size.
-    white : float
-        Size (rms) of the white noise.
-    gain : float
-        Gain in log-likelihood over white noise alone, nats.
-    plausible : bool
-        Whether the spectrum has that shape, and is about the same where the command rests and where it moves.
-    top : float
-        Share of the 1/f noise in the power at the highest frequencies.
-
-    """
-
-    rms: float
-    ci90: tuple[float, float]
-    white: float
-    gain: float
+    rms: float  # Size of the 1/f noise
+    ci90: tuple[float, float]  # 90 % interval of the size
+    white: float  # Size (rms) of the white noise
+    gain: float  # Gain in log-likelihood over white noise alone, nats
+    # Whether the spectrum has that shape, and is about the same where the command rests and where it moves
     plausible: bool
-    top: float
+    top: float  # Share of the 1/f noise in the power at the highest frequencies
 
 
 @dataclass(frozen=True)
 class HumpEvidence:
-    """A hump in a residual's spectrum: a vibration whose phase wanders.
+    """A hump in a residual's spectrum: a vibration whose phase wanders."""
 
-    Parameters
-    ----------
-    frequency : float
-        Of its top, Hz.
-    frequency_ci90 : tuple of float
-        90 % interval, Hz.
-    width : float
-        At half its height, Hz.
-    rms : float
-        Size, in units of the noise.
-    ci90 : tuple of float
-        90 % interval of the size.
-    gain : float
-        Gain in log-likelihood over white noise of the same floor, nats.
-    misfit : float
-        Of the residual by Whittle's likelihood of noise and hump, nats.
-    left : float
-        Energy of the residual without it, in units of the residual.
-    plausible : bool
-        Whether it is wider than a line, has the shape of a hump, and does not follow the command.
-
-    """
-
-    frequency: float
-    frequency_ci90: tuple[float, float]
-    width: float
-    rms: float
-    ci90: tuple[float, float]
-    gain: float
-    misfit: float
-    left: float
+    frequency: float  # Of its top, Hz
+    frequency_ci90: tuple[float, float]  # 90 % interval, Hz
+    width: float  # At half its height, Hz
+    rms: float  # Size, in units of the noise
+    ci90: tuple[float, float]  # 90 % interval of the size
+    gain: float  # Gain in log-likelihood over white noise of the same floor, nats
+    misfit: float  # Of the residual by Whittle's likelihood of noise and hump, nats
+    left: float  # Energy of the residual without it, in units of the residual
+    # Whether it is wider than a line, has the shape of a hump, and does not follow the command
     plausible: bool
 
 
 @dataclass(frozen=True)
 class ResidualEvidence:
-    """Remainder that a hypothesis leaves.
+    """Remainder that a hypothesis leaves."""
 
-    Parameters
-    ----------
-    energy : float
-        Mean square in noise energies, without what the hypothesis' effects leave by nature.
-    white : tuple of float
-        White noise (rms, measurement unit) by axis.
-    outliers : tuple of int
-        Single samples that stand out of the noise, by axis.
-    outliers_rms : tuple of float
-        Error (rms, measurement unit) that they bring, by axis.
-    flicker : FlickerEvidence or None
-        1/f noise, in units of the noise; None where it was not looked for.
-    predictable : float
-        Share of it that follows the command; 1 where it was not looked for.
-    companions : tuple of CompanionEvidence
-        As this hypothesis has them; none without clean records.
-    distortions : tuple of DistortionEvidence
-        Of its effects.
-    passed : float
-        Energy with which its effects pass on the model's own error, as a factor.
-    hump : HumpEvidence or None
-        A vibration whose phase wanders; None where none stands out, or none was looked for.
-
-    """
-
-    energy: float
-    white: tuple[float, ...]
-    outliers: tuple[int, ...]
-    outliers_rms: tuple[float, ...]
+    energy: float  # Mean square in noise energies, without what the hypothesis' effects leave by nature
+    white: tuple[float, ...]  # White noise (rms, measurement unit) by axis
+    outliers: tuple[int, ...]  # Single samples that stand out of the noise, by axis
+    outliers_rms: tuple[float, ...]  # Error (rms, measurement unit) that they bring, by axis
+    # 1/f noise, in units of the noise; None where it was not looked for
     flicker: FlickerEvidence | None = None
-    predictable: float = 1.0
+    predictable: float = 1.0  # Share of it that follows the command; 1 where it was not looked for
+    # As this hypothesis has them; none without clean records
     companions: tuple[CompanionEvidence, ...] = ()
-    distortions: tuple[DistortionEvidence, ...] = ()
-    passed: float = 1.0
+    distortions: tuple[DistortionEvidence, ...] = ()  # Of its effects
+    passed: float = 1.0  # Energy with which its effects pass on the model's own error, as a factor
+    # A vibration whose phase wanders; None where none stands out, or none was looked for
     hump: HumpEvidence | None = None
 
 
 @dataclass(frozen=True)
 class DistortionEvidence:
-    """Distortion of an effect of an explanation: whether its size would have to change with a variable.
+    """Distortion of an effect of an explanation: whether its size would have to change with a variable."""
 
-    Parameters
-    ----------
-    effect : str
-        Its name.
-    variable : str
-        What it would change with.
-    change : float
-        Difference of the effect's size between both ends of the variable, as a share of it.
-    statistic : float
-        What the distortion explains of the residual, nats.
-    share : float
-        The same as a share of the energy that the effect explains.
-
-    """
-
-    effect: str
-    variable: str
-    change: float
-    statistic: float
-    share: float
+    effect: str  # Its name
+    variable: str  # What it would change with
+    change: float  # Difference of the effect's size between both ends of the variable, as a share of it
+    statistic: float  # What the distortion explains of the residual, nats
+    share: float  # The same as a share of the energy that the effect explains
 
 
 @dataclass(frozen=True)
 class CompanionEvidence:
-    """Companion of all hypotheses, which differs from session to session, as the best explanation has it.
+    """Companion of all hypotheses, which differs from session to session, as the best explanation has it."""
 
-    Parameters
-    ----------
-    effect : str
-        Its name among the effects.
-    parameter : str
-        Of that effect.
-    axis : int
-        Index in the problem.
-    value : float
-        Relative to the clean records, measurement unit.
-    deviation : float
-        Standard deviation, measurement unit.
-    usual : float
-        Largest size that is usual from session to session; NaN where nothing says what is.
-    rms : float
-        Error that it brings, measurement unit.
-
-    """
-
-    effect: str
-    parameter: str
-    axis: int
-    value: float
-    deviation: float
-    usual: float
-    rms: float
+    effect: str  # Its name among the effects
+    parameter: str  # Of that effect
+    axis: int  # Index in the problem
+    value: float  # Relative to the clean records, measurement unit
+    deviation: float  # Standard deviation, measurement unit
+    usual: float  # Largest size that is usual from session to session; NaN where nothing says what is
+    rms: float  # Error that it brings, measurement unit
 
     @property
     def ci90(self) -> tuple[float, float]:
@@ -277,52 +134,26 @@ class CompanionEvidence:
 
 @dataclass(frozen=True)
 class HypothesisEvidence:
-    """Fit of a hypothesis: no effect, coefficients alone, or effects.
+    """Fit of a hypothesis: no effect, coefficients alone, or effects."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        Effects; none for the nominal model and for coefficients alone.
-    coefficients_alone : bool
-        Whether the coefficients may leave their tolerance, with no effect.
-    score : float
-        Evidence over "no effect", nats.
-    misfit : float
-        Penalized misfit, nats.
-    energy : float
-        Mean square of the residual, noise energies.
-    strain : float
-        Part of the misfit that is the coefficients' distance from the nominal ones, nats.
-    residual : ResidualEvidence or None
-        Only of the hypotheses that the policy may choose.
-    farthest : float
-        Distance of the coefficient that is farthest from its nominal value, tolerances.
-    at_bound : bool
-        Whether the size of one of its effects is at the end of the range that the catalogue gives it.
-    local : float
-        Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model's own error and the
-        noise there; infinite where the error's spectrum is unknown.
-    beyond : float
-        What it leaves beyond the model's own error, octave by octave, nats; 0 where the error's spectrum is unknown.
-    taken_up : float
-        Energy that its coefficients take off by what of their distance is not believed, noise energies.
-    axes : tuple of (int or None)
-        Axis of each effect, None where it is on all; empty where the record has one axis.
-
-    """
-
-    names: tuple[str, ...]
-    coefficients_alone: bool
-    score: float
-    misfit: float
-    energy: float
-    strain: float
-    residual: ResidualEvidence | None = None
-    farthest: float = 0.0
+    names: tuple[str, ...]  # Effects; none for the nominal model and for coefficients alone
+    coefficients_alone: bool  # Whether the coefficients may leave their tolerance, with no effect
+    score: float  # Evidence over "no effect", nats
+    misfit: float  # Penalized misfit, nats
+    energy: float  # Mean square of the residual, noise energies
+    strain: float  # Part of the misfit that is the coefficients' distance from the nominal ones, nats
+    residual: ResidualEvidence | None = None  # Only of the hypotheses that the policy may choose
+    farthest: float = 0.0  # Distance of the coefficient that is farthest from its nominal value, tolerances
+    # Whether the size of one of its effects is at the end of the range that the catalogue gives it
     at_bound: bool = False
+    # Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model's own error and the
+    # noise there; infinite where the error's spectrum is unknown
     local: float = np.inf
+    # What it leaves beyond the model's own error, octave by octave, nats; 0 where the error's spectrum is unknown
     beyond: float = 0.0
+    # Energy that its coefficients take off by what of their distance is not believed, noise energies
     taken_up: float = np.inf
+    # Axis of each effect, None where it is on all; empty where the record has one axis
     axes: tuple[int | None, ...] = ()
 
     @property
@@ -333,103 +164,44 @@ class HypothesisEvidence:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence on one problem: an axis, or all axes of a model that mixes them.
+    """Evidence on one problem: an axis, or all axes of a model that mixes them."""
 
-    Parameters
-    ----------
-    hypotheses : tuple of HypothesisEvidence
-        "No effect" first.
-    temper : float
-        Weight of a sample, at most 1: less where even the best hypothesis leaves more than noise.
-    coefficients : int
-        Number of uncertain coefficients.
-    null : float
-        Score that the best hypothesis stays under on simulated records without a gap, nats.
-    floor : float
-        Practical size: the rms, in units of the noise, that an effect must take off to be worth naming.
-    stated : float
-        Energy that the model itself says it leaves, noise energies, at least 1.
-    noise : tuple of float
-        Noise floor (rms, measurement unit) by axis.
-    stated_noise : tuple of float
-        Noise (rms, measurement unit) that the model states, by axis; 0 where it states none.
-    rows : int
-        Rows that count, after those that only repeat the one before were left out.
-    noise_bins : float
-        Bins of the spectrum that the noise was read from.
-    record : tuple of RecordEvidence
-        By axis.
-    checks : frozenset of RecordCheck
-        Checks whose effect is in the catalogue.
-    weight : float
-        Weight of a sample in the fits, below 1 where they know of the model's own error.
-    clean_noise : bool
-        True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is.
-    whitened : bool
-        True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together.
-    repeating : frozenset of str
-        Names of the effects that repeat values by themselves.
-    carried : bool
-        True where the model's own error is carried over from a clean record of the same command, so that it is in no residual.
-    drifts : frozenset of str
-        Names of the effects that are a change of the plant with time.
-    carried_share : float
-        Energy of the error that is carried over, as a share of the motion's: so little of an effect's answer the model does not know.
-    ends_as : tuple of (str, str)
-        Effects that become a simpler one at an end of their ranges, each with that one.
-
-    """
-
-    hypotheses: tuple[HypothesisEvidence, ...]
+    hypotheses: tuple[HypothesisEvidence, ...]  # "No effect" first
+    # Weight of a sample, at most 1: less where even the best hypothesis leaves more than noise
     temper: float
-    coefficients: int
-    null: float
+    coefficients: int  # Number of uncertain coefficients
+    null: float  # Score that the best hypothesis stays under on simulated records without a gap, nats
+    # Practical size: the rms, in units of the noise, that an effect must take off to be worth naming
     floor: float
-    stated: float
-    noise: tuple[float, ...]
+    stated: float  # Energy that the model itself says it leaves, noise energies, at least 1
+    noise: tuple[float, ...]  # Noise floor (rms, measurement unit) by axis
+    # Noise (rms, measurement unit) that the model states, by axis; 0 where it states none
     stated_noise: tuple[float, ...]
-    rows: int
-    noise_bins: float
-    record: tuple[RecordEvidence, ...] = ()
-    checks: frozenset[RecordCheck] = frozenset()
-    weight: float = 1.0
+    rows: int  # Rows that count, after those that only repeat the one before were left out
+    noise_bins: float  # Bins of the spectrum that the noise was read from
+    record: tuple[RecordEvidence, ...] = ()  # By axis
+    checks: frozenset[RecordCheck] = frozenset()  # Checks whose effect is in the catalogue
+    weight: float = 1.0  # Weight of a sample in the fits, below 1 where they know of the model's own error
+    # True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is
     clean_noise: bool = False
+    # True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together
     whitened: bool = False
-    repeating: frozenset[str] = frozenset()
+    repeating: frozenset[str] = frozenset()  # Names of the effects that repeat values by themselves
+    # True where the model's own error is carried over from a clean record of the same command, so that it is in no residual
     carried: bool = False
-    drifts: frozenset[str] = frozenset()
+    drifts: frozenset[str] = frozenset()  # Names of the effects that are a change of the plant with time
+    # Energy of the error that is carried over, as a share of the motion's: so little of an effect's answer the model does not know
     carried_share: float = 0.0
+    # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()
 
     def without(self, indices: Collection[int]) -> Evidence:
-        """Drop hypotheses: they claim nothing, whatever they scored.
-
-        Parameters
-        ----------
-        indices : collection of int
-            Of the hypotheses; indices of the others stay.
-
-        Returns
-        -------
-        Evidence
-
-        """
+        """Drop hypotheses: they claim nothing, whatever they scored."""
         kept = tuple(replace(one, score=-np.inf) if index in indices else one for index, one in enumerate(self.hypotheses))
         return replace(self, hypotheses=kept)
 
     def with_residuals(self, residuals: Mapping[int, ResidualEvidence]) -> Evidence:
-        """Add what hypotheses leave.
-
-        Parameters
-        ----------
-        residuals : mapping of int to ResidualEvidence
-            By the hypothesis' index.
-
-        Returns
-        -------
-        Evidence
-
-        """
+        """Add what hypotheses leave."""
         return replace(
             self,
             hypotheses=tuple(
@@ -441,33 +213,15 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Finding:
-    """Effect without a waveform on an axis, measured by a check of the record.
+    """Effect without a waveform on an axis, measured by a check of the record."""
 
-    Parameters
-    ----------
-    check : RecordCheck
-        The check, which tells the effect.
-    axis : int
-        Index in the problem.
-    value : float
-        Value of the effect's one parameter, or its first.
-    ci90 : tuple of float
-        90 % interval of the value.
-    rms : float
-        Error that it brings, measurement unit.
-    gain : float
-        Evidence for it, nats.
-    further : tuple of (str, float, (float, float), str)
-        Name, value, 90 % interval and unit of further parameters.
-
-    """
-
-    check: RecordCheck
-    axis: int
-    value: float
-    ci90: tuple[float, float]
-    rms: float
-    gain: float
+    check: RecordCheck  # The check, which tells the effect
+    axis: int  # Index in the problem
+    value: float  # Value of the effect's one parameter, or its first
+    ci90: tuple[float, float]  # 90 % interval of the value
+    rms: float  # Error that it brings, measurement unit
+    gain: float  # Evidence for it, nats
+    # Name, value, 90 % interval and unit of further parameters
     further: tuple[tuple[str, float, tuple[float, float], str], ...] = ()
 
 

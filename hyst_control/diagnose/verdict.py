@@ -84,63 +84,26 @@ class Reason(str, Enum):
 
 @dataclass(frozen=True)
 class Decision:
-    """Decision on one problem.
-
-    Parameters
-    ----------
-    verdict : Verdict
-    reasons : tuple of Reason
-        In the order of the enumeration, at least one.
-    chosen : int
-        Index of the best explanation among the hypotheses.
-    listed : tuple of int
-        Explanations that the data cannot tell from it, best first, itself among them.
-    probability : mapping of tuple of str to float
-        By the names of an explanation.
-    remainder : float
-        Share of the gap's energy that is left unexplained, 0 where that is under the floor.
-    findings : tuple of Finding
-        Effects without a waveform.
-    outliers : tuple of Outliers
-        What excess noise consists of, where it is outliers.
-    companions : tuple of CompanionEvidence
-        Zero and drift of the session, where they are named.
-    distortions : tuple of DistortionEvidence
-        Distortion tests for which an explanation is none, the clearest first.
-    unexplained : float
-        Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small.
-    novelty : float
-        Novelty score, 0 … 1: m / (m + q), m the clearest sign of an unknown effect, q the conformal threshold; see `novelty`.
-
-    """
+    """Decision on one problem."""
 
     verdict: Verdict
-    reasons: tuple[Reason, ...]
-    chosen: int
-    listed: tuple[int, ...]
-    probability: Mapping[tuple[str, ...], float]
-    remainder: float
-    findings: tuple[Finding, ...] = ()
-    outliers: tuple[Outliers, ...] = ()
-    companions: tuple[CompanionEvidence, ...] = ()
+    reasons: tuple[Reason, ...]  # In the order of the enumeration, at least one
+    chosen: int  # Index of the best explanation among the hypotheses
+    listed: tuple[int, ...]  # Explanations that the data cannot tell from it, best first, itself among them
+    probability: Mapping[tuple[str, ...], float]  # By the names of an explanation
+    remainder: float  # Share of the gap's energy that is left unexplained, 0 where that is under the floor
+    findings: tuple[Finding, ...] = ()  # Effects without a waveform
+    outliers: tuple[Outliers, ...] = ()  # What excess noise consists of, where it is outliers
+    companions: tuple[CompanionEvidence, ...] = ()  # Zero and drift of the session, where they are named
+    # Distortion tests for which an explanation is none, the clearest first
     distortions: tuple[DistortionEvidence, ...] = ()
+    # Share of the gap's energy that no known effect explains with coefficients that are near their tolerances, however small
     unexplained: float = 0.0
+    # Novelty score, 0 … 1: m / (m + q), m the clearest sign of an unknown effect, q the conformal threshold; see `novelty`
     novelty: float = 0.0
 
     def of(self, name: str) -> float:
-        """Probability that an effect is at work.
-
-        Parameters
-        ----------
-        name : str
-            Of the effect.
-
-        Returns
-        -------
-        float
-            0 to 1.
-
-        """
+        """Probability that an effect is at work."""
         return float(sum(p for names, p in self.probability.items() if name in names))
 
 

@@ -47,48 +47,7 @@ def diagnose_bags(
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
 ) -> str:
-    """Diagnose bags and write what is asked for.
-
-    Parameters
-    ----------
-    bags : sequence of path
-        Of the plant that the model claims to describe.
-    model : path, optional
-        Nominal model file; needed unless a clean record has the same command.
-    json, report, augmented : str, optional
-        Files to write: the report, its page, the model with the effects added.
-    without : sequence of str
-        Effects left out of the catalogue.
-    seed : int
-        Of everything drawn at random.
-    cache : bool
-        Whether the null's threshold is kept between runs.
-    namespace : str, optional
-        Of the topics in the bags.
-    unit : str
-        Of the measurement in bags that do not say it.
-    progress : bool
-        Whether to show on the terminal what is being done.
-    warm_up : float
-        s at the beginning of each record that do not count.
-    on : str, optional
-        A bag or a .npy file with the command (N, A) of a run to come, for which the report then says how far the gap will shrink.
-    baseline : sequence of path
-        Clean records of the same plant, or of its sisters.
-    learned_residual : bool
-        Whether the augmented model gets a stage for what no known effect explains, where that follows the command.
-
-    Returns
-    -------
-    str
-        The report in words.
-
-    Raises
-    ------
-    InputError
-        Where the input cannot be used.
-
-    """
+    """Diagnose bags and write what is asked for."""
     for name in without:
         if name not in EFFECTS:
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
@@ -148,38 +107,7 @@ def diagnosed(
     baseline: Sequence[Record] = (),
     learned_residual: bool = False,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
-    """Diagnose records, with the report.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        With command and measurement.
-    model : Model or None
-        Nominal model, as in `diagnose`.
-    seed, without, cache, progress, warm_up
-        As in `diagnose_bags`.
-    augmented : str, optional
-        Path that the report names for the augmented model.
-    baseline : sequence of Record
-        Clean records of the same plant, or of its sisters.
-    learned_residual : bool
-        As in `diagnose_bags`.
-
-    Returns
-    -------
-    report : dict of str
-        The JSON document.
-    diagnosis : Diagnosis
-        What it is made from.
-    augmented : Model or None
-        None where there is nothing to add.
-
-    Raises
-    ------
-    InputError
-        Where the records cannot be used.
-
-    """
+    """Diagnose records, with the report."""
     tell = step if progress else (lambda text: None)
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline)
     tell("shrink on held-out blocks")

@@ -54,13 +54,7 @@ class BegunFilter(Filter):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Play up to half of the stroke, from several starts: a linear step from a narrow one says little of a wide one.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Play up to half of the stroke, from several starts: a linear step from a narrow one says little of a wide one."""
     size = around.stroke
     scale = 0.01 * size if around.slowest is None else 0.05 * size
     return (

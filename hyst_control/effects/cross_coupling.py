@@ -23,11 +23,6 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """On all axes of a plant that mixes them: from every other axis' input to every sensor a response in the modes of the mechanics.
 
     Each in phase with the modes' positions and in quadrature, and a static part, as shares of the stroke over the command's span.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     if not around.modes:
         return parameters(around)
@@ -50,13 +45,7 @@ STATIC = "static"
 
 
 def at_rest(values: Values) -> dict[str, float]:
-    """Coupling of a matrix of responses: its greatest share at rest, of commands of one size in any pattern over the axes.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    """
+    """Coupling of a matrix of responses: its greatest share at rest, of commands of one size in any pattern over the axes."""
     static = [name for name in values if name.startswith(f"{STATIC}_")]
     if not static:
         return {}
@@ -71,15 +60,7 @@ def at_rest(values: Values) -> dict[str, float]:
 
 
 def stage(values: Values, around: Surroundings) -> Stage:
-    """Onto every axis comes `coupling` of the next one (the last one's next is the first), or a matrix of responses in all modes.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """Onto every axis comes `coupling` of the next one (the last one's next is the first), or a matrix of responses in all modes."""
     axes = around.axes
     if f"{STATIC}_0_1" in values:
         size = around.stroke / max(around.command[1] - around.command[0], 1e-300)

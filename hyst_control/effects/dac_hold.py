@@ -150,13 +150,7 @@ def take_and_hold(
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Samples, phase, step and manner of rounding; the lattice's steps are those that the record suggests.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Samples, phase, step and manner of rounding; the lattice's steps are those that the record suggests."""
     reach = max(around.command[1] - around.command[0], 1e-9)
     return (
         Parameter("samples", "", 1.0, tuple(float(held) for held in HELD), 1.0, 20.0, 3.0),
@@ -167,13 +161,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """A hold over every number of samples, begun at every one of them; or a lattice, rounded to in every manner.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """A hold over every number of samples, begun at every one of them; or a lattice, rounded to in every manner."""
     crosses = around.command[0] < 0.0 < around.command[1]
     lattices = [
         {"samples": 1.0, "phase": 0.0, "rounding": value} for name, value in ROUNDINGS.items() if crosses or name != "toward zero"
@@ -185,15 +173,7 @@ def variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> DacHold:
-    """The numbers that count are rounded to whole ones.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """The numbers that count are rounded to whole ones."""
     samples, phase, rounding = (
         frozen(np.maximum(np.rint(np.array(values.get(name, least), dtype=float)), least))
         for name, least in (("samples", 1.0), ("phase", 0.0), ("rounding", 0.0))

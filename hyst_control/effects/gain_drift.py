@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -77,30 +77,13 @@ class GainDrift(TimedStage):
 
 
 def check_time_constant(tau: ScalarPerAxis) -> None:
-    """Check a drift's time constant.
-
-    Parameters
-    ----------
-    tau
-        s.
-
-    Raises
-    ------
-    InputError
-        It is 0.
-    """
+    """Check a drift's time constant."""
     if not np.all(np.asarray(tau, dtype=float)):
         raise InputError(f"tau: must not be 0 s, got {tau}")
 
 
-def drift_times(tau: Array, decades: Array) -> Array:
-    """Time constants (A, 1) of a drift, or (A, 6) where they are spread.
-
-    Parameters
-    ----------
-    tau, decades
-        (A,), s and decimal logarithm; 0 decades everywhere: one time constant.
-    """
+def drift_times(tau: Annotated[Array, "A"], decades: Annotated[Array, "A"]) -> Array:
+    """Time constants (A, 1) of a drift, or (A, 6) where they are spread."""
     if not decades.any():
         return np.ascontiguousarray(tau[:, None])
     spread: Array = tau[:, None] * 10.0 ** (decades[:, None] * STEPS)
@@ -108,26 +91,16 @@ def drift_times(tau: Array, decades: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def arrived(times: Array, constants: Array, onset: Array, lasts: Array, smooth: Array) -> Array:
+def arrived(
+    times: Annotated[Array, "N"],
+    constants: Annotated[Array, "A K"],
+    onset: Annotated[Array, "A"],
+    lasts: Annotated[Array, "A"],
+    smooth: Annotated[Array, "A"],
+) -> Annotated[Array, "N A"]:
     """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over its time constants, t from the onset on and up to its end.
 
     Between the two t goes as x + smooth (S(x) - x), S(x) = 3 x² - 2 x³, x the part of that time that is over.
-
-    Parameters
-    ----------
-    times
-        (N,), s.
-    constants
-        (A, K), s; see `drift_times`.
-    onset, lasts
-        (A,), s: when it begins, and for how long it then goes on; 0: for ever.
-    smooth
-        (A,), 0 to 1.
-
-    Returns
-    -------
-    ndarray
-        (N, A).
     """
     axes, count = constants.shape
     output = np.empty((times.size, axes))
@@ -144,34 +117,14 @@ def arrived(times: Array, constants: Array, onset: Array, lasts: Array, smooth: 
 
 
 def drift_course(stage: Stage, axes: int) -> tuple[Array, Array, Array, Array]:
-    """Time constants (A, K), onset, duration (s) and smoothness (A,) of a drift, as `arrived` takes them.
-
-    Parameters
-    ----------
-    stage
-        Drift.
-    axes
-        Number of axes.
-    """
+    """Time constants (A, K), onset, duration (s) and smoothness (A,) of a drift, as `arrived` takes them."""
     tau, decades = per_axis_scalars(stage, axes, "tau", "decades")
     onset, lasts, smooth = per_axis_scalars(stage, axes, "onset", "lasts", "smooth")
     return drift_times(tau, decades), onset, lasts, smooth
 
 
 def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
-    """C of a drift.
-
-    Parameters
-    ----------
-    stage
-        Drift.
-    axes
-        Number of axes.
-    expression
-        Output for the input `u` and the share `SHARE` that has come.
-    title
-        As in `CCode`.
-    """
+    """C of a drift."""
     change, initial = per_axis_scalars(stage, axes, "change", "initial")
     times, *course = drift_course(stage, axes)
     return each_axis(
@@ -195,13 +148,6 @@ def drift_parameters(around: Surroundings, shortest: float) -> tuple[Parameter, 
     straight one with a growth: the record's length in time constants. A drift that begins or ends within the record is a straight one
     between the two, or goes in an S: which is near to any other that does. A drift that has settled before the first sample that is
     compared would be a constant.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    shortest
-        s that a drift goes on for at least if it ends within the record.
     """
     length = around.duration
     least = max(0.05 * length, around.begin)
@@ -222,11 +168,6 @@ def in_the_end(values: Values) -> dict[str, float]:
     """Change that the gap report has: in the end of a drift that settles, over the record of a straight one, which has no end.
 
     `change` is what comes within `span`, s: so fitted, a slow drift is as small a number as a fast one that does the same to the record.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
     """
     if "span" not in values or _is_straight(values):
         return {}
@@ -234,13 +175,7 @@ def in_the_end(values: Values) -> dict[str, float]:
 
 
 def stage_values(values: Values) -> dict[str, Any]:
-    """Parameters of a drift's stage, whose change is the one in the end.
-
-    Parameters
-    ----------
-    values
-        Of the gap report, by name; a number for every axis alike, or a list with one per axis.
-    """
+    """Parameters of a drift's stage, whose change is the one in the end."""
     change = np.where(_is_straight(values), np.divide(values["change"], _share_of_span(values)), values["change"])
     found = {"change": change, "tau": _time_constant(values)}
     single = not any(np.ndim(value) for value in values.values())
@@ -272,13 +207,7 @@ def _share_of_span(values: Values) -> Array:
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
-    """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; two within the record.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; two within the record."""
     whole = {"span": around.duration, "onset": 0.0, "lasts": 0.0, "smooth": 0.0}
     straight = {"tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
     return (
@@ -294,11 +223,6 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Change over the record; beside the model's own error from a fifth of the gain to five times as much.
 
     One that ends before the command has moved is a constant gain.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     change = (
         Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)

@@ -60,13 +60,7 @@ def _added(stage: Stage, factor: Array, lag: Array) -> Stage | None:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Factor, its difference between rising and falling commands, and the time constant of a part that is added.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Factor, its difference between rising and falling commands, and the time constant of a part that is added."""
     ts = around.sample_time
     return (
         Parameter("factor", "", 1.0, (1.05,), 0.0, 4.0, 0.5),

@@ -119,28 +119,14 @@ class HysteresisShape(Modifier):
 
 
 def peak(values: Values) -> dict[str, float]:
-    """Amount of a curve: its greatest distance from 0, with its sign there, in shares of the stroke.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    """
+    """Amount of a curve: its greatest distance from 0, with its sign there, in shares of the stroke."""
     x = np.linspace(0.0, 1.0, 101)
     curve = values["even"] * 4.0 * x * (1.0 - x) + values["odd"] * CUBIC * x * (1.0 - x) * (x - 0.5) + values["tilt"] * (x - 0.5)
     return {"amount": float(curve[np.argmax(np.abs(curve))])}
 
 
 def shape(values: Values, around: Surroundings) -> HysteresisShape:
-    """The curve over the record's range of command; of `amount` alone the even one.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """The curve over the record's range of command; of `amount` alone the even one."""
     lower, upper = around.command
     even = values["even"] if "even" in values else values["amount"]
     odd, tilt, behind = values.get("odd", 0.0), values.get("tilt", 0.0), values.get("behind", 0.0)

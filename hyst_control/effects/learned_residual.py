@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -44,22 +44,8 @@ class LearnedResidual(Modifier):
     constant: ScalarPerAxis = scalar("measurement unit", "added", default=0.0, scatter=Scattering.NONE)
 
     @classmethod
-    def of(cls, features: CommandFeatures, weights: Array, constant: float) -> LearnedResidual:
-        """Make the stage of one axis.
-
-        Parameters
-        ----------
-        features : CommandFeatures
-            Scales.
-        weights : ndarray, shape (F,)
-            Measurement unit.
-        constant : float
-            Measurement unit.
-
-        Returns
-        -------
-        LearnedResidual
-        """
+    def of(cls, features: CommandFeatures, weights: Annotated[Array, "F"], constant: float) -> LearnedResidual:
+        """Make the stage of one axis."""
         return cls(**features.document(), weights=tuple(map(float, weights)), constant=constant)
 
     def check(self) -> None:

@@ -163,11 +163,6 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
     The cutoff goes from what the record is just long enough to show up to what its sampling hardly does; beside clean records from a
     tenth of the lowest excited frequency.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     nyquist = 0.5 / around.sample_time
     if around.slowest is not None:
@@ -184,24 +179,12 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def lowpass_variants(around: Surroundings) -> tuple[Values, ...]:
-    """First order, and second order with any damping.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """First order, and second order with any damping."""
     return {"order": 1.0, "damping": 1.0}, {"order": 2.0}
 
 
 def lowpass_values(values: Values) -> Values:
-    """Values of a low-pass whose order is 1 on some axes: they have no damping of their own there.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    """
+    """Values of a low-pass whose order is 1 on some axes: they have no damping of their own there."""
     order = np.array(values.get("order", 1.0), dtype=float)
     damping = np.where(order == 2.0, np.array(values.get("damping", 1.0), dtype=float), 1.0)
     return {"cutoff": values["cutoff"], "order": frozen(order), "damping": frozen(damping)}

@@ -17,24 +17,13 @@ def hysteresis_index(stages: Sequence[Stage]) -> int | None:
     """Index of the hysteresis stage, or of the `parallel` that contains it; None where a chain has none.
 
     A stage that adds one to a chain without is its hysteresis there.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
     """
     added = next((i for i, stage in enumerate(stages) if stage.adds_hysteresis), None)
     return next((i for i, stage in enumerate(stages) if stage.is_hysteresis), added)
 
 
 def mechanics_index(stages: Sequence[Stage]) -> int | None:
-    """Index of the mechanics: the last transfer function or continuous state space behind the hysteresis; None where there is none.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    """
+    """Index of the mechanics: the last transfer function or continuous state space behind the hysteresis; None where there is none."""
     behind = hysteresis_index(stages)
     for i in range(len(stages) - 1, -1 if behind is None else behind, -1):
         if stages[i].is_mechanics:
@@ -49,22 +38,7 @@ def with_mechanics(stages: tuple[Stage, ...]) -> tuple[tuple[Stage, ...], int]:
 
 
 def insert(stages: tuple[Stage, ...], place: str, stage: Stage) -> tuple[Stage, ...]:
-    """Insert a stage at a place, behind those that are at that place already.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    place
-        One of `PLACES`.
-    stage
-        To be inserted.
-
-    Returns
-    -------
-    tuple of Stage
-        With one more.
-    """
+    """Insert a stage at a place, behind those that are at that place already."""
     index = _index(stages, place, stage)
     return (*stages[:index], stage, *stages[index:])
 

@@ -78,11 +78,6 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
     deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
     part would be a gain.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     nyquist = 0.5 / around.sample_time
     lower, upper = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist), 0.95 * nyquist
@@ -100,11 +95,6 @@ def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """On all axes of a plant that mixes them: from every input to every sensor a share of the stroke over the command's span.
 
     In phase with the mode's position, and in quadrature.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     frequency, damping, *_ = parameters(around)
     return (
@@ -129,15 +119,7 @@ def names(part: str, axes: int) -> list[list[str]]:
 
 
 def stage(values: Values, around: Surroundings) -> Stage:
-    """The mode of an axis, or of all together.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """The mode of an axis, or of all together."""
     if f"{PARTS[0]}_0_0" not in values:
         static = frozen(np.multiply(values["gain"], np.subtract(values.get("deflection", 1.0), 1.0)))
         return Resonance(values["frequency"], values["damping"], values["gain"], values.get("quadrature", 0.0), static)
@@ -147,13 +129,7 @@ def stage(values: Values, around: Surroundings) -> Stage:
 
 
 def gain(values: Values) -> dict[str, float]:
-    """Gain of a mode of all axes: its greatest, of motions of one size that differ in their pattern over the inputs.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    """
+    """Gain of a mode of all axes: its greatest, of motions of one size that differ in their pattern over the inputs."""
     axes = round(np.sqrt(sum(name.startswith(PARTS[0]) for name in values)))
     if not axes:
         return {}

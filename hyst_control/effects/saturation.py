@@ -9,13 +9,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Limits inside the record's range of command: at its end a limit does nothing. They set in at once or over a knee.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Limits inside the record's range of command: at its end a limit does nothing. They set in at once or over a knee."""
     low, high = around.command
     reach = max(high - low, 1e-9)
     inside, most, beyond = 0.1 * reach, 0.45 * reach, 1e-3 * reach

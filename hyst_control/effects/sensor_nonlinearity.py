@@ -99,11 +99,6 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     The terms belong to a range that nobody tells. Over the record's the same bend has other terms: a slope, which the model's gain
     takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none. Beside clean
     records, where no coefficient takes the slope up, slope is its ratio to the same root sum square.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     size = around.stroke
     wide = 1.0 if around.slowest is None else 5.0
@@ -121,26 +116,12 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """Beside clean records also the second and third term alone: of more the model's own error leaves nothing to be told.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Beside clean records also the second and third term alone: of more the model's own error leaves nothing to be told."""
     return ({},) if around.slowest is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
-    """The bend over the range that the model simulates, or else that of the measurement, unless `lower` and `upper` are among the values.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """Bend over the range that the model simulates, or else that of the measurement, unless `lower` and `upper` are among the values."""
     # The range of the characteristic is that of its input: a large bend moves the ends of what is measured.
     lower, upper = around.measurement if around.modelled is None else around.modelled
     upper = max(upper, lower + 1e-9)

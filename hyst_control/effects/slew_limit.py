@@ -106,11 +106,6 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Rates that the record's command exceeds, and the ratio of the falling to the rising one.
 
     sides: 0 both directions are limited, 1 rising alone, 2 falling alone.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
     """
     starts = tuple(share * around.slew for share in (0.7, 0.3, 0.1, 0.03))
     return (
@@ -121,15 +116,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def stage(values: Values, around: Surroundings) -> SlewLimit:
-    """The limit of the directions that `sides` says.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """The limit of the directions that `sides` says."""
     rate, sides = np.array(values["rate"], dtype=float), np.array(values.get("sides", 0.0))
     falling = np.where(sides == 1.0, np.inf, rate * np.array(values.get("ratio", 1.0)))
     return SlewLimit(frozen(np.where(sides == 2.0, np.inf, rate)), frozen(falling))

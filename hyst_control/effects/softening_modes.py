@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 from numba import njit
@@ -211,29 +211,7 @@ class ModesMovedFilter(Filter):
 
 @remembered
 def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128], Array]:
-    """Decompose a system into its modes: y = D u + Re Σ c x, dx/dt = λ x + b u.
-
-    Parameters
-    ----------
-    system
-        With n inputs and outputs.
-
-    Returns
-    -------
-    poles : ndarray, shape (M,)
-        λ (1/s) in order of size: real ones, and one of every conjugate pair.
-    entering : ndarray, shape (M, n)
-        b.
-    leaving : ndarray, shape (n, M)
-        c.
-    static : ndarray, shape (n, n)
-        Response at rest.
-
-    Raises
-    ------
-    InputError
-        The poles coincide.
-    """
+    """Decompose a system into its modes: y = D u + Re Σ c x, dx/dt = λ x + b u."""
     own, vectors = np.linalg.eig(system.A)
     if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
         raise InputError("softening_modes: the mechanics' poles coincide, they have no modes of their own: separate them a little")
@@ -244,28 +222,8 @@ def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.comp
     return own[one].astype(complex), entering[one], leaving.astype(complex), system.static_gain()
 
 
-def by_mode(name: str, factors: tuple[float, ...], modes: int) -> Array:
-    """Factors of all modes, in order of |λ|.
-
-    Parameters
-    ----------
-    name
-        Of the parameter, for the message.
-    factors
-        One for all modes, or one per mode.
-    modes
-        Their number M.
-
-    Returns
-    -------
-    Array
-        (M,).
-
-    Raises
-    ------
-    InputError
-        There are neither one nor M factors.
-    """
+def by_mode(name: str, factors: tuple[float, ...], modes: int) -> Annotated[Array, "M"]:
+    """Factors of all modes, in order of |λ|."""
     if len(factors) not in (1, modes):
         raise InputError(f"softening_modes: {name}: {len(factors)} factors for {modes} modes: give one, or one per mode")
     return np.broadcast_to(np.array(factors, dtype=float), modes)
@@ -357,24 +315,14 @@ for (int i = 0; i < MODES; i++) {
 
 @njit(cache=True)
 def settle_modes_moved(
-    value: Array,
+    value: Annotated[Array, "A"],
     poles: NDArray[np.complex128],
     inputs: NDArray[np.complex128],
     static: Array,
     mean: Array,
     state: NDArray[np.complex128],
 ) -> None:
-    """Bring the modes to rest at a constant input.
-
-    Parameters
-    ----------
-    value
-        (A,).
-    poles, inputs, static
-        As for `advance_modes_moved`.
-    mean, state
-        As there; filled in.
-    """
+    """Bring the modes to rest at a constant input."""
     for o in range(len(value)):
         mean[o] = 0.0
         for j in range(len(value)):
@@ -389,44 +337,22 @@ def settle_modes_moved(
 
 @njit(cache=True)
 def advance_modes_moved(
-    block: Array,
+    block: Annotated[Array, "N A"],
     step: float,
     smooth: float,
     poles: NDArray[np.complex128],
-    change: Array,
+    change: Annotated[Array, "M"],
     inputs: NDArray[np.complex128],
     outputs: NDArray[np.complex128],
     static: Array,
-    last: Array,
-    mean: Array,
-    square: Array,
+    last: Annotated[Array, "A"],
+    mean: Annotated[Array, "A"],
+    square: Annotated[Array, "A"],
     whose: NDArray[np.int64],
     state: NDArray[np.complex128],
-    output: Array,
+    output: Annotated[Array, "N A"],
 ) -> None:
-    """Run the equations of `SofteningModes` over a block.
-
-    Parameters
-    ----------
-    block, output
-        (N, A): input, and the output that is filled in.
-    step
-        s.
-    smooth
-        Share by which the means follow in a step.
-    poles, change
-        (M,) and (M, 2): the modes, and their softening and damping.
-    inputs, outputs, static
-        Matrices from inputs to modes, from modes to outputs, and the static response in units of the amplitude.
-    last
-        (A,), input before, with which it is averaged (`last[0]` NaN: a held input); updated.
-    mean, square
-        (A,), in units of the amplitude, square (1,) where the axes are coupled; updated.
-    whose
-        (M,), which of the squares a mode goes by.
-    state
-        (2, M) complex: the modes as they are, and moved; updated.
-    """
+    """Run the equations of `SofteningModes` over a block."""
     modes, axes, shared = len(poles), block.shape[1], block.shape[1] // len(square)
     held = np.isnan(last[0])
     drive, roots = np.empty(axes), np.empty(len(square))
@@ -470,13 +396,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Of coupled axes: every mode that oscillates softens by a share of its own.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """Of coupled axes: every mode that oscillates softens by a share of its own."""
     if not around.poles:
         return parameters(around)
     return tuple(
@@ -493,13 +413,7 @@ def _by_mode(values: Values, name: str) -> Array:
 
 
 def common(values: Values) -> dict[str, float]:
-    """Median of the modes' shares; where that is 0 because few have any, their mean size.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    """
+    """Median of the modes' shares; where that is 0 because few have any, their mean size."""
     found = {}
     for name in (SOFTENING, DAMPING):
         shares = _by_mode(values, name)
@@ -509,15 +423,7 @@ def common(values: Values) -> dict[str, float]:
 
 
 def stage(values: Values, around: Surroundings) -> Stage:
-    """Modes that soften alike, or each by its own share.
-
-    Parameters
-    ----------
-    values
-        Of the parameters, by name.
-    around
-        Record that the sizes are judged by.
-    """
+    """Modes that soften alike, or each by its own share."""
     factors = {
         name: tuple(values.get(f"{name}_{mode}", 0.0) / (values[name] or 1.0) for mode in range(len(around.poles)))
         for name in (SOFTENING, DAMPING)

@@ -37,13 +37,7 @@ class TimedStage(Stage):
         raise NotImplementedError
 
     def function_in_c(self, axes: int) -> CCode | None:
-        """The same in C of the input `u` and the time `t` (s, double) of the axis `i`; None where it has none.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-        """
+        """The same in C of the input `u` and the time `t` (s, double) of the axis `i`; None where it has none."""
         return None
 
     def filter(self, sampling: Sampling) -> Filter:

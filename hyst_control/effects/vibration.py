@@ -45,13 +45,7 @@ class Vibration(TimedStage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """A line has a narrow basin: fits begin at many frequencies.
-
-    Parameters
-    ----------
-    around
-        Record that the sizes are judged by.
-    """
+    """A line has a narrow basin: fits begin at many frequencies."""
     nyquist = 0.5 / around.sample_time
     starts = tuple(np.geomspace(min(10.0, 0.1 * nyquist), 0.8 * nyquist, 8))
     size = around.stroke

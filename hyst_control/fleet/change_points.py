@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,67 +35,35 @@ LEAST_NIGHTS = 4
 
 @dataclass(frozen=True)
 class Onset:
-    """A change of one unit.
+    """A change of one unit."""
 
-    Parameters
-    ----------
-    unit
-        The unit.
-    quantity
-        The quantity that changed.
-    probability
-        That it changed at all.
-    moment
-        Most probable first night of the change.
-    earliest, latest
-        Nights that hold the onset with 90 % probability.
-    size, size_error
-        Shift and its standard error, in the quantity's unit.
-    """
-
-    unit: str
-    quantity: str
-    probability: float
-    moment: float
+    unit: str  # The unit
+    quantity: str  # The quantity that changed
+    probability: float  # That it changed at all
+    moment: float  # Most probable first night of the change
+    # earliest, latest: Nights that hold the onset with 90 % probability
     earliest: float
     latest: float
+    # size, size_error: Shift and its standard error, in the quantity's unit
     size: float
     size_error: float
 
 
 @dataclass(frozen=True)
 class Trend:
-    """A steady drift of one unit.
+    """A steady drift of one unit."""
 
-    Parameters
-    ----------
-    unit
-        The unit.
-    quantity
-        The quantity that drifts.
-    probability
-        That it changes at all.
-    slope, slope_error
-        Change per unit of time and its standard error, in the quantity's unit.
-    level
-        Where the trend stands at the last night.
-    last
-        Time of the last night.
-    walk
-        Standard deviation that the random walk adds in a unit of time.
-    crossing, earliest, latest
-        When the trend reaches the quantity's limit, and the times that hold it with 90 % probability; None without a limit, or where
-        it moves away from it. An end alone is None where the limit may never be reached.
-    """
-
-    unit: str
-    quantity: str
-    probability: float
+    unit: str  # The unit
+    quantity: str  # The quantity that drifts
+    probability: float  # That it changes at all
+    # slope, slope_error: Change per unit of time and its standard error, in the quantity's unit
     slope: float
     slope_error: float
-    level: float
-    last: float
-    walk: float
+    level: float  # Where the trend stands at the last night
+    last: float  # Time of the last night
+    walk: float  # Standard deviation that the random walk adds in a unit of time
+    # crossing, earliest, latest: When the trend reaches the quantity's limit, and the times that hold it with 90 % probability;
+    # None without a limit, or where it moves away from it. An end alone is None where the limit may never be reached
     crossing: float | None = None
     earliest: float | None = None
     latest: float | None = None
@@ -118,30 +87,9 @@ class _UnitFit:
 
 
 def find_changes(
-    quantity: str, units: Sequence[str], moments: Array, values: Array, false_share: float = 0.02
+    quantity: str, units: Sequence[str], moments: Annotated[Array, "T"], values: Annotated[Array, "U T"], false_share: float = 0.02
 ) -> tuple[list[Onset], list[Trend]]:
-    """Find the units whose quantity shifted or drifts.
-
-    Parameters
-    ----------
-    quantity
-        Name of the quantity.
-    units
-        Names of the units (U,).
-    moments
-        Times of the nights (T,), increasing.
-    values
-        The quantity (U, T), NaN where there is no record.
-    false_share
-        Bound of the expected share of units that are named wrongly.
-
-    Returns
-    -------
-    list of Onset
-        The units that shifted, most probable first.
-    list of Trend
-        The units that drift, most probable first.
-    """
+    """Find the units whose quantity shifted or drifts."""
     looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= LEAST_NIGHTS]
     spread = night_variance(values[looked_at]) if looked_at else 0.0
     if spread <= 0.0:

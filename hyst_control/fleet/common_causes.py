@@ -18,28 +18,15 @@ LEAST_UNITS = 3
 
 @dataclass(frozen=True)
 class CommonCause:
-    """Something that units which changed have in common.
+    """Something that units which changed have in common."""
 
-    Parameters
-    ----------
-    quantity
-        What changed.
-    column, value
-        Column of the manifest and its value; "first night" and the night where the changes began together.
-    changed
-        Units with it that changed.
-    of
-        Units with it; for a night, all that changed.
-    probability
-        Adjusted p-value: the false discovery rate at which it would just be named.
-    """
-
-    quantity: str
+    quantity: str  # What changed
+    # column, value: Column of the manifest and its value; "first night" and the night where the changes began together
     column: str
     value: str
-    changed: Sequence[str]
-    of: int
-    probability: float
+    changed: Sequence[str]  # Units with it that changed
+    of: int  # Units with it; for a night, all that changed
+    probability: float  # Adjusted p-value: the false discovery rate at which it would just be named
 
 
 def find_common_causes(
@@ -49,26 +36,7 @@ def find_common_causes(
     nights: int,
     false_share: float = 0.01,
 ) -> list[CommonCause]:
-    """Find what units that changed have in common.
-
-    Parameters
-    ----------
-    changed
-        By quantity: first night of the change, by unit.
-    columns
-        By column of the manifest: its value, by unit, of columns that do not differ within a unit.
-    units
-        Number of units.
-    nights
-        Number of nights.
-    false_share
-        Bound of the expected share of causes that are named wrongly.
-
-    Returns
-    -------
-    list of CommonCause
-        The causes, least probable by chance first.
-    """
+    """Find what units that changed have in common."""
     shared: list[CommonCause] = []
     together: list[CommonCause] = []
     for quantity, begins in changed.items():
@@ -88,20 +56,7 @@ def find_common_causes(
 
 
 def shared_columns(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Columns of the manifest whose value belongs to the unit, and groups units.
-
-    Parameters
-    ----------
-    rows
-        Rows of the results.
-    names
-        Columns of the manifest.
-
-    Returns
-    -------
-    dict
-        By column: its value, by unit.
-    """
+    """Columns of the manifest whose value belongs to the unit, and groups units."""
     found: dict[str, dict[str, str]] = {}
     for name in names:
         values: dict[str, set[str]] = {}

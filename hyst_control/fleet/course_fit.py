@@ -7,6 +7,8 @@ With a flat prior of mu and delta ~ N(0, tau^2), the evidence for each shape c h
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
@@ -18,21 +20,9 @@ MAD = 1.4826
 
 
 class CourseFit:
-    """Generalized least squares of a unit's nights with each of several shapes in turn.
+    """Generalized least squares of a unit's nights with each of several shapes in turn."""
 
-    Parameters
-    ----------
-    values
-        The quantity (T,), finite.
-    shapes
-        Shapes (T, S) that may be added to it.
-    white
-        Variance of the noise.
-    walk
-        Variance of a step of the random walk.
-    """
-
-    def __init__(self, values: Array, shapes: Array, white: float, walk: float) -> None:
+    def __init__(self, values: Annotated[Array, "T"], shapes: Annotated[Array, "T S"], white: float, walk: float) -> None:
         place = np.arange(len(values), dtype=float)
         factor = cho_factor(white * np.eye(len(values)) + walk * np.minimum.outer(place + 1.0, place + 1.0))
         mean = float(values.mean())
@@ -49,20 +39,7 @@ class CourseFit:
         self.likelihood = -float(np.log(np.diag(factor[0])).sum() + 0.5 * np.log(weight.sum()) + 0.5 * (values - level) @ rest)
 
     def evidence(self, tau: float) -> tuple[float, Array]:
-        """Logarithm of the odds of a shape of size tau, and the probability of each shape, given that there is one.
-
-        Parameters
-        ----------
-        tau
-            Standard deviation of the size.
-
-        Returns
-        -------
-        float
-            The logarithm.
-        Array
-            Probabilities (S,).
-        """
+        """Logarithm of the odds of a shape of size tau, and the probability of each shape, given that there is one."""
         total = self._variance + tau**2
         each = 0.5 * (np.log(self._variance / total) + self._size**2 * (1.0 / self._variance - 1.0 / total))
         highest = float(each.max())
@@ -70,54 +47,17 @@ class CourseFit:
         return highest + float(np.log(relative.mean())), relative / relative.sum()
 
     def size(self, index: int, tau: float) -> tuple[float, float]:
-        """Size of a shape and its standard error.
-
-        Parameters
-        ----------
-        index
-            Column of the shape.
-        tau
-            Standard deviation of its prior.
-
-        Returns
-        -------
-        tuple of float
-            Size and standard error.
-        """
+        """Size of a shape and its standard error."""
         shrunk = tau**2 / (tau**2 + self._variance[index])
         return float(shrunk * self._size[index]), float(np.sqrt(shrunk * self._variance[index]))
 
     def level(self, index: int, size: float) -> float:
-        """Level of the record under a shape of a given size.
-
-        Parameters
-        ----------
-        index
-            Column of the shape.
-        size
-            Its size.
-
-        Returns
-        -------
-        float
-            Value where the shape is zero.
-        """
+        """Level of the record under a shape of a given size."""
         return float(self._level - size * self._means[index])
 
 
-def night_variance(values: Array) -> float:
-    """Variance of the differences of successive nights over a fleet; robust to a few units that change.
-
-    Parameters
-    ----------
-    values
-        The quantity (U, T), NaN where there is no record.
-
-    Returns
-    -------
-    float
-        The variance: twice that of the noise and once that of a walk's step; 0.0 where nothing is known.
-    """
+def night_variance(values: Annotated[Array, "U T"]) -> float:
+    """Variance of the differences of successive nights over a fleet; robust to a few units that change."""
     differences = np.diff(values, axis=1)
     known = differences[np.isfinite(differences)]
     if not len(known):
@@ -130,18 +70,6 @@ def named_within(probabilities: Array, false_share: float) -> int:
     """Number of claims, most probable first, whose expected share of errors stays within a bound (Müller, Parmigiani and Rice 2006).
 
     Where many are sure the bound leaves room for a few that are probably wrong: each must be more probable than not as well.
-
-    Parameters
-    ----------
-    probabilities
-        Of the claims, decreasing.
-    false_share
-        The bound.
-
-    Returns
-    -------
-    int
-        The number.
     """
     errors = np.cumsum(1.0 - probabilities) / np.arange(1, len(probabilities) + 1)
     return min(int(np.searchsorted(errors, false_share, side="right")), int(np.sum(probabilities > 0.5)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,43 +28,19 @@ DEVIATIONS = 4.0
 
 @dataclass(frozen=True)
 class CovariateEffect:
-    """Influence of a covariate on a quantity.
+    """Influence of a covariate on a quantity."""
 
-    Parameters
-    ----------
-    quantity
-        The quantity.
-    covariate
-        Column of the manifest.
-    slope, slope_error
-        Change of the quantity per unit of the covariate, and its standard error.
-    """
-
-    quantity: str
-    covariate: str
+    quantity: str  # The quantity
+    covariate: str  # Column of the manifest
+    # slope, slope_error: Change of the quantity per unit of the covariate, and its standard error
     slope: float
     slope_error: float
 
 
-def take_out(quantity: str, values: Array, covariates: Mapping[str, Array]) -> tuple[Array, list[CovariateEffect]]:
-    """Take the influence of covariates out of a quantity, one after the other.
-
-    Parameters
-    ----------
-    quantity
-        Name of the quantity.
-    values
-        The quantity (U, T), NaN where there is no record.
-    covariates
-        Covariates (U, T), NaN where there is none.
-
-    Returns
-    -------
-    Array
-        The quantity (U, T) at each covariate's mean.
-    list of CovariateEffect
-        The influences that were believed.
-    """
+def take_out(
+    quantity: str, values: Annotated[Array, "U T"], covariates: Mapping[str, Array]
+) -> tuple[Array, list[CovariateEffect]]:
+    """Take the influence of covariates out of a quantity, one after the other."""
     left, found = values, []
     for name, covariate in covariates.items():
         effect = _slope(quantity, name, left, covariate)

@@ -20,18 +20,6 @@ def forecast(trend: Trend, limits: Mapping[str, float]) -> Trend:
     At a time d after the last night the quantity is normal about ``level + slope d`` with the variance of the slope, (slope_error d)^2,
     and of the walk, walk^2 d. The interval holds the times between which the probability of being beyond the limit grows from 5 to
     95 %; an end is None where it never does.
-
-    Parameters
-    ----------
-    trend
-        The trend.
-    limits
-        Limits by quantity.
-
-    Returns
-    -------
-    Trend
-        The trend with its crossing; unchanged without a limit, or where the limit lies behind it.
     """
     limit = limits.get(trend.quantity)
     if limit is None:

@@ -25,30 +25,14 @@ OWN = ("bag", "unit", "time", "model", "baseline")
 
 @dataclass(frozen=True)
 class Entry:
-    """One record of a fleet.
+    """One record of a fleet."""
 
-    Parameters
-    ----------
-    bag
-        Path of the bag.
-    unit
-        Actuator that it is of.
-    time
-        When it was taken, as in the manifest.
-    model
-        Path of its model file; "" for none.
-    baseline
-        Paths of clean records.
-    columns
-        Further columns of the manifest, as texts.
-    """
-
-    bag: str
-    unit: str
-    time: str = ""
-    model: str = ""
-    baseline: tuple[str, ...] = ()
-    columns: Mapping[str, str] = field(default_factory=dict)
+    bag: str  # Path of the bag
+    unit: str  # Actuator that it is of
+    time: str = ""  # When it was taken, as in the manifest
+    model: str = ""  # Path of its model file; "" for none
+    baseline: tuple[str, ...] = ()  # Paths of clean records
+    columns: Mapping[str, str] = field(default_factory=dict)  # Further columns of the manifest, as texts
 
     @property
     def moment(self) -> float:
@@ -57,23 +41,7 @@ class Entry:
 
 
 def moment(text: str) -> float:
-    """Convert a time as manifests have it.
-
-    Parameters
-    ----------
-    text
-        A number, a date and time in ISO 8601, or "".
-
-    Returns
-    -------
-    float
-        The number, seconds since 1970 of a date, or NaN.
-
-    Raises
-    ------
-    InputError
-        It is neither.
-    """
+    """Convert a time as manifests have it."""
     if not text:
         return float("nan")
     try:
@@ -89,30 +57,9 @@ def moment(text: str) -> float:
 def read_manifest(
     sources: Sequence[str], names: str | None = None, model: str | None = None, baseline: Sequence[str] = ()
 ) -> list[Entry]:
-    """Read manifests, or make one from the names of bags.
-
-    Parameters
-    ----------
-    sources
-        CSV or Parquet files; or bags, or patterns of their names such as ``nights/*/*.bag``.
-    names
-        Regular expression with the groups `unit` and, if wanted, `time` that is searched in a bag's path; without it the unit is the
-        folder that a bag lies in, and the time the bag's place among its unit's names.
-    model
-        Model file of the records that name none.
-    baseline
-        Clean records of those that name none.
-
-    Returns
-    -------
-    list of Entry
-        The records, by unit and time.
-
-    Raises
-    ------
-    InputError
-        A manifest cannot be read, a column is missing, a time is none, a pattern fits nothing, or a bag is listed twice.
-    """
+    """Read manifests, or make one from the names of bags."""
+    # names: regular expression with the groups `unit` and, if wanted, `time` that is searched in a bag's path; without it the unit
+    # is the folder that a bag lies in, and the time the bag's place among its unit's names
     entries: list[Entry] = []
     bags: list[str] = []
     for source in sources:

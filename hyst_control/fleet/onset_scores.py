@@ -18,23 +18,6 @@ def score_study(study: str | Path, labels: str | Path) -> Table:
     """Compare a study's changes with the labels of its fleet.
 
     A unit counts as found where any of its quantities shifted or drifts; its night is that of its most probable shift.
-
-    Parameters
-    ----------
-    study
-        Folder of the study.
-    labels
-        Labels of `hyst cases make --fleet`.
-
-    Returns
-    -------
-    Table
-        Precision, recall, nights within one, and whether the driver that fails was named.
-
-    Raises
-    ------
-    InputError
-        A file is missing or is of another kind.
     """
     found = _document(Path(study) / "fleet.json", ("onsets", "trends", "common_causes"))
     truth = _document(Path(labels), ("units", "nights", "driver"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,54 +22,22 @@ WELL_WITHIN = 0.975
 
 @dataclass(frozen=True)
 class Outlier:
-    """A unit apart from the fleet.
+    """A unit apart from the fleet."""
 
-    Parameters
-    ----------
-    unit
-        The unit.
-    distance
-        Mahalanobis distance from the fleet's center.
-    probability
-        Adjusted p-value: the false discovery rate at which it would just be named.
-    farthest
-        Quantity that lies farthest from the center, in its own standard deviations.
-    deviation
-        That many.
-    """
-
-    unit: str
-    distance: float
-    probability: float
-    farthest: str
-    deviation: float
+    unit: str  # The unit
+    distance: float  # Mahalanobis distance from the fleet's center
+    probability: float  # Adjusted p-value: the false discovery rate at which it would just be named
+    farthest: str  # Quantity that lies farthest from the center, in its own standard deviations
+    deviation: float  # That many
 
 
 def find_outliers(
-    units: Sequence[str], quantities: Sequence[str], values: Array, false_share: float = 0.05, seed: int = 0
+    units: Sequence[str], quantities: Sequence[str], values: Annotated[Array, "U P"], false_share: float = 0.05, seed: int = 0
 ) -> list[Outlier]:
     """Find units apart from the fleet, with the false discovery rate controlled (Benjamini and Hochberg 1995).
 
     Center and covariance are those of the units that lie closest together (minimum covariance determinant, Rousseeuw and Van Driessen
     1999), so that the units looked for do not hide themselves.
-
-    Parameters
-    ----------
-    units
-        Names of the units (U,).
-    quantities
-        Names of the quantities (P,); U must be at least 2 P + 2.
-    values
-        Means of the quantities (U, P), one for each unit.
-    false_share
-        Bound of the expected share of units that are named wrongly.
-    seed
-        Of the subsets that the search begins with.
-
-    Returns
-    -------
-    list of Outlier
-        The units, farthest first; none where there are too few.
     """
     if not values.size:
         return []

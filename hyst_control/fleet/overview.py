@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,45 +28,19 @@ NAMED = ("effect", "parameters", "ambiguous")
 
 @dataclass(frozen=True)
 class Overview:
-    """A fleet seen as a whole.
+    """A fleet seen as a whole."""
 
-    Parameters
-    ----------
-    kind
-        "identify", "validate" or "diagnose".
-    units
-        Names of the units (U,).
-    moments
-        Times of the nights (T,).
-    series
-        Values (U, T) by quantity, NaN where there is none.
-    verdicts
-        Verdicts (U, T) of a study of diagnoses, "" where there is none.
-    pages
-        Paths (U, T) of the records' own pages, "" where there is none.
-    onsets
-        Units whose quantities shifted.
-    trends
-        Units whose quantities drift.
-    causes
-        What units that changed have in common.
-    covariates
-        Influences that were taken out of the quantities.
-    outliers
-        Units apart from the others.
-    """
-
-    kind: str
-    units: Sequence[str]
-    moments: Array
-    series: Mapping[str, Array]
-    verdicts: NDArray[np.object_]
-    pages: NDArray[np.object_]
-    onsets: Sequence[Onset]
-    trends: Sequence[Trend]
-    causes: Sequence[CommonCause]
-    covariates: Sequence[CovariateEffect]
-    outliers: Sequence[Outlier]
+    kind: str  # "identify", "validate" or "diagnose"
+    units: Sequence[str]  # Names of the units (U,)
+    moments: Annotated[Array, "T"]  # Times of the nights (T,)
+    series: Mapping[str, Array]  # Values (U, T) by quantity, NaN where there is none
+    verdicts: NDArray[np.object_]  # Verdicts (U, T) of a study of diagnoses, "" where there is none
+    pages: NDArray[np.object_]  # Paths (U, T) of the records' own pages, "" where there is none
+    onsets: Sequence[Onset]  # Units whose quantities shifted
+    trends: Sequence[Trend]  # Units whose quantities drift
+    causes: Sequence[CommonCause]  # What units that changed have in common
+    covariates: Sequence[CovariateEffect]  # Influences that were taken out of the quantities
+    outliers: Sequence[Outlier]  # Units apart from the others
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON types."""
@@ -87,25 +61,9 @@ class Overview:
 def overview(
     kind: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[str] = (), limits: Mapping[str, float] | None = None
 ) -> Overview:
-    """Look at all records of a study together.
-
-    Parameters
-    ----------
-    kind
-        "identify", "validate" or "diagnose".
-    rows
-        Rows of the results.
-    columns
-        Further columns of the manifest: numbers that differ within a unit are covariates, values that belong to a unit may be what
-        units that changed have in common.
-    limits
-        Limits by quantity; a drift's crossing is foreseen.
-
-    Returns
-    -------
-    Overview
-        What they tell.
-    """
+    """Look at all records of a study together."""
+    # columns: further columns of the manifest: numbers that differ within a unit are covariates, values that belong to a unit may
+    # be what units that changed have in common
     done = [row for row in rows if row["status"] == DONE and np.isfinite(row["moment"])]
     units = sorted({row["unit"] for row in done})
     moments = np.array(sorted({row["moment"] for row in done}))

@@ -28,17 +28,7 @@ SHOWN_UNITS = 8
 
 
 def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Write `fleet.json` and `fleet.html`.
-
-    Parameters
-    ----------
-    found
-        The overview.
-    rows
-        Rows of the results.
-    folder
-        Folder of the study.
-    """
+    """Write `fleet.json` and `fleet.html`."""
     write_json(folder / "fleet.json", found.document())
     failed = [row for row in rows if row["status"] != DONE]
     summary = (

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,61 +41,24 @@ LEAST_UNITS = 3
 
 @dataclass(frozen=True)
 class Population:
-    """Center and scatter of a fleet's coefficients, and the units' own levels.
+    """Center and scatter of a fleet's coefficients, and the units' own levels."""
 
-    Parameters
-    ----------
-    center
-        Means over the units (K,).
-    between
-        Covariance of the units' levels (K, K).
-    night
-        Covariance C of the differences of successive nights (K, K).
-    walk
-        Share rho of it that is a walk, 1.
-    error
-        Mean covariance of the identifications' own errors (K, K), which is a part of a night's error but none of the unit's.
-    units
-        Names of the units (U,).
-    levels
-        Their newest levels by their own nights alone (U, K).
-    spreads
-        Variances of these, in multiples of `night` (U,).
-    """
-
-    center: Array
-    between: Array
-    night: Array
-    walk: float
-    error: Array
-    units: tuple[str, ...]
-    levels: Array
-    spreads: Array
+    center: Annotated[Array, "K"]  # Means over the units (K,)
+    between: Annotated[Array, "K K"]  # Covariance of the units' levels (K, K)
+    night: Annotated[Array, "K K"]  # Covariance C of the differences of successive nights (K, K)
+    walk: float  # Share rho of it that is a walk, 1
+    # Mean covariance of the identifications' own errors (K, K), which is a part of a night's error but none of the unit's
+    error: Annotated[Array, "K K"]
+    units: tuple[str, ...]  # Names of the units (U,)
+    levels: Annotated[Array, "U K"]  # Their newest levels by their own nights alone (U, K)
+    spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `night` (U,)
 
     def usual(self) -> tuple[Array, Array]:
         """Mean (K,) and covariance (K, K) of the coefficients of any unit in any night."""
         return self.center, self.between + self._single_night()
 
     def of_unit(self, unit: str) -> tuple[Array, Array]:
-        """Mean and covariance of a unit's coefficients in its coming night, by its own nights and the fleet.
-
-        Parameters
-        ----------
-        unit
-            Name of the unit.
-
-        Returns
-        -------
-        mean : ndarray
-            (K,).
-        covariance : ndarray
-            (K, K).
-
-        Raises
-        ------
-        InputError
-            There is no such unit.
-        """
+        """Mean and covariance of a unit's coefficients in its coming night, by its own nights and the fleet."""
         if unit not in self.units:
             raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
         index = self.units.index(unit)
@@ -108,30 +72,10 @@ class Population:
         return _positive(0.5 * (1.0 - self.walk) * self.night - self.error)
 
 
-def find_population(units: Sequence[str], moments: Array, values: Array, errors: Array) -> Population:
-    """Center and scatter of the coefficients of a fleet.
-
-    Parameters
-    ----------
-    units
-        Unit of every record (N,).
-    moments
-        Times of the records (N,).
-    values
-        Coefficients by record (N, K).
-    errors
-        Covariances of their identification (N, K, K); zeros where nothing is stated.
-
-    Returns
-    -------
-    Population
-        The fleet's.
-
-    Raises
-    ------
-    InputError
-        There are fewer than three units.
-    """
+def find_population(
+    units: Sequence[str], moments: Annotated[Array, "N"], values: Annotated[Array, "N K"], errors: Annotated[Array, "N K K"]
+) -> Population:
+    """Center and scatter of the coefficients of a fleet."""
     rows = defaultdict(list)
     for row, unit in enumerate(units):
         rows[unit].append(row)

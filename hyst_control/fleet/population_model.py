@@ -28,33 +28,15 @@ SMALLEST = 1e-6
 
 @dataclass(frozen=True)
 class PopulationModel:
-    """Result of `hyst fleet population`.
+    """Result of `hyst fleet population`."""
 
-    Parameters
-    ----------
-    model
-        The model; its `uncertainty` is the fleet's scatter.
-    path
-        File that it was written to.
-    names
-        Names of the coefficients (K,), as in `chain.coordinates`.
-    population
-        The fleet's.
-    records
-        Number of models that it was made from.
-    left_out
-        Number of models of another structure.
-    unit
-        Unit whose coefficients are the model's; None: the fleet's center.
-    """
-
-    model: Model
-    path: Path
-    names: tuple[str, ...]
-    population: Population
-    records: int
-    left_out: int
-    unit: str | None
+    model: Model  # The model; its `uncertainty` is the fleet's scatter
+    path: Path  # File that it was written to
+    names: tuple[str, ...]  # Names of the coefficients (K,), as in `chain.coordinates`
+    population: Population  # The fleet's
+    records: int  # Number of models that it was made from
+    left_out: int  # Number of models of another structure
+    unit: str | None  # Unit whose coefficients are the model's; None: the fleet's center
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON types."""
@@ -97,27 +79,7 @@ class PopulationModel:
 
 
 def population_of_study(folder: str | Path, output: str | Path, unit: str | None = None) -> PopulationModel:
-    """Make a model of a fleet from a study of identifications, and write it.
-
-    Parameters
-    ----------
-    folder
-        Folder of a study that `hyst fleet identify` wrote.
-    output
-        Model file to write.
-    unit
-        Unit whose coefficients the model has, drawn toward the fleet's; None: the fleet's center.
-
-    Returns
-    -------
-    PopulationModel
-        The model, and how it came about.
-
-    Raises
-    ------
-    InputError
-        The folder holds no such study, its units are too few, or there is no such unit.
-    """
+    """Make a model of a fleet from a study of identifications, and write it."""
     folder = Path(folder)
     if not (folder / "records.parquet").exists():
         raise InputError(f"{folder}: holds no finished study: run hyst fleet identify first")
@@ -133,31 +95,7 @@ def population_of_study(folder: str | Path, output: str | Path, unit: str | None
 def population_model(
     models: Sequence[Model], units: Sequence[str], moments: Array, path: Path, unit: str | None = None
 ) -> PopulationModel:
-    """Make a model of a fleet from the models of its records.
-
-    Parameters
-    ----------
-    models
-        One a record.
-    units
-        Unit of every record.
-    moments
-        Time of every record.
-    path
-        File that the model is going to be in, and whose name it has.
-    unit
-        Unit whose coefficients the model has; None: the fleet's center.
-
-    Returns
-    -------
-    PopulationModel
-        The model, and how it came about.
-
-    Raises
-    ------
-    InputError
-        There are fewer than three units whose models have one structure, or there is no such unit.
-    """
+    """Make a model of a fleet from the models of its records."""
     forms = [(tuple(chain_coordinates(model.chain.stages, model.axes)), model.axes) for model in models]
     form = Counter(forms).most_common(1)[0][0]
     chosen = [index for index, each in enumerate(forms) if each == form]

@@ -25,60 +25,25 @@ NO_GAP, OPEN = "no_gap", "not_diagnosed"
 
 @dataclass(frozen=True)
 class RecordJob:
-    """One record to compute.
+    """One record to compute."""
 
-    Parameters
-    ----------
-    kind
-        Key of `KINDS`.
-    entry
-        The record.
-    options
-        Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`; of the latter also `pages`, and
-        `only`: `GAPS` or `ONSETS`.
-    folder
-        Folder of the study, for models that are written.
-    """
-
-    kind: str
-    entry: Entry
+    kind: str  # Key of `KINDS`
+    entry: Entry  # The record
+    # Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`; of the latter also `pages`, and
+    # `only`: `GAPS` or `ONSETS`
     options: Mapping[str, Any]
-    folder: str
+    folder: str  # Folder of the study, for models that are written
 
 
 def compute(job: RecordJob) -> dict[str, Any]:
-    """Compute a record's own columns.
-
-    Parameters
-    ----------
-    job
-        The record and what is wanted of it.
-
-    Returns
-    -------
-    dict
-        Values by column, with the seconds that it took.
-    """
+    """Compute a record's own columns."""
     begin = time.perf_counter()
     values = KINDS[job.kind](job)
     return {**values, "seconds": time.perf_counter() - begin}
 
 
 def mark(job: RecordJob, version: str) -> str:
-    """Fingerprint of all that a record's result depends on: if it is the same, the result is.
-
-    Parameters
-    ----------
-    job
-        The record and what is wanted of it.
-    version
-        Of this package.
-
-    Returns
-    -------
-    str
-        Hexadecimal digits.
-    """
+    """Fingerprint of all that a record's result depends on: if it is the same, the result is."""
     digest = hashlib.sha256(repr((job.kind, sorted(job.options.items()), version)).encode())
     for path in (job.entry.bag, *job.entry.baseline):
         digest.update(bag_stamp(path).encode())

@@ -23,20 +23,7 @@ OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")
 
 
 def parquet() -> tuple[Any, type[Exception]]:
-    """Give pyarrow's Parquet module, and the class of its errors.
-
-    Returns
-    -------
-    module
-        `pyarrow.parquet`.
-    error
-        Base of its exceptions.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """Give pyarrow's Parquet module, and the class of its errors."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -46,20 +33,7 @@ def parquet() -> tuple[Any, type[Exception]]:
 
 
 def schema(kind: str, columns: Sequence[str]) -> Any:
-    """Columns of a study's rows.
-
-    Parameters
-    ----------
-    kind
-        "identify", "validate" or "diagnose".
-    columns
-        Further columns of the manifest.
-
-    Returns
-    -------
-    pyarrow.Schema
-        The columns.
-    """
+    """Columns of a study's rows."""
     parquet()
     import pyarrow as pa
 
@@ -97,17 +71,7 @@ def schema(kind: str, columns: Sequence[str]) -> Any:
 
 
 class Results:
-    """Rows of a study in its folder, written in parts as they come.
-
-    Parameters
-    ----------
-    folder
-        Folder of the study; `records.parquet` and, while it runs, `parts` are in it.
-    kind
-        "identify", "validate" or "diagnose".
-    columns
-        Further columns of the manifest.
-    """
+    """Rows of a study in its folder, written in parts as they come."""
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[str]) -> None:
         self.whole, self._parts = folder / "records.parquet", folder / "parts"
@@ -126,13 +90,7 @@ class Results:
         return found
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Append a row.
-
-        Parameters
-        ----------
-        row
-            Values by column; what is missing is null.
-        """
+        """Append a row."""
         self._waiting.append(row)
         if len(self._waiting) >= ROWS_PER_PART or time.monotonic() > self._written + SECONDS_PER_PART:
             self.flush()
@@ -148,13 +106,7 @@ class Results:
         self._waiting = []
 
     def join(self, bags: Sequence[str]) -> None:
-        """Make one file of all parts: the newest row of every record of the manifest.
-
-        Parameters
-        ----------
-        bags
-            Bags of the manifest, in the order of the rows.
-        """
+        """Make one file of all parts: the newest row of every record of the manifest."""
         self.flush()
         newest: dict[str, Mapping[str, Any]] = {}
         for row in self.rows():

@@ -25,27 +25,7 @@ class ReadingError(Exception):
 
 
 def split_axes(entries: Sequence[Entry], folder: Path, namespace: str | None = None, unit: str = "unknown") -> list[Entry]:
-    """Write a bag for every axis of every record, and of its clean records, where it is not there yet.
-
-    Parameters
-    ----------
-    entries
-        The records.
-    folder
-        Folder of the study; the bags go into its folder `axes`.
-    namespace, unit
-        As in `read_bag`.
-
-    Returns
-    -------
-    list of Entry
-        One entry an axis; its unit is ``UNIT/AXIS``. A record that cannot be read, or has one axis, stays as it is.
-
-    Raises
-    ------
-    InputError
-        The axes of a clean record are others, or times are those of reception, which parts cannot say.
-    """
+    """Write a bag for every axis of every record, and of its clean records, where it is not there yet."""
     done: dict[str, dict[str, str]] = {}
     found: list[Entry] = []
 

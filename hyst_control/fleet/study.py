@@ -33,32 +33,17 @@ MOST_NAMED = 10
 
 @dataclass(frozen=True)
 class Study:
-    """Result of a run of a study.
+    """Result of a run of a study."""
 
-    Parameters
-    ----------
-    kind
-        "identify", "validate" or "diagnose".
-    folder
-        Folder of the study.
-    records, computed, kept
-        Number of records, of those computed now, and of those whose result was there.
-    failed
-        Reasons by bag.
-    seconds
-        Duration of this run.
-    verdicts
-        Number of records by verdict; empty but for "diagnose".
-    """
-
-    kind: str
-    folder: Path
+    kind: str  # "identify", "validate" or "diagnose"
+    folder: Path  # Folder of the study
+    # records, computed, kept: Number of records, of those computed now, and of those whose result was there
     records: int
     computed: int
     kept: int
-    failed: Mapping[str, str]
-    seconds: float
-    verdicts: Mapping[str, int]
+    failed: Mapping[str, str]  # Reasons by bag
+    seconds: float  # Duration of this run
+    verdicts: Mapping[str, int]  # Number of records by verdict; empty but for "diagnose"
 
     def document(self) -> dict[str, Any]:
         """Summary as JSON types."""
@@ -103,37 +88,7 @@ def run_study(
     limits: Mapping[str, float] | None = None,
     split: bool = False,
 ) -> Study:
-    """Compute what is missing of a study.
-
-    Parameters
-    ----------
-    kind
-        "identify", "validate" or "diagnose".
-    entries
-        The records.
-    folder
-        Folder of the study; created, or taken up again.
-    options
-        Options of the computation.
-    workers
-        Where it is computed.
-    note
-        Called with a line of progress now and then.
-    limits
-        Limits by quantity, for the forecast of drifts.
-    split
-        Whether every axis of a record is a unit of its own.
-
-    Returns
-    -------
-    Study
-        What was done.
-
-    Raises
-    ------
-    InputError
-        The study is of another kind, a record has no model, or results cannot be written.
-    """
+    """Compute what is missing of a study."""
     if kind not in KINDS:
         raise InputError(f"{kind}: no such study, one of {', '.join(KINDS)} is due")
     for entry in entries:

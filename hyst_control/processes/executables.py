@@ -21,18 +21,7 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 
 def run(name: str) -> int:
-    """Load a node and run its executable.
-
-    Parameters
-    ----------
-    name : str
-        Name in `NODES`.
-
-    Returns
-    -------
-    int
-        Exit status.
-    """
+    """Load a node and run its executable."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     status: int = importlib.import_module(NODES[name].module).main()
     return status

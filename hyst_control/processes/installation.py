@@ -49,37 +49,19 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """One thing that was looked at."""
 
-    Parameters
-    ----------
-    name
-        What was looked at.
-    verdict
-        Good, worth a note, or a fault that keeps something from working.
-    found
-        What was found, in words.
-    remedy
-        What to do; "" where there is nothing to do.
-    """
-
-    name: str
-    verdict: Verdict
-    found: str
-    remedy: str = ""
+    name: str  # What was looked at
+    verdict: Verdict  # Good, worth a note, or a fault that keeps something from working
+    found: str  # What was found, in words
+    remedy: str = ""  # What to do; "" where there is nothing to do
 
 
 @dataclass(frozen=True)
 class Installation:
-    """All checks of a computer.
+    """All checks of a computer."""
 
-    Parameters
-    ----------
-    checks
-        In the order in which they were made.
-    """
-
-    checks: tuple[Check, ...]
+    checks: tuple[Check, ...]  # In the order in which they were made
 
     @property
     def exit_status(self) -> int:
@@ -107,18 +89,7 @@ class Installation:
 
 
 def examine(folder: str | Path = ".") -> Installation:
-    """Make all checks; takes a few seconds.
-
-    Parameters
-    ----------
-    folder
-        Folder in which records are going to be written.
-
-    Returns
-    -------
-    Installation
-        The checks.
-    """
+    """Make all checks; takes a few seconds."""
     reach = discovery()  # before the defaults of this package's own processes
     environment.prepare()
     checks: tuple[Callable[[], Check], ...] = (
@@ -261,13 +232,7 @@ def memory() -> Check:
 
 
 def disk(folder: str | Path) -> Check:
-    """Speed at which records can be written.
-
-    Parameters
-    ----------
-    folder
-        Folder in which records are going to be written.
-    """
+    """Speed at which records can be written."""
     block = os.urandom(1 << 20)
     try:
         free = shutil.disk_usage(folder).free

@@ -20,17 +20,7 @@ from hyst_control.processes.ros_domain import lock_of
 
 
 class Processes:
-    """Nodes as processes on one ROS domain; all are ended when the context ends.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of parameter files and logs, created if it is missing.
-    domain : int
-        ROS domain.
-    namespace : str
-        Namespace of the nodes.
-    """
+    """Nodes as processes on one ROS domain; all are ended when the context ends."""
 
     def __init__(self, folder: Path, domain: int, namespace: str = "") -> None:
         self.folder, self.namespace = Path(folder), namespace
@@ -43,22 +33,7 @@ class Processes:
         self.running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, node: str, parameters: Mapping[str, Any], name: str | None = None) -> subprocess.Popen[bytes]:
-        """Start an executable with its parameters; its output goes to `name`.log.
-
-        Parameters
-        ----------
-        node : str
-            Name in `NODES`.
-        parameters : mapping
-            Parameters by name.
-        name : str, optional
-            Name of the node; default: `node`.
-
-        Returns
-        -------
-        Popen
-            The process.
-        """
+        """Start an executable with its parameters; its output goes to `name`.log."""
         name = name or node
         file = self._write(name, {"/**": parameters})
         return self.run(
@@ -66,57 +41,16 @@ class Processes:
         )
 
     def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
-        """Start several nodes as one process.
-
-        Parameters
-        ----------
-        parameters : mapping of str to mapping
-            Parameters by name, of every node by its name.
-        name : str
-            Name of the process, for its log.
-
-        Returns
-        -------
-        Popen
-            The process.
-        """
+        """Start several nodes as one process."""
         file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
         return self.run(name, NODES["pipeline"].module, *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
 
     def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
-        """Start a module as a process on the domain; its output goes to `name`.log.
-
-        Parameters
-        ----------
-        name : str
-            Name of the process.
-        module : str
-            Name of the module.
-        *arguments : str
-            Its command line.
-
-        Returns
-        -------
-        Popen
-            The process.
-        """
+        """Start a module as a process on the domain; its output goes to `name`.log."""
         return self.execute(name, [sys.executable, "-m", module, *arguments])
 
     def execute(self, name: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
-        """Start a program with the environment of the nodes; its output goes to `name`.log.
-
-        Parameters
-        ----------
-        name : str
-            Name of the process.
-        command : sequence of str
-            The program and its arguments.
-
-        Returns
-        -------
-        Popen
-            The process.
-        """
+        """Start a program with the environment of the nodes; its output goes to `name`.log."""
         with open(self.log(name), "ab") as log:
             process = subprocess.Popen(
                 command,
@@ -140,37 +74,11 @@ class Processes:
         return ["-r", f"__ns:={self.namespace}"] if self.namespace else []
 
     def log(self, name: str) -> Path:
-        """File with the output of a process.
-
-        Parameters
-        ----------
-        name : str
-            Name of the process.
-
-        Returns
-        -------
-        Path
-            The file.
-        """
+        """File with the output of a process."""
         return self.folder / f"{name}.log"
 
     def wait(self, *names: str, timeout: float) -> None:
-        """Wait until these nodes have ended by themselves.
-
-        Parameters
-        ----------
-        *names : str
-            Names of the nodes.
-        timeout : float
-            Longest time in s.
-
-        Raises
-        ------
-        InputError
-            When any node fails; gives its last line of output.
-        TimeoutError
-            When a node is still running after the timeout.
-        """
+        """Wait until these nodes have ended by themselves."""
         end = time.monotonic() + timeout
         while any(self.running[name].poll() is None for name in names):
             self.check()
@@ -190,18 +98,7 @@ class Processes:
                 raise InputError(f"{name} ended with status {process.returncode}: {lines[-1] if lines else 'no output'}")
 
     def stop(self, timeout: float = 10.0) -> dict[str, int]:
-        """Interrupt the running processes and wait for them.
-
-        Parameters
-        ----------
-        timeout : float
-            Time in s after which the remaining ones are killed.
-
-        Returns
-        -------
-        dict of str to int
-            Exit statuses by name; -9 of killed processes.
-        """
+        """Interrupt the running processes and wait for them."""
         for process in self.running.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)

@@ -20,18 +20,6 @@ def set_scheduler(priority: int, cpu: int) -> str:
 
     With a real-time priority all processors are kept from sleeping too while the process lives, if the system allows it: one that
     sleeps between two ticks, or is halted as that of a virtual machine, wakes up late.
-
-    Parameters
-    ----------
-    priority : int
-        Priority under SCHED_FIFO, 1 to 99; 0 keeps the scheduler.
-    cpu : int
-        Core to which the process is pinned; `ANY_CORE` for any.
-
-    Returns
-    -------
-    str
-        Reason why the system refuses it; "" when it does not.
     """
     try:
         if cpu != ANY_CORE:

@@ -16,35 +16,13 @@ _held: dict[int, int] = {}
 
 
 def lock_of(domain: int) -> tuple[int, ...]:
-    """Open file that locks a domain, for child processes to inherit because they may outlive this process.
-
-    Parameters
-    ----------
-    domain : int
-        ROS domain.
-
-    Returns
-    -------
-    tuple of int
-        File descriptor; empty if this process does not hold the domain.
-    """
+    """Open file that locks a domain, for child processes to inherit because they may outlive this process."""
     return (_held[domain],) if domain in _held else ()
 
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Lock a domain that no other run of this package on this machine uses, until the context and all child processes have ended.
-
-    Returns
-    -------
-    int
-        The domain.
-
-    Raises
-    ------
-    InputError
-        When all domains are in use.
-    """
+    """Lock a domain that no other run of this package on this machine uses, until the context and all child processes have ended."""
     for domain in DOMAINS:
         path = os.path.join(tempfile.gettempdir(), f"hyst_control_{os.getuid()}_domain_{domain}.lock")
         handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)

@@ -12,18 +12,7 @@ Written by `python docs/make_reference.py` from the commands' own descriptions: 
 
 
 def command_reference(top: argparse.ArgumentParser) -> str:
-    """Every subcommand with its description, its arguments and their meaning.
-
-    Parameters
-    ----------
-    top
-        Parser with subcommands.
-
-    Returns
-    -------
-    str
-        Text of the page `docs/commands.md`.
-    """
+    """Every subcommand with its description, its arguments and their meaning."""
     subcommands = next(action for action in top._actions if isinstance(action, argparse._SubParsersAction))
     return HEAD + "".join(_section(f"{top.prog} {name}", sub) for name, sub in sorted(subcommands.choices.items()))
 

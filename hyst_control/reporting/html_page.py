@@ -40,13 +40,7 @@ GRID = {"gridcolor": "rgba(130,140,155,0.3)", "zerolinecolor": "rgba(130,140,155
 
 
 class Palette:
-    """Colors of the subjects of a page: a subject has the same color in every figure.
-
-    Parameters
-    ----------
-    *subjects
-        Those whose colors come first, in order; the first one has the color of the ink.
-    """
+    """Colors of the subjects of a page: a subject has the same color in every figure."""
 
     def __init__(self, *subjects: str) -> None:
         self._colors: dict[str, str] = {}
@@ -54,38 +48,12 @@ class Palette:
             self.color(subject)
 
     def color(self, subject: str) -> str:
-        """Color of a subject; a new subject gets the next one.
-
-        Parameters
-        ----------
-        subject
-            Its name, such as "measured".
-
-        Returns
-        -------
-        str
-            Hexadecimal color.
-        """
+        """Color of a subject; a new subject gets the next one."""
         return self._colors.setdefault(subject, COLORS[len(self._colors) % len(COLORS)])
 
 
 def figure_markup(figure: go.Figure, height: int = 420, least_width: int = 0) -> Markup:
-    """Convert a zoomable figure to markup for a template; the page draws it.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    height
-        Height, pixels.
-    least_width
-        Width, pixels, below which the figure is scrolled sideways instead of squeezed: for several columns.
-
-    Returns
-    -------
-    Markup
-        The markup.
-    """
+    """Convert a zoomable figure to markup for a template; the page draws it."""
     figure.update_layout(**LAYOUT, height=height)
     figure.update_xaxes(**GRID, ticklabelstandoff=7)  # the label below the corner does not touch the one beside it
     figure.update_yaxes(**GRID)
@@ -105,47 +73,14 @@ def _library() -> str:
 def write_page(
     path: Path, template: str, title: str, summary: str, *, origins: Sequence[Origin] = (), figures: bool = True, **values: object
 ) -> None:
-    """Write a page from a template that extends ``reporting/templates/page.html``, with the plotting library inside it.
-
-    Parameters
-    ----------
-    path
-        File to write, in an existing folder; it is replaced as a whole.
-    template
-        Path of the template within the package.
-    title
-        Heading of the page, and its name in the browser.
-    summary
-        First paragraph: the verdict.
-    origins
-        Where the page comes from; links to files are relative to the page.
-    figures
-        Whether it has figures, and so needs the plotting library.
-    **values
-        Further values that the template names.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
-    """
+    """Write a page from a template that extends ``reporting/templates/page.html``, with the plotting library inside it."""
     library = _library() if figures else ""
     rows = [origin.seen_from(path.parent) for origin in origins]
     write_text(path, render(template, title=title, summary=summary, origins=rows, plotting_library=library, **values))
 
 
 class Page:
-    """A page in the common template: sections, tables and figures in the order of the calls.
-
-    Parameters
-    ----------
-    title
-        Heading of the page, and its name in the browser.
-    summary
-        First paragraph: the verdict.
-    origins
-        Where the page comes from.
-    """
+    """A page in the common template: sections, tables and figures in the order of the calls."""
 
     def __init__(self, title: str, summary: str, origins: Sequence[Origin] = ()) -> None:
         self.title = title
@@ -154,59 +89,23 @@ class Page:
         self._content: list[dict[str, object]] = []
 
     def section(self, heading: str, text: str = "") -> None:
-        """Begin a section: a heading, and a paragraph under it.
-
-        Parameters
-        ----------
-        heading
-            The heading.
-        text
-            The paragraph.
-        """
+        """Begin a section: a heading, and a paragraph under it."""
         self._content.append({"kind": "section", "heading": heading, "text": text})
 
     def table(self, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table of texts.
-
-        Parameters
-        ----------
-        headers
-            Headers of the columns.
-        rows
-            Rows, each as long as the headers.
-        """
+        """Add a table of texts."""
         self._content.append({"kind": "table", "headers": headers, "rows": rows})
 
     def figure(self, figure: go.Figure, height: int = 420, least_width: int = 0) -> None:
-        """Add a zoomable figure.
-
-        Parameters
-        ----------
-        figure
-            The figure.
-        height, least_width
-            As in `figure_markup`.
-        """
+        """Add a zoomable figure."""
         self._content.append({"kind": "figure", "drawing": figure_markup(figure, height, least_width)})
 
     def note(self, text: str) -> None:
-        """Add a small paragraph.
-
-        Parameters
-        ----------
-        text
-            The paragraph.
-        """
+        """Add a small paragraph."""
         self._content.append({"kind": "note", "text": text})
 
     def write(self, path: Path) -> None:
-        """Write the page; see `write_page`.
-
-        Parameters
-        ----------
-        path
-            File to write.
-        """
+        """Write the page; see `write_page`."""
         drawn = any(part["kind"] == "figure" for part in self._content)
         write_page(
             path,

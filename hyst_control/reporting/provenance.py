@@ -14,36 +14,14 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Origin:
-    """One line of the provenance.
+    """One line of the provenance."""
 
-    Parameters
-    ----------
-    name
-        Such as "model".
-    texts
-        One or several texts; paths where `files` is true.
-    files
-        Whether the texts are paths of files or folders, to which the page links.
-    """
-
-    name: str
-    texts: tuple[str, ...]
-    files: bool = False
+    name: str  # Such as "model"
+    texts: tuple[str, ...]  # One or several texts; paths where `files` is true
+    files: bool = False  # Whether the texts are paths of files or folders, to which the page links
 
     def seen_from(self, folder: Path) -> tuple[str, list[tuple[str, str | None]]]:
-        """Prepare the line for a page.
-
-        Parameters
-        ----------
-        folder
-            Folder that the page lies in.
-
-        Returns
-        -------
-        tuple
-            The name, and for each text its link relative to the folder, None where there is nothing to link to. What lies in the
-            page's folder is called by its place there.
-        """
+        """Prepare the line for a page."""
         if not self.files:
             return self.name, [(text, None) for text in self.texts]
         links = [_link(text, folder) for text in self.texts]
@@ -53,20 +31,7 @@ class Origin:
 
 
 def provenance(files: Sequence[tuple[str, Sequence[str | Path]]] = (), facts: Sequence[tuple[str, str]] = ()) -> list[Origin]:
-    """Describe where a result comes from.
-
-    Parameters
-    ----------
-    files
-        Names and paths of what was read, such as ("bag", ["record"]); those without a path are left out.
-    facts
-        Names and texts of what else matters, such as ("seed", "0").
-
-    Returns
-    -------
-    list of Origin
-        The files, the facts, the command, the version and the date.
-    """
+    """Describe where a result comes from."""
     found = [Origin(name, tuple(str(path) for path in paths), True) for name, paths in files if paths]
     found += [Origin(name, (text,)) for name, text in facts]
     return [

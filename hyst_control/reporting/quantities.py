@@ -10,23 +10,7 @@ PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Write a quantity.
-
-    Parameters
-    ----------
-    value
-        In the unit.
-    unit
-        Unit; "" for a share, which is written in per cent.
-    digits
-        Digits that count.
-
-    Returns
-    -------
-    str
-        Such as "27.2 kV/s", "3.1 %" or "0.012 um".
-
-    """
+    """Write a quantity."""
     if not math.isfinite(value):
         return f"{value} {unit}".rstrip()
     if unit == "":

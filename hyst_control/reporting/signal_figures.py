@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,54 +30,27 @@ SEGMENTS = 8
 
 @dataclass(frozen=True)
 class Line:
-    """One curve.
+    """One curve."""
 
-    Parameters
-    ----------
-    name
-        What it shows.
-    x, y
-        Points (N,).
-    """
-
-    name: str
-    x: Array
-    y: Array
+    name: str  # What it shows
+    # x, y: Points (N,)
+    x: Annotated[Array, "N"]
+    y: Annotated[Array, "N"]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its curves.
+    """One pair of axes with its curves."""
 
-    Parameters
-    ----------
-    x_title, y_title
-        Titles of the axes, with units.
-    lines
-        The curves.
-    logarithmic
-        Both axes logarithmic.
-    """
-
+    # x_title, y_title: Titles of the axes, with units
     x_title: str
     y_title: str
-    lines: tuple[Line, ...]
-    logarithmic: bool = False
+    lines: tuple[Line, ...]  # The curves
+    logarithmic: bool = False  # Both axes logarithmic
 
 
 def over_time(record: Record) -> list[Panel]:
-    """Draw every signal over time, signals of the same unit together.
-
-    Parameters
-    ----------
-    record
-        The record.
-
-    Returns
-    -------
-    list of Panel
-        A panel per unit.
-    """
+    """Draw every signal over time, signals of the same unit together."""
     panels = []
     for unit in dict.fromkeys(signal.unit for signal in record.signals.values()):
         lines = [
@@ -90,25 +64,7 @@ def over_time(record: Record) -> list[Panel]:
 
 
 def over_each_other(record: Record, horizontal: str, vertical: str) -> list[Panel]:
-    """Draw one signal over another, axis by axis: hysteresis loops, paths.
-
-    Parameters
-    ----------
-    record
-        The record.
-    horizontal, vertical
-        Topics; with two axes of one signal, `measurement.x` and `measurement.y`, one panel of both.
-
-    Returns
-    -------
-    list of Panel
-        A panel per axis.
-
-    Raises
-    ------
-    InputError
-        A signal is missing, has no such axis, or the two have different numbers of axes.
-    """
+    """Draw one signal over another, axis by axis: hysteresis loops, paths."""
     topics = [name.partition(".")[0] for name in (horizontal, vertical)]
     pieces = record.aligned(list(dict.fromkeys(topics)), allow_gaps=True)
     picked: list[tuple[str, list[str], Array]] = []
@@ -131,23 +87,7 @@ def over_each_other(record: Record, horizontal: str, vertical: str) -> list[Pane
 
 
 def spectra(record: Record) -> list[Panel]:
-    """Draw the amplitude spectral density of every signal (Welch's method, Hann windows), signals of the same unit together.
-
-    Parameters
-    ----------
-    record
-        The record.
-
-    Returns
-    -------
-    list of Panel
-        A panel per unit.
-
-    Raises
-    ------
-    InputError
-        A value is not finite or out of range.
-    """
+    """Draw the amplitude spectral density of every signal (Welch's method, Hann windows), signals of the same unit together."""
     record.check(list(record.signals))
     panels = []
     for unit in dict.fromkeys(signal.unit for signal in record.signals.values()):
@@ -163,21 +103,8 @@ def spectra(record: Record) -> list[Panel]:
     return panels
 
 
-def thinned(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
-    """Thin a curve out for a drawing: of every stretch the lowest and the highest point stay.
-
-    Parameters
-    ----------
-    x, y
-        Points (N,).
-    most
-        Points that may be drawn.
-
-    Returns
-    -------
-    x, y
-        At most `most` of the points, in their order.
-    """
+def thinned(x: Annotated[Array, "N"], y: Annotated[Array, "N"], most: int = MOST_POINTS) -> tuple[Array, Array]:
+    """Thin a curve out for a drawing: of every stretch the lowest and the highest point stay."""
     if len(x) <= most:
         return x, y
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
@@ -189,22 +116,7 @@ def thinned(x: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
 
 
 def write_drawing(panels: Sequence[Panel], path: str | Path, title: str) -> None:
-    """Draw panels to a file, whose ending says how: a picture (.png, .svg, .pdf) or a page (.html).
-
-    Parameters
-    ----------
-    panels
-        The panels, one below the other.
-    path
-        File to write; it is replaced as a whole.
-    title
-        Title of the drawing.
-
-    Raises
-    ------
-    InputError
-        The file's ending is another one.
-    """
+    """Draw panels to a file, whose ending says how: a picture (.png, .svg, .pdf) or a page (.html)."""
     ending = Path(path).suffix.lstrip(".").lower()
     if ending == "html":
         _write_page(panels, Path(path), title)

@@ -10,66 +10,25 @@ HEADERS = ("case", "subject", "quantity", "measured", "published", "unit")
 
 
 def add_tables(page: Page, table: Table) -> None:
-    """Add a section to a page for each table of a result.
-
-    Parameters
-    ----------
-    page
-        The page.
-    table
-        The result.
-    """
+    """Add a section to a page for each table of a result."""
     for name, rows in by_name(table).items():
         page.section(name)
         page.table(HEADERS, [cells(row) for row in rows])
 
 
 def markdown(table: Table) -> str:
-    """Convert a result to Markdown, each table under its name.
-
-    Parameters
-    ----------
-    table
-        The result.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Convert a result to Markdown, each table under its name."""
     tables = {name: [cells(row) for row in rows] for name, rows in by_name(table).items()}
     return render("reporting/templates/tables.md", headers=HEADERS, tables=tables)
 
 
 def by_name(table: Table) -> dict[str, list[Row]]:
-    """Group the rows of a result by the names of their tables, in order.
-
-    Parameters
-    ----------
-    table
-        The result.
-
-    Returns
-    -------
-    dict[str, list[Row]]
-        Rows by table.
-    """
+    """Group the rows of a result by the names of their tables, in order."""
     return {name: [row for row in table.rows if row.table == name] for name in dict.fromkeys(row.table for row in table.rows)}
 
 
 def cells(row: Row) -> list[str]:
-    """Texts of a row, in the order of `HEADERS`.
-
-    Parameters
-    ----------
-    row
-        The row.
-
-    Returns
-    -------
-    list[str]
-        A text a column.
-    """
+    """Texts of a row, in the order of `HEADERS`."""
     return [
         row.case,
         row.subject,

@@ -14,38 +14,12 @@ from markupsafe import Markup
 
 
 def render(template: str, **values: object) -> str:
-    """Fill in a template.
-
-    Parameters
-    ----------
-    template
-        Path within the package, such as ``reporting/templates/page.html``.
-    **values
-        What the template names; one that is missing is an error.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Fill in a template."""
     return _environment().get_template(template).render(values)
 
 
 def render_markup(template: str, **values: object) -> Markup:
-    """Fill in a template whose result is inserted unchanged into another one; see `render`.
-
-    Parameters
-    ----------
-    template
-        Path of the template within the package.
-    **values
-        Values that the template names.
-
-    Returns
-    -------
-    Markup
-        The markup.
-    """
+    """Fill in a template whose result is inserted unchanged into another one; see `render`."""
     return Markup(render(template, **values))
 
 

@@ -10,6 +10,8 @@ power of the time, and the sensor's white noise. No chain of a hysteresis with l
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -32,23 +34,8 @@ PIECES = 20
 """Steps of the integration in a sample."""
 
 
-def respond(command: Array, seed: int, noise: float = NOISE) -> Array:
-    """Simulate the stage from rest at 0 V.
-
-    Parameters
-    ----------
-    command
-        Voltage (N, 1), V, held between samples of `SAMPLE_TIME`.
-    seed
-        Seed of the noise.
-    noise
-        White noise, um rms.
-
-    Returns
-    -------
-    Array
-        Measured displacement (N, 1), um, at the samples, the first before its command acts.
-    """
+def respond(command: Annotated[Array, "N 1"], seed: int, noise: float = NOISE) -> Annotated[Array, "N 1"]:
+    """Simulate the stage from rest at 0 V."""
     moved = np.empty(len(command))
     _oscillate(np.ascontiguousarray(command[:, 0]), SAMPLE_TIME / PIECES, PIECES, 2.0 * np.pi * FREQUENCY, moved)
     shares = CREEP_TIMES**CREEP_POWER

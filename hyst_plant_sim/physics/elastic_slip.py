@@ -17,23 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Slip(Part):
-    """Polarization or free stroke for a voltage.
-
-    Parameters
-    ----------
-    elastic_slope, slip_slope
-        Slope right after a reversal, and slope added once every element moves, output unit / V.
-    elements
-        Number of elements.
-    slip_range
-        Largest half-width of a slack, V.
-    slip_decay
-        Voltage over which the density of the elements falls to 1/e, V.
-    curvature
-        Saturation, 1 / output unit.
-    width
-        Relative change of the memory.
-    """
+    """Polarization or free stroke for a voltage."""
 
     def __init__(
         self,
@@ -74,15 +58,6 @@ class PushPull(Part):
     """Two stacks that tilt a mirror: one driven by v, the other by bias - v; tilt is half the difference of their strokes.
 
     The second stack was taken from 0 V up to the bias before the drive left 0; the tilt counts from there.
-
-    Parameters
-    ----------
-    first, second
-        The stacks.
-    bias
-        Voltage that the pair shares, V.
-    offset
-        Zero of the tilt (output unit).
     """
 
     def __init__(self, first: Slip, second: Slip, bias: float, offset: float) -> None:

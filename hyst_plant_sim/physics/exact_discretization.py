@@ -10,22 +10,7 @@ Array = NDArray[np.float64]
 
 
 def held_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
-    """Discretize x' = a x + b u with u held over a step: x ← Φ x + Γ u.
-
-    Parameters
-    ----------
-    a, b
-        System (n, n), (n,).
-    step
-        The step, s.
-
-    Returns
-    -------
-    phi : Array
-        Φ (n, n).
-    gamma : Array
-        Γ (n,).
-    """
+    """Discretize x' = a x + b u with u held over a step: x ← Φ x + Γ u."""
     n = len(a)
     block = np.zeros((n + 1, n + 1))
     block[:n, :n], block[:n, n] = a, b
@@ -34,24 +19,7 @@ def held_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
 
 
 def ramp_step(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
-    """Discretize x' = a x + b u with u straight from u0 to u1 over a step: x ← Φ x + Γ0 u0 + Γ1 u1.
-
-    Parameters
-    ----------
-    a, b
-        System (n, n), (n,).
-    step
-        The step, s.
-
-    Returns
-    -------
-    phi : Array
-        Φ (n, n).
-    first : Array
-        Γ0 (n,).
-    last : Array
-        Γ1 (n,).
-    """
+    """Discretize x' = a x + b u with u straight from u0 to u1 over a step: x ← Φ x + Γ0 u0 + Γ1 u1."""
     phi, gamma = held_step(a, b, step)
     n = len(a)
     # The response to a ramp of slope 1 / step is the integral of the response to a step: one more integrator in front.
@@ -62,22 +30,7 @@ def ramp_step(a: Array, b: Array, step: float) -> tuple[Array, Array, Array]:
 
 
 def mean_of_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
-    """Mean M x + m u of the state over a step whose input u is held, x being the state at its beginning.
-
-    Parameters
-    ----------
-    a, b
-        System (n, n), (n,).
-    step
-        The step, s.
-
-    Returns
-    -------
-    state : Array
-        M (n, n).
-    shift : Array
-        m (n,).
-    """
+    """Mean M x + m u of the state over a step whose input u is held, x being the state at its beginning."""
     n = len(a)
     block = np.zeros((2 * n + 1, 2 * n + 1))
     block[:n, :n], block[:n, n], block[n + 1 :, :n] = a, b, np.eye(n) / step  # the last rows integrate
@@ -86,44 +39,14 @@ def mean_of_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:
 
 
 def rest(a: Array, b: Array, value: float) -> Array:
-    """State at rest for a constant input.
-
-    Parameters
-    ----------
-    a, b
-        System (n, n), (n,).
-    value
-        The input.
-
-    Returns
-    -------
-    Array
-        State (n,).
-    """
+    """State at rest for a constant input."""
     return np.asarray(-np.linalg.solve(a, b) * value, dtype=np.float64)
 
 
 def series(
     first: tuple[Array, Array, Array, float], second: tuple[Array, Array, Array, float]
 ) -> tuple[Array, Array, Array, float]:
-    """Connect two single-input systems, the first feeding the second.
-
-    Parameters
-    ----------
-    first, second
-        (a, b, c, d) of the systems.
-
-    Returns
-    -------
-    a : Array
-        (n, n).
-    b : Array
-        (n,).
-    c : Array
-        (n,).
-    d : float
-        Direct gain.
-    """
+    """Connect two single-input systems, the first feeding the second."""
     a1, b1, c1, d1 = first
     a2, b2, c2, d2 = second
     n1, n2 = len(a1), len(a2)
@@ -133,72 +56,17 @@ def series(
 
 
 def lag(rate: float) -> tuple[Array, Array, Array, float]:
-    """First-order low-pass of unit gain.
-
-    Parameters
-    ----------
-    rate
-        Cutoff, rad/s.
-
-    Returns
-    -------
-    a : Array
-        (1, 1).
-    b : Array
-        (1,).
-    c : Array
-        (1,).
-    d : float
-        Direct gain.
-    """
+    """First-order low-pass of unit gain."""
     return np.array([[-rate]]), np.array([rate]), np.array([1.0]), 0.0
 
 
 def oscillator(frequency: float, damping: float) -> tuple[Array, Array, Array, float]:
-    """Mass, spring and damper of unit static gain; the states are position and velocity / ω.
-
-    Parameters
-    ----------
-    frequency
-        ω, rad/s.
-    damping
-        Damping ratio.
-
-    Returns
-    -------
-    a : Array
-        (2, 2).
-    b : Array
-        (2,).
-    c : Array
-        (2,).
-    d : float
-        Direct gain.
-    """
+    """Mass, spring and damper of unit static gain; the states are position and velocity / ω."""
     w = frequency
     return np.array([[0.0, w], [-w, -2.0 * damping * w]]), np.array([0.0, w]), np.array([1.0, 0.0]), 0.0
 
 
 def slow_share(share: float, time_constant: float) -> tuple[Array, Array, Array, float]:
-    """Viscoelastic element: a fraction of the final value arrives late, the rest at once.
-
-    Parameters
-    ----------
-    share
-        The fraction.
-    time_constant
-        Time constant of its arrival, s.
-
-    Returns
-    -------
-    a : Array
-        (1, 1).
-    b : Array
-        (1,).
-    c : Array
-        (1,).
-    d : float
-        Direct gain.
-    """
+    """Viscoelastic element: a fraction of the final value arrives late, the rest at once."""
     rate = 1.0 / time_constant
     return np.array([[-rate]]), np.array([rate]), np.array([share]), 1.0 - share

@@ -37,72 +37,34 @@ PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2
 
 @dataclass(frozen=True)
 class FsmParameters(PlantParameters):
-    """Physical parameters of the truth FSM; values in config/plants/fsm.yaml.
-
-    Parameters
-    ----------
-    delay
-        Input delay per axis, s.
-    notch_frequency, pole_frequency
-        Frequencies of the notch against the mode, and of the poles that come with it, Hz.
-    notch_damping, pole_damping
-        Their damping ratios.
-    amplifier_cutoff
-        First-order cutoff, Hz.
-    bias
-        Voltage shared by a pair of stacks, V.
-    elastic_slope
-        Slope of a stack right after a reversal per axis, mrad/V.
-    slip_slope
-        Slope added once every slip element moves per axis, mrad/V.
-    slip_elements
-        Number of elements of a stack.
-    slip_range
-        Largest half-width of a slack, V.
-    slip_decay
-        Voltage over which the density of the elements falls to 1/e, V.
-    saturation
-        Curvature of a stack's stroke, 1/mrad.
-    relaxation_share
-        Fraction of the tilt that arrives late.
-    relaxation_time
-        Time constant of its arrival, s.
-    mode_frequency
-        Frequency of the mode per axis, Hz.
-    mode_damping
-        Its damping ratio per axis.
-    coupling
-        Fraction of one axis' tilt that the other makes, of opposite signs.
-    sensor_cutoff
-        First-order cutoff, Hz.
-    noise
-        White noise, mrad rms.
-    """
+    """Physical parameters of the truth FSM; values in config/plants/fsm.yaml."""
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"
     internal_rate: ClassVar[float] = 500e3
 
-    delay: Sequence[float]
+    delay: Sequence[float]  # Input delay per axis, s
+    # notch_frequency, pole_frequency: Frequencies of the notch against the mode, and of the poles that come with it, Hz
     notch_frequency: float
+    # notch_damping, pole_damping: Their damping ratios
     notch_damping: float
     pole_frequency: float
     pole_damping: float
-    amplifier_cutoff: float
-    bias: float
-    elastic_slope: Sequence[float]
-    slip_slope: Sequence[float]
-    slip_elements: int
-    slip_range: float
-    slip_decay: float
-    saturation: float
-    relaxation_share: float
-    relaxation_time: float
-    mode_frequency: Sequence[float]
-    mode_damping: Sequence[float]
-    coupling: float
-    sensor_cutoff: float
-    noise: float
+    amplifier_cutoff: float  # First-order cutoff, Hz
+    bias: float  # Voltage shared by a pair of stacks, V
+    elastic_slope: Sequence[float]  # Slope of a stack right after a reversal per axis, mrad/V
+    slip_slope: Sequence[float]  # Slope added once every slip element moves per axis, mrad/V
+    slip_elements: int  # Number of elements of a stack
+    slip_range: float  # Largest half-width of a slack, V
+    slip_decay: float  # Voltage over which the density of the elements falls to 1/e, V
+    saturation: float  # Curvature of a stack's stroke, 1/mrad
+    relaxation_share: float  # Fraction of the tilt that arrives late
+    relaxation_time: float  # Time constant of its arrival, s
+    mode_frequency: Sequence[float]  # Frequency of the mode per axis, Hz
+    mode_damping: Sequence[float]  # Its damping ratio per axis
+    coupling: float  # Fraction of one axis' tilt that the other makes, of opposite signs
+    sensor_cutoff: float  # First-order cutoff, Hz
+    noise: float  # White noise, mrad rms
 
     def __post_init__(self) -> None:
         check_positive(

@@ -24,47 +24,13 @@ GRID = 201
 
 
 def oscillator(frequency: float, damping: float, mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:
-    """Mode of unit static gain.
-
-    Parameters
-    ----------
-    frequency
-        Frequency of the bare mode, Hz.
-    damping
-        Damping ratio of the bare mode.
-    mass_ratio
-        Added mass / mass.
-    frequency_ratio
-        Factor of the frequency, at the same damping ratio.
-
-    Returns
-    -------
-    System
-        (a, b, c, d) of the mode.
-    """
+    """Mode of unit static gain."""
     heavier = np.sqrt(1.0 + mass_ratio)
     return exact_discretization.oscillator(2 * np.pi * frequency * frequency_ratio / heavier, damping / heavier)
 
 
 def mechanics(system: Callable[[float, float], System], frame: Frame, changes: Mapping[str, Any], late: float) -> Part:
-    """Construct the mechanics for a set of changes.
-
-    Parameters
-    ----------
-    system
-        The plant's mechanics as a function of mass_ratio and frequency_ratio.
-    frame
-        Common data of the plant.
-    changes
-        added_mass, modes (see `beside`), duffing, friction, wander, period in s, phase (see `Irregular`).
-    late
-        Time before the end of a step at which the output is read (see `Delay`), s.
-
-    Returns
-    -------
-    Part
-        The part.
-    """
+    """Construct the mechanics for a set of changes."""
     if "modes" in changes:
         others = {name: value for name, value in changes.items() if name != "modes"}
         modes = [beside(system(0.0, 1.0), mode, frame.step, late) for mode in changes["modes"]]
@@ -79,25 +45,9 @@ def mechanics(system: Callable[[float, float], System], frame: Frame, changes: M
 
 
 def beside(main: System, mode: tuple[float, float, float, float], step: float, late: float) -> Held:
-    """Construct a further mode with the main system's input.
-
-    Parameters
-    ----------
-    main
-        (a, b, c, d) of the main system.
-    mode
-        Frequency (Hz), damping ratio, gain as a fraction of the main system's static gain, and the share of it that is seen as the
-        mode's velocity over its frequency.
-    step
-        Internal step, s.
-    late
-        Time before the end of a step at which the output is read, s.
-
-    Returns
-    -------
-    Held
-        The part.
-    """
+    """Construct a further mode with the main system's input."""
+    # mode: frequency (Hz), damping ratio, gain as a fraction of the main system's static gain, and the share of it that is seen as
+    # the mode's velocity over its frequency
     frequency, damping, share, velocity = mode
     a, b, c, _ = main
     static = float(c @ exact_discretization.rest(a, b, 1.0))
@@ -109,25 +59,6 @@ class Irregular(Part):
     """Mechanics that are not a fixed linear system.
 
     The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
-
-    Parameters
-    ----------
-    system
-        The plant's mechanics as a function of mass_ratio and frequency_ratio.
-    frame
-        Common data of the plant.
-    late
-        Time before the end of a step at which the output is read, s.
-    mass_ratio
-        Added mass / mass.
-    duffing
-        Fraction of the drive that a spring force takes at full stroke; it grows with the cube of the displacement.
-    friction
-        Fraction of the stroke by which a guide's slip force holds back, reached over as long a way.
-    wander
-        Relative amplitude of the sine in which the main mode's frequency moves.
-    period, phase
-        Period (s) and phase (rad) of that sine.
     """
 
     def __init__(

@@ -12,22 +12,7 @@ from hyst_plant_sim.physics.signal_path import PlantError
 
 
 def check_positive(parameters: Any, positive: Sequence[str], vectors: Mapping[str, int | None] | None = None) -> None:
-    """Check that every parameter is a finite number of at least 0, and those named above 0.
-
-    Parameters
-    ----------
-    parameters : dataclass
-        Physical parameters of a plant.
-    positive : sequence of str
-        Names of the parameters that must not be 0.
-    vectors : mapping, optional
-        Parameters that are lists of such numbers, with their length (None: any length).
-
-    Raises
-    ------
-    PlantError
-        Naming the parameter.
-    """
+    """Check that every parameter is a finite number of at least 0, and those named above 0."""
     for field in fields(parameters):
         given, values = getattr(parameters, field.name), (getattr(parameters, field.name),)
         if vectors and field.name in vectors:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -14,16 +16,7 @@ System = tuple[Array, Array, Array, float]
 
 
 class Linear(Part):
-    """Base of linear parts x' = a x + b u, y = c x + d u, stepped exactly.
-
-    Parameters
-    ----------
-    system
-        (a, b, c, d).
-    rows
-        Matrix (n + 1, n + 2) that gives the new state and, in the last row, the output from the old state, the last input and the
-        present one.
-    """
+    """Base of linear parts x' = a x + b u, y = c x + d u, stepped exactly."""
 
     def __init__(self, system: System, rows: Array) -> None:
         self._a, self._b, self._c, self._d = system
@@ -46,15 +39,6 @@ class Held(Linear):
     """Linear part whose input holds over a step.
 
     The output is the mean of y over the step, right for a part that takes it as held; or, with `late`, y at that time.
-
-    Parameters
-    ----------
-    system
-        (a, b, c, d).
-    step
-        The step, s.
-    late
-        Time before the end of the step at which y is read, less than a step, s.
     """
 
     def __init__(self, system: System, step: float, late: float | None = None) -> None:
@@ -68,15 +52,7 @@ class Held(Linear):
 
 
 class Straight(Linear):
-    """Linear part whose input runs straight through a step; the output is y at its end.
-
-    Parameters
-    ----------
-    system
-        (a, b, c, d).
-    step
-        The step, s.
-    """
+    """Linear part whose input runs straight through a step; the output is y at its end."""
 
     def __init__(self, system: System, step: float) -> None:
         a, b, c, d = system
@@ -90,13 +66,6 @@ class Delay(Part):
     A held value that changes within a step cannot be described by one number. What follows the drive therefore runs ahead by the
     rest, and the mechanics, which are smooth, are read that much before the end of a step: exact, since a delay may be moved along
     a line that does not change with time.
-
-    Parameters
-    ----------
-    delay
-        The delay, s.
-    step
-        The step, s.
     """
 
     def __init__(self, delay: float, step: float) -> None:
@@ -118,15 +87,7 @@ class Delay(Part):
 
 
 class LateReading(Part):
-    """A transport delay of values at the ends of steps, between which they run straight.
-
-    Parameters
-    ----------
-    delay
-        The delay, s.
-    step
-        The step, s.
-    """
+    """A transport delay of values at the ends of steps, between which they run straight."""
 
     def __init__(self, delay: float, step: float) -> None:
         self._whole = Delay(delay, step)
@@ -146,13 +107,7 @@ class LateReading(Part):
 
 
 class Clip(Part):
-    """Limits of a value.
-
-    Parameters
-    ----------
-    lower, upper
-        The limits.
-    """
+    """Limits of a value."""
 
     def __init__(self, lower: float, upper: float) -> None:
         self._lower, self._upper = lower, upper
@@ -167,17 +122,9 @@ class Clip(Part):
 
 
 class WhiteNoise(Part):
-    """White noise of all axes; (A, M) in and out.
+    """White noise of all axes; (A, M) in and out."""
 
-    Parameters
-    ----------
-    rms
-        Noise (A,), rms.
-    seed
-        Seed of the noise.
-    """
-
-    def __init__(self, rms: Array, seed: int) -> None:
+    def __init__(self, rms: Annotated[Array, "A"], seed: int) -> None:
         self._rms, self._seed = rms, seed
         self._stream = np.random.default_rng(seed)
 
@@ -192,15 +139,9 @@ class WhiteNoise(Part):
 
 
 class Mixing(Part):
-    """Product of a matrix and the axes' values (A, M).
+    """Product of a matrix and the axes' values (A, M)."""
 
-    Parameters
-    ----------
-    matrix
-        Matrix (A, A).
-    """
-
-    def __init__(self, matrix: Array) -> None:
+    def __init__(self, matrix: Annotated[Array, "A A"]) -> None:
         self._matrix = matrix
 
     def settle(self, values: Array) -> Array:
@@ -214,13 +155,7 @@ class Mixing(Part):
 
 
 class Chain(Part):
-    """Parts in series.
-
-    Parameters
-    ----------
-    *parts
-        The parts in signal order.
-    """
+    """Parts in series."""
 
     def __init__(self, *parts: Part) -> None:
         self._parts = parts
@@ -239,13 +174,7 @@ class Chain(Part):
 
 
 class Sum(Part):
-    """Parts in parallel.
-
-    Parameters
-    ----------
-    *parts
-        Parts with a common input, whose outputs are added.
-    """
+    """Parts in parallel."""
 
     def __init__(self, *parts: Part) -> None:
         self._parts = parts

@@ -34,68 +34,31 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PeaParameters(PlantParameters):
-    """Physical parameters of the truth PEA; values in config/plants/pea.yaml.
-
-    Parameters
-    ----------
-    delay
-        Delay of the drive's electronics, s.
-    amplifier_cutoff
-        First-order cutoff, Hz.
-    elastic_slope
-        Slope right after a reversal, um/V.
-    slip_slope
-        Slope added once every slip element moves, um/V.
-    slip_elements
-        Number of elements.
-    slip_range
-        Largest half-width of a slack, V.
-    slip_decay
-        Voltage over which the density of the elements falls to 1/e, V.
-    stroke
-        Stroke to which saturation refers, um.
-    saturation
-        Fraction of the stroke by which the curve is bent down at full stroke.
-    drag_rise, drag_fall
-        Relaxation times at high polarization while it rises and falls, s.
-    drag_level
-        Polarization at which half of that is reached, um.
-    mode_frequency
-        Frequency of the flexure mode, Hz.
-    mode_damping
-        Its damping ratio.
-    slow_share
-        Fraction of the stroke that arrives late.
-    slow_time
-        Time constant of its arrival, s.
-    sensor_cutoff
-        First-order cutoff, Hz.
-    noise
-        White noise, um rms.
-    """
+    """Physical parameters of the truth PEA; values in config/plants/pea.yaml."""
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
     internal_rate: ClassVar[float] = 400e3
 
-    delay: float
-    amplifier_cutoff: float
-    elastic_slope: float
-    slip_slope: float
-    slip_elements: int
-    slip_range: float
-    slip_decay: float
-    stroke: float
-    saturation: float
+    delay: float  # Delay of the drive's electronics, s
+    amplifier_cutoff: float  # First-order cutoff, Hz
+    elastic_slope: float  # Slope right after a reversal, um/V
+    slip_slope: float  # Slope added once every slip element moves, um/V
+    slip_elements: int  # Number of elements
+    slip_range: float  # Largest half-width of a slack, V
+    slip_decay: float  # Voltage over which the density of the elements falls to 1/e, V
+    stroke: float  # Stroke to which saturation refers, um
+    saturation: float  # Fraction of the stroke by which the curve is bent down at full stroke
+    # drag_rise, drag_fall: Relaxation times at high polarization while it rises and falls, s
     drag_rise: float
     drag_fall: float
-    drag_level: float
-    mode_frequency: float
-    mode_damping: float
-    slow_share: float
-    slow_time: float
-    sensor_cutoff: float
-    noise: float
+    drag_level: float  # Polarization at which half of that is reached, um
+    mode_frequency: float  # Frequency of the flexure mode, Hz
+    mode_damping: float  # Its damping ratio
+    slow_share: float  # Fraction of the stroke that arrives late
+    slow_time: float  # Time constant of its arrival, s
+    sensor_cutoff: float  # First-order cutoff, Hz
+    noise: float  # White noise, um rms
 
     def __post_init__(self) -> None:
         check_positive(
@@ -141,19 +104,7 @@ class PeaParameters(PlantParameters):
 
 
 class Drag(Part):
-    """Viscous drag P' = (Y - P) / T(Y), with Y held over a step; the output is the mean of P over the step.
-
-    Parameters
-    ----------
-    rise, fall
-        Relaxation times at high polarization while it rises and falls, s.
-    level
-        Polarization at which half of that is reached (unit of Y).
-    factor
-        Factor of the relaxation times.
-    step
-        The step, s.
-    """
+    """Viscous drag P' = (Y - P) / T(Y), with Y held over a step; the output is the mean of P over the step."""
 
     def __init__(self, rise: float, fall: float, level: float, factor: float, step: float) -> None:
         self._law = np.array([rise * factor, fall * factor, level, step])

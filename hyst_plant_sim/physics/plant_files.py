@@ -46,31 +46,6 @@ def load_plant(
 
     A mapping without `parameters` is a case: {plant: NAME, effects: [{name: delay, tau: 1e-4, axis: x, from: 0.5}, …], seed: 7} on
     top of the shipped file of that name (see `effects` for their meaning).
-
-    Parameters
-    ----------
-    source
-        File, name or mapping.
-    seed
-        Seed, in place of the source's.
-    sample_time
-        Sample time in place of the source's, s.
-    refinement
-        Further division of the internal step.
-    effects
-        Effects, in place of the source's.
-    parameters, **changes
-        Single parameters, in place of the source's.
-
-    Returns
-    -------
-    Plant
-        The plant.
-
-    Raises
-    ------
-    PlantError
-        The source is unusable; the message names file, field and remedy.
     """
     where = "plant" if isinstance(source, Mapping) else str(source)
     try:
@@ -85,18 +60,7 @@ def load_plant(
 
 
 def shipped(name: str) -> Path | None:
-    """Find the file of a plant in config/plants: in the source tree, otherwise in an installed package.
-
-    Parameters
-    ----------
-    name
-        Name of the plant.
-
-    Returns
-    -------
-    Path | None
-        Path of the file; None without one.
-    """
+    """Find the file of a plant in config/plants: in the source tree, otherwise in an installed package."""
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     folders = [Path(__file__).resolve().parents[2], *(Path(prefix) / "share" / "hyst_control" for prefix in prefixes)]
     return next((path for folder in folders if (path := folder / "config" / "plants" / f"{name}.yaml").is_file()), None)

@@ -23,21 +23,6 @@ def read_plant_text(path: Path) -> Any:
     """Read a plant file as plain YAML values. Raises `OSError` where it cannot be opened.
 
     Size, depth and number of values are limited before anything is constructed.
-
-    Parameters
-    ----------
-    path
-        Plant file.
-
-    Returns
-    -------
-    object
-        Mappings, lists and scalars of the file.
-
-    Raises
-    ------
-    PlantError
-        Where it is no YAML text within the limits.
     """
     with open(path, "rb") as file:
         data = file.read(LONGEST + 1)

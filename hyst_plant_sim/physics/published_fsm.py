@@ -32,45 +32,25 @@ DEPTH = 512
 
 @dataclass(frozen=True)
 class PublishedFsmParameters(PlantParameters):
-    """Figures of the published mirror, one entry per axis.
-
-    Parameters
-    ----------
-    delay
-        Input delay, s.
-    ascending, descending
-        Polynomials p5 … p1 of the major branches over input / span.
-    span
-        Input span, V.
-    scale
-        Scale of the output, mrad.
-    k1
-        Rate gain, mrad s/V.
-    k2
-        Time constant of the rate part, s.
-    b2
-        Constant of the rate part's denominator.
-    num, den
-        Polynomials of G(s).
-    noise
-        White noise of both axes, mrad rms.
-    """
+    """Figures of the published mirror, one entry per axis."""
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"
     internal_rate: ClassVar[float] = 200e3
 
-    delay: Sequence[float]
+    delay: Sequence[float]  # Input delay, s
+    # ascending, descending: Polynomials p5 … p1 of the major branches over input / span
     ascending: Sequence[Sequence[float]]
     descending: Sequence[Sequence[float]]
-    span: Sequence[float]
-    scale: Sequence[float]
-    k1: Sequence[float]
-    k2: Sequence[float]
-    b2: Sequence[float]
+    span: Sequence[float]  # Input span, V
+    scale: Sequence[float]  # Scale of the output, mrad
+    k1: Sequence[float]  # Rate gain, mrad s/V
+    k2: Sequence[float]  # Time constant of the rate part, s
+    b2: Sequence[float]  # Constant of the rate part's denominator
+    # num, den: Polynomials of G(s)
     num: Sequence[Sequence[float]]
     den: Sequence[Sequence[float]]
-    noise: float = 0.0
+    noise: float = 0.0  # White noise of both axes, mrad rms
 
     def __post_init__(self) -> None:
         for name in ("delay", "ascending", "descending", "span", "scale", "k1", "k2", "b2", "num", "den"):
@@ -99,19 +79,7 @@ class PublishedFsmParameters(PlantParameters):
 
 
 class Madelung(Part):
-    """Madelung hysteresis, V to mrad. The memory is the deviation from the mean of the two major branches.
-
-    Parameters
-    ----------
-    ascending, descending
-        Polynomials p5 … p1 of the major branches over input / span.
-    span
-        Input span, V.
-    scale
-        Scale of the output, mrad.
-    width
-        Relative change of the memory.
-    """
+    """Madelung hysteresis, V to mrad. The memory is the deviation from the mean of the two major branches."""
 
     def __init__(self, ascending: Sequence[float], descending: Sequence[float], span: float, scale: float, width: float) -> None:
         self._up, self._down = np.array(ascending, dtype=float), np.array(descending, dtype=float)

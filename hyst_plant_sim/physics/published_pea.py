@@ -25,39 +25,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PublishedPeaParameters(PlantParameters):
-    """Figures of the published HAMPI model.
-
-    Parameters
-    ----------
-    thresholds
-        Thresholds of the play operators, V.
-    weights
-        Weights, um/V per unit of G's static gain.
-    m1, m2
-        Rate gains of the weights, s/V.
-    k
-        Level gain of the weights, 1/V.
-    b
-        Constant of the weights.
-    num, den
-        Polynomials of G(s).
-    noise
-        White noise, um rms.
-    """
+    """Figures of the published HAMPI model."""
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
     internal_rate: ClassVar[float] = 200e3
 
-    thresholds: Sequence[float]
-    weights: Sequence[float]
+    thresholds: Sequence[float]  # Thresholds of the play operators, V
+    weights: Sequence[float]  # Weights, um/V per unit of G's static gain
+    # m1, m2: Rate gains of the weights, s/V
     m1: float
     m2: float
-    k: float
-    b: float
+    k: float  # Level gain of the weights, 1/V
+    b: float  # Constant of the weights
+    # num, den: Polynomials of G(s)
     num: Sequence[float]
     den: Sequence[float]
-    noise: float = 0.0
+    noise: float = 0.0  # White noise, um rms
 
     def __post_init__(self) -> None:
         if len(self.thresholds) != len(self.weights):
@@ -73,19 +57,7 @@ class PublishedPeaParameters(PlantParameters):
 
 
 class DynamicWeights(Part):
-    """Play operators with dynamic weights: Σ (w_i + k u + b - m1 u̇ or + m2 u̇) H_i.
-
-    Parameters
-    ----------
-    parameters
-        Figures of the model.
-    frame
-        Common data of the plant.
-    width
-        Relative change of the memory H_i - u.
-    rate
-        Factor of m1 and m2.
-    """
+    """Play operators with dynamic weights: Σ (w_i + k u + b - m1 u̇ or + m2 u̇) H_i."""
 
     def __init__(self, parameters: PublishedPeaParameters, frame: Frame, width: float, rate: float) -> None:
         p = parameters

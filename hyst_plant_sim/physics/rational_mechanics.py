@@ -14,22 +14,7 @@ Array = NDArray[np.float64]
 
 
 def rational(num: Sequence[float], den: Sequence[float], mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:
-    """Convert num(s) / den(s) to a system, with the main mode's mass and frequency changed; the static gain stays.
-
-    Parameters
-    ----------
-    num, den
-        Polynomials in descending powers of s.
-    mass_ratio
-        Added mass / mass.
-    frequency_ratio
-        Factor of the frequency, at the same damping ratio.
-
-    Returns
-    -------
-    System
-        (a, b, c, d) of the system.
-    """
+    """Convert num(s) / den(s) to a system, with the main mode's mass and frequency changed; the static gain stays."""
     top, bottom = np.array(num, dtype=float), np.array(den, dtype=float)
     if mass_ratio or frequency_ratio != 1.0:
         bottom, gain = _altered(bottom, mass_ratio, frequency_ratio)
@@ -38,18 +23,7 @@ def rational(num: Sequence[float], den: Sequence[float], mass_ratio: float = 0.0
 
 
 def observer_form(num: Array, den: Array) -> System:
-    """Convert a strictly proper num(s) / den(s) to observer form; the states are scaled to about the size of the output.
-
-    Parameters
-    ----------
-    num, den
-        Polynomials in descending powers of s.
-
-    Returns
-    -------
-    System
-        (a, b, c, 0) of the system.
-    """
+    """Convert a strictly proper num(s) / den(s) to observer form; the states are scaled to about the size of the output."""
     num, den = num / den[0], den / den[0]
     n = len(den) - 1
     num = np.concatenate([np.zeros(n - len(num)), num])

@@ -14,7 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 from zlib import crc32
 
 import numpy as np
@@ -38,71 +38,27 @@ class Part(Protocol):
     """An element of the line; see the module."""
 
     def settle(self, value: Any) -> Any:
-        """Come to rest at a constant input.
-
-        Parameters
-        ----------
-        value
-            The input; (A,) for a part that mixes axes.
-
-        Returns
-        -------
-        Any
-            First output.
-        """
+        """Come to rest at a constant input."""
         ...
 
-    def process(self, block: Array) -> Array:
-        """Compute the output for the next block of the input.
-
-        Parameters
-        ----------
-        block
-            Input (M,), or (A, M) for a part that mixes axes.
-
-        Returns
-        -------
-        Array
-            Output of the same shape.
-        """
+    def process(self, block: Annotated[Array, "M"]) -> Array:
+        """Compute the output for the next block of the input."""
         ...
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Common data of all parts of a plant.
+    """Common data of all parts of a plant."""
 
-    Parameters
-    ----------
-    name
-        Name of the plant.
-    axes
-        Names of the axes.
-    units
-        Units by signal.
-    sample_time
-        Sample time, s.
-    substeps
-        Internal steps per sample.
-    rating
-        Range of the command, V.
-    slew_limit
-        Slew rate of the amplifier, V/s.
-    stroke
-        Range to which the effects refer (measurement unit).
-    seed
-        Seed of all random numbers.
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    units: dict[str, str]
-    sample_time: float
-    substeps: int
-    rating: tuple[float, float]
-    slew_limit: float
-    stroke: tuple[float, float]
-    seed: int
+    name: str  # Name of the plant
+    axes: tuple[str, ...]  # Names of the axes
+    units: dict[str, str]  # Units by signal
+    sample_time: float  # Sample time, s
+    substeps: int  # Internal steps per sample
+    rating: tuple[float, float]  # Range of the command, V
+    slew_limit: float  # Slew rate of the amplifier, V/s
+    stroke: tuple[float, float]  # Range to which the effects refer (measurement unit)
+    seed: int  # Seed of all random numbers
 
     @property
     def step(self) -> float:
@@ -110,35 +66,11 @@ class Frame:
         return self.sample_time / self.substeps
 
     def period(self, place: str) -> float:
-        """Time from one value to the next at a place.
-
-        Parameters
-        ----------
-        place
-            One of `PLACES`.
-
-        Returns
-        -------
-        float
-            Time, s.
-        """
+        """Time from one value to the next at a place."""
         return self.sample_time if place in SAMPLED else self.step
 
     def stream(self, name: str, axis: int | None) -> np.random.Generator:
-        """Return the random numbers of one effect on one axis, independent of all others.
-
-        Parameters
-        ----------
-        name
-            Name of the effect.
-        axis
-            Index of the axis; None for all axes.
-
-        Returns
-        -------
-        np.random.Generator
-            The generator.
-        """
+        """Return the random numbers of one effect on one axis, independent of all others."""
         return np.random.default_rng([self.seed, crc32(name.encode()), 0 if axis is None else axis + 1])
 
 
@@ -151,36 +83,11 @@ class PlantParameters(ABC):
 
     @abstractmethod
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
-        """Construct the parts of an axis by place.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-        frame
-            Common data of the plant.
-        hysteresis
-            Changes of the hysteresis by name: "width", "rate".
-        moving
-            Changes of the delay and the mechanics; see `mechanics`.
-
-        Returns
-        -------
-        dict[str, list[Part]]
-            Parts by place.
-        """
+        """Construct the parts of an axis by place."""
 
 
 class Plant:
-    """A running truth plant: `reset` it, then `step` it with commands in V.
-
-    Parameters
-    ----------
-    frame
-        Common data of its parts.
-    line
-        Parts by place, each with its axis (None for all axes).
-    """
+    """A running truth plant: `reset` it, then `step` it with commands in V."""
 
     def __init__(self, frame: Frame, line: Line) -> None:
         self.frame, self._line = frame, line
@@ -192,19 +99,8 @@ class Plant:
         self._after = [entry for place in places[places.index("adc") :] for entry in line.get(place, [])]
         self.reset(np.zeros(len(self.axes)))
 
-    def reset(self, command: Array) -> Array:
-        """Settle at a command that is reached from 0 V on the virgin curve.
-
-        Parameters
-        ----------
-        command
-            Command (A,), V.
-
-        Returns
-        -------
-        Array
-            First measurement (A,).
-        """
+    def reset(self, command: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
+        """Settle at a command that is reached from 0 V on the virgin curve."""
         values = np.array(np.broadcast_to(np.asarray(command, dtype=float), len(self.axes)))
         for axis, part in (*self._before, *self._between, *self._after):
             if axis is None:
@@ -213,19 +109,8 @@ class Plant:
                 values[axis] = part.settle(float(values[axis]))
         return values
 
-    def step(self, commands: Array) -> Array:
-        """Apply commands, each held for one sample.
-
-        Parameters
-        ----------
-        commands
-            Commands (N, A), V.
-
-        Returns
-        -------
-        Array
-            Measurements (N, A) at the ticks that follow them.
-        """
+    def step(self, commands: Annotated[Array, "N A"]) -> Annotated[Array, "N A"]:
+        """Apply commands, each held for one sample."""
         commands = np.asarray(commands, dtype=float)
         output = np.empty((len(commands), len(self.axes)))
         for start in range(0, len(commands), BLOCK):

@@ -33,58 +33,26 @@ SHORT = 0.2
 
 @dataclass(frozen=True)
 class ViscoelasticBoucWenParameters(PlantParameters):
-    """Physical parameters of the third plant; values in config/plants/third.yaml.
-
-    Parameters
-    ----------
-    amplifier_frequency
-        Second-order cutoff, Hz.
-    amplifier_damping
-        Its damping ratio.
-    slope
-        Slope without memory, um/V.
-    alpha
-        Growth of the memory from rest, um/V.
-    alpha_growth
-        Relative growth of alpha from one end of the rating to the other.
-    beta
-        Approach to saturation, 1/V um^(1 - exponent).
-    gamma
-        The same, for either direction of the drive.
-    exponent
-        Exponent n of |z|.
-    ladder_shares
-        Fractions of the stroke that arrive late.
-    ladder_times
-        Time constants of their arrival, s.
-    mode_frequency
-        Frequency of the mode, Hz.
-    mode_damping
-        Its damping ratio.
-    sensor_cutoff
-        First-order cutoff, Hz.
-    noise
-        White noise, um rms.
-    """
+    """Physical parameters of the third plant; values in config/plants/third.yaml."""
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"
     internal_rate: ClassVar[float] = 200e3
 
-    amplifier_frequency: float
-    amplifier_damping: float
-    slope: float
-    alpha: float
-    alpha_growth: float
-    beta: float
-    gamma: float
-    exponent: float
-    ladder_shares: Sequence[float]
-    ladder_times: Sequence[float]
-    mode_frequency: float
-    mode_damping: float
-    sensor_cutoff: float
-    noise: float
+    amplifier_frequency: float  # Second-order cutoff, Hz
+    amplifier_damping: float  # Its damping ratio
+    slope: float  # Slope without memory, um/V
+    alpha: float  # Growth of the memory from rest, um/V
+    alpha_growth: float  # Relative growth of alpha from one end of the rating to the other
+    beta: float  # Approach to saturation, 1/V um^(1 - exponent)
+    gamma: float  # The same, for either direction of the drive
+    exponent: float  # Exponent n of |z|
+    ladder_shares: Sequence[float]  # Fractions of the stroke that arrive late
+    ladder_times: Sequence[float]  # Time constants of their arrival, s
+    mode_frequency: float  # Frequency of the mode, Hz
+    mode_damping: float  # Its damping ratio
+    sensor_cutoff: float  # First-order cutoff, Hz
+    noise: float  # White noise, um rms
 
     def __post_init__(self) -> None:
         check_positive(
@@ -123,17 +91,7 @@ class ViscoelasticBoucWenParameters(PlantParameters):
 
 
 class BoucWen(Part):
-    """Bouc-Wen hysteresis: free stroke Y (um) for a voltage.
-
-    Parameters
-    ----------
-    p
-        Physical parameters.
-    rating
-        Range of the voltage, V.
-    memory
-        Factor of the memory z.
-    """
+    """Bouc-Wen hysteresis: free stroke Y (um) for a voltage."""
 
     def __init__(self, p: ViscoelasticBoucWenParameters, rating: tuple[float, float], memory: float) -> None:
         self._law = np.array(

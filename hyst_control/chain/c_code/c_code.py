@@ -23,88 +23,42 @@ Values = Array | NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Member:
-    """A constant, or a part of the state.
+    """A constant, or a part of the state."""
 
-    Parameters
-    ----------
-    value
-        Of the constant; of a state only shape and type count.
-    text
-        What it is, with its unit.
-    wide
-        Whether it is a `number` instead of a `real`; for numbers that are no integers.
-    """
-
-    value: Values
-    text: str
-    wide: bool = False
+    value: Values  # Of the constant; of a state only shape and type count
+    text: str  # What it is, with its unit
+    wide: bool = False  # Whether it is a `number` instead of a `real`; for numbers that are no integers
 
 
 def integers(value: object, text: str) -> Member:
-    """A member of whole numbers.
-
-    Parameters
-    ----------
-    value
-        Number, or array of any shape.
-    text
-        What it is, with its unit.
-    """
+    """A member of whole numbers."""
     return Member(np.asarray(value, dtype=np.int64), text)
 
 
 def reals(value: object, text: str, wide: bool = False) -> Member:
-    """A member of real numbers.
-
-    Parameters
-    ----------
-    value
-        Number, or array of any shape.
-    text
-        What it is, with its unit.
-    wide
-        As in `Member`.
-    """
+    """A member of real numbers."""
     return Member(np.asarray(value, dtype=float), text, wide)
 
 
 @dataclass(frozen=True)
 class CCode:
-    """C of a running filter; see the module.
+    """C of a running filter; see the module."""
 
-    Parameters
-    ----------
-    title
-        One or two words, from which its names in C are made.
-    step
-        Body of the function that advances by one sample.
-    settle
-        Body of the function that comes to rest at a constant input; "" where that is `step`. `SELF_step(s, in, out)` calls `step`.
-    sizes
-        Integer constants by name.
-    constants, state
-        Members by name.
-    functions
-        Functions that the bodies call, those called first in front; the same text is written once for all filters.
-    parts
-        Filters inside, called as `PART0_step(&s->part0, in, out)`.
-    inputs, outputs
-        Length of `in` and `out`; 0: one value per axis.
-    wide
-        Whether `number` is double also where `real` is float.
-    """
-
-    title: str
-    step: str
+    title: str  # One or two words, from which its names in C are made
+    step: str  # Body of the function that advances by one sample
+    # Body of the function that comes to rest at a constant input; "" where that is `step`. `SELF_step(s, in, out)` calls `step`
     settle: str = ""
-    sizes: Mapping[str, int] = field(default_factory=dict)
+    sizes: Mapping[str, int] = field(default_factory=dict)  # Integer constants by name
+    # constants, state: Members by name
     constants: Mapping[str, Member] = field(default_factory=dict)
     state: Mapping[str, Member] = field(default_factory=dict)
+    # Functions that the bodies call, those called first in front; the same text is written once for all filters
     functions: tuple[str, ...] = ()
-    parts: tuple[CCode, ...] = ()
+    parts: tuple[CCode, ...] = ()  # Filters inside, called as `PART0_step(&s->part0, in, out)`
+    # inputs, outputs: Length of `in` and `out`; 0: one value per axis
     inputs: int = 0
     outputs: int = 0
-    wide: bool = False
+    wide: bool = False  # Whether `number` is double also where `real` is float
 
 
 def each_axis(
@@ -114,21 +68,7 @@ def each_axis(
     functions: Sequence[str] = (),
     wide: Mapping[str, tuple[object, str]] | None = None,
 ) -> CCode:
-    """C of a function without memory.
-
-    Parameters
-    ----------
-    title
-        As in `CCode`.
-    expression
-        Output for the input `u` of the axis `i`.
-    constants
-        Values (A,) by name, each with what it is.
-    functions
-        As in `CCode`.
-    wide
-        Further constants, which are double in any case.
-    """
+    """C of a function without memory."""
     step = f"""
 for (int i = 0; i < AXES; i++) {{
     const real u = in[i];
@@ -226,13 +166,7 @@ static complex_number complex_exp(complex_number z)
 
 
 def series(parts: Sequence[CCode]) -> CCode:
-    """Filters one after the other.
-
-    Parameters
-    ----------
-    parts
-        Their C, in signal order.
-    """
+    """Filters one after the other."""
 
     def body(work: str) -> str:
         lines, last = [], len(parts) - 1
@@ -246,13 +180,7 @@ def series(parts: Sequence[CCode]) -> CCode:
 
 
 def parallel(parts: Sequence[CCode]) -> CCode:
-    """Filters fed alike, outputs added.
-
-    Parameters
-    ----------
-    parts
-        Their C.
-    """
+    """Filters fed alike, outputs added."""
 
     def body(work: str) -> str:
         add = "\nfor (int i = 0; i < AXES; i++) {\n    out[i] = out[i] + more[i];\n}"

@@ -7,7 +7,7 @@ distance from the piece's left break.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
@@ -31,25 +31,7 @@ class Curve:
 
 @remembered
 def polynomial_curve(coefficients: Array, field: str) -> Curve:
-    """Curve p_n x^n + … + p_1 x (MHL paper Eq. 1, 2).
-
-    Parameters
-    ----------
-    coefficients
-        p_n … p_1.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    Curve
-        The polynomial as a piecewise one.
-
-    Raises
-    ------
-    InputError
-        Naming the interval where it falls.
-    """
+    """Curve p_n x^n + … + p_1 x (MHL paper Eq. 1, 2)."""
     p = np.append(np.asarray(coefficients, dtype=float), 0.0)
     slope = np.polyder(p)
     # A leading coefficient that is next to nothing would put a root near infinity, which the eigenvalue solver refuses.
@@ -67,22 +49,7 @@ def polynomial_curve(coefficients: Array, field: str) -> Curve:
 
 
 def knot_curve(knots: Array, values: Array, field: str) -> Curve:
-    """Monotone piecewise cubic (Fritsch-Carlson) through values at knots.
-
-    Parameters
-    ----------
-    knots
-        From 0 to 1.
-    values
-        At the knots; the first is 0.
-    field
-        Name of the parameter, for messages.
-
-    Returns
-    -------
-    Curve
-        Rises wherever the values do.
-    """
+    """Monotone piecewise cubic (Fritsch-Carlson) through values at knots."""
     knots, values = np.asarray(knots, dtype=float), np.asarray(values, dtype=float)
     if len(knots) != len(values) or len(knots) < 2:
         raise InputError(f"{field}: {len(values)} values for {len(knots)} knots: give one value per knot, at least two")
@@ -183,15 +150,7 @@ static real curve_argument(curve f, real y)
 
 @njit(cache=True, error_model="numpy", inline="always")
 def evaluate_curve(x: float, breaks: Array, coefficients: Array) -> Any:
-    """Value (a float) of a piecewise polynomial at x; the end pieces continue beyond the ends.
-
-    Parameters
-    ----------
-    x
-        Argument.
-    breaks, coefficients
-        Of a `Curve`.
-    """
+    """Value (a float) of a piecewise polynomial at x; the end pieces continue beyond the ends."""
     degree = coefficients.shape[1]
     if breaks.size == 2:
         value = coefficients[0, 0]
@@ -207,16 +166,8 @@ def evaluate_curve(x: float, breaks: Array, coefficients: Array) -> Any:
 
 
 @njit(cache=True, error_model="numpy")
-def evaluate_curve_array(x: Array, breaks: Array, coefficients: Array) -> Array:
-    """`evaluate_curve` for an array (N,).
-
-    Parameters
-    ----------
-    x
-        (N,).
-    breaks, coefficients
-        Of a `Curve`.
-    """
+def evaluate_curve_array(x: Annotated[Array, "N"], breaks: Array, coefficients: Array) -> Array:
+    """`evaluate_curve` for an array (N,)."""
     output = np.empty_like(x)
     for k in range(x.size):
         output[k] = evaluate_curve(x[k], breaks, coefficients)
@@ -225,15 +176,7 @@ def evaluate_curve_array(x: Array, breaks: Array, coefficients: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def solve_curve(y: float, breaks: Array, coefficients: Array) -> float:
-    """Argument in [0, 1] at which a rising curve reaches y, by bisection safeguarded Newton to the last digits.
-
-    Parameters
-    ----------
-    y
-        Value of the curve.
-    breaks, coefficients
-        Of a `Curve`.
-    """
+    """Argument in [0, 1] at which a rising curve reaches y, by bisection safeguarded Newton to the last digits."""
     low, high = 0.0, 1.0
     if y <= evaluate_curve(low, breaks, coefficients):
         return low

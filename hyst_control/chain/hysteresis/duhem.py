@@ -11,7 +11,7 @@ left: its loops creep together. With alpha < 0 the memory holds the output back,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numba import njit
@@ -36,17 +36,7 @@ LOADING = 2000
 def memory_slope(
     u: float, z: float, direction: float, alpha: float, growth: float, beta: float, gamma: float, exponent: float
 ) -> float:
-    """Slope dz/du at a command.
-
-    Parameters
-    ----------
-    u, z
-        Command, V, and memory.
-    direction
-        1 while the command rises, -1 while it falls.
-    alpha, growth, beta, gamma, exponent
-        Parameters of `Duhem`.
-    """
+    """Slope dz/du at a command."""
     same = 1.0 if z * direction > 0.0 else -1.0
     slope: float = alpha * (1.0 + growth * u) - (beta * same + gamma) * abs(z) ** exponent
     return slope
@@ -54,30 +44,18 @@ def memory_slope(
 
 @njit(cache=True, error_model="numpy")
 def duhem(
-    command: Array,
-    slope: Array,
-    alpha: Array,
-    growth: Array,
-    beta: Array,
-    gamma: Array,
-    exponent: Array,
-    previous: Array,
-    memory: Array,
-    output: Array,
+    command: Annotated[Array, "N A"],
+    slope: Annotated[Array, "A"],
+    alpha: Annotated[Array, "A"],
+    growth: Annotated[Array, "A"],
+    beta: Annotated[Array, "A"],
+    gamma: Annotated[Array, "A"],
+    exponent: Annotated[Array, "A"],
+    previous: Annotated[Array, "A"],
+    memory: Annotated[Array, "A"],
+    output: Annotated[Array, "N A"],
 ) -> None:
-    """Advance the memory over a block, all axes, by Runge and Kutta's rule of fourth order along the command's way.
-
-    Parameters
-    ----------
-    command
-        (N, A), V.
-    slope, alpha, growth, beta, gamma, exponent
-        (A,), the parameters of `Duhem`.
-    previous, memory
-        (A,), command and z of the sample before; changed.
-    output
-        (N, A), filled.
-    """
+    """Advance the memory over a block, all axes, by Runge and Kutta's rule of fourth order along the command's way."""
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u, z, n = previous[axis], memory[axis], exponent[axis]

@@ -9,6 +9,7 @@ of a hysteresis with dynamics behind it has this structure. A stage says what it
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -30,42 +31,19 @@ STATIC_STEPS, SETTLING_STEPS = 100, 10_000
 
 @dataclass(frozen=True)
 class Law:
-    """Branches of a hysteretic force along one axis: a formula, or a table where there are knots.
+    """Branches of a hysteretic force along one axis: a formula, or a table where there are knots."""
 
-    Parameters
-    ----------
-    formula
-        (4,): alpha, beta, gamma, exponent of dz/dy = alpha - (±beta sign z + gamma) |z|^exponent, + for rising y.
-    knots
-        (K,): forces z of the table, V; empty for the formula.
-    rising, falling
-        (K,): dz/dy at the knots, V/measurement unit; straight between them and beyond.
-    """
-
-    formula: Array
-    knots: Array
-    rising: Array
-    falling: Array
+    # (4,): alpha, beta, gamma, exponent of dz/dy = alpha - (±beta sign z + gamma) |z|^exponent, + for rising y
+    formula: Annotated[Array, "4"]
+    knots: Annotated[Array, "K"]  # (K,): forces z of the table, V; empty for the formula
+    # rising, falling: (K,): dz/dy at the knots, V/measurement unit; straight between them and beyond
+    rising: Annotated[Array, "K"]
+    falling: Annotated[Array, "K"]
 
 
 @njit(cache=True, error_model="numpy")
 def branch_slope(z: float, upward: bool, formula: Array, knots: Array, rising: Array, falling: Array) -> float:
-    """Slope dz/dy of the branch through a force.
-
-    Parameters
-    ----------
-    z
-        Force, V.
-    upward
-        Whether the displacement rises.
-    formula, knots, rising, falling
-        As in `Law`.
-
-    Returns
-    -------
-    float
-        V/measurement unit.
-    """
+    """Slope dz/dy of the branch through a force."""
     if knots.size == 0:
         power = abs(z) if formula[3] == 1.0 else abs(z) ** formula[3]
         against = formula[1] if (z > 0.0) == upward else -formula[1]
@@ -82,18 +60,7 @@ def branch_slope(z: float, upward: bool, formula: Array, knots: Array, rising: A
 
 @njit(cache=True, error_model="numpy")
 def unbent_slope(z: float, upward: bool, formula: Array) -> float:
-    """`branch_slope` of a formula whose exponent is 1, short enough for the compiler to inline it: a third of the time.
-
-    Parameters
-    ----------
-    z, upward, formula
-        As of `branch_slope`.
-
-    Returns
-    -------
-    float
-        V/measurement unit.
-    """
+    """`branch_slope` of a formula whose exponent is 1, short enough for the compiler to inline it: a third of the time."""
     against = formula[1] if (z > 0.0) == upward else -formula[1]
     slope: float = formula[0] - (against + formula[2]) * abs(z)
     return slope
@@ -112,24 +79,8 @@ def advance_interval(
     rising: Array,
     falling: Array,
 ) -> tuple[float, float, float]:
-    """Integrate over one interval by the classical Runge-Kutta method of fourth order.
-
-    Parameters
-    ----------
-    at
-        y, ẏ, z at its begin.
-    drive
-        Command at its begin, V, and what it rises by in a step.
-    unbent
-        Whether the law is a formula of exponent 1. Calls say it as a constant: for each the compiler makes code of its own.
-    step, steps, mechanics, formula, knots, rising, falling
-        As in `advance_oscillator`.
-
-    Returns
-    -------
-    tuple of float
-        y, ẏ, z at its end.
-    """
+    """Integrate over one interval by the classical Runge-Kutta method of fourth order."""
+    # unbent: whether the law is a formula of exponent 1. Calls say it as a constant: for each the compiler makes code of its own
     y, v, z = at
     u, rise = drive
     mass, damping, stiffness = mechanics
@@ -156,35 +107,19 @@ def advance_interval(
 
 @njit(cache=True, error_model="numpy")
 def advance_oscillator(
-    command: Array,
+    command: Annotated[Array, "N"],
     held: bool,
     step: float,
     steps: int,
-    mechanics: Array,
+    mechanics: Annotated[Array, "3"],
     formula: Array,
     knots: Array,
     rising: Array,
     falling: Array,
-    state: Array,
-    output: Array,
+    state: Annotated[Array, "6"],
+    output: Annotated[Array, "N"],
 ) -> None:
-    """Integrate one axis over a block.
-
-    Parameters
-    ----------
-    command, output
-        (N,): command, and the displacement at the end of each interval, which is filled in.
-    held
-        Whether the command holds over an interval; else it runs straight from the value before.
-    step, steps
-        Length of an integration step, s, and their number per interval.
-    mechanics
-        (3,): mass, damping, stiffness.
-    formula, knots, rising, falling
-        As in `Law`.
-    state
-        (6,): y, ẏ, z, command before, least and greatest z so far; updated.
-    """
+    """Integrate one axis over a block."""
     y, v, z, before, least, greatest = state
     unbent = knots.size == 0 and formula[3] == 1.0
     for row in range(command.size):
@@ -202,31 +137,17 @@ def advance_oscillator(
 
 @njit(cache=True, error_model="numpy")
 def advance_without_inertia(
-    command: Array,
+    command: Annotated[Array, "N"],
     steps: int,
     stiffness: float,
     formula: Array,
     knots: Array,
     rising: Array,
     falling: Array,
-    state: Array,
-    output: Array,
+    state: Annotated[Array, "6"],
+    output: Annotated[Array, "N"],
 ) -> None:
-    """Follow the equilibrium stiffness y + z = u of one axis over a block of commands, each approached without overshoot.
-
-    Parameters
-    ----------
-    command, output
-        (N,): command, and displacement, which is filled in.
-    steps
-        Steps of the integration over one change of the command.
-    stiffness
-        V/measurement unit.
-    formula, knots, rising, falling
-        As in `Law`.
-    state
-        (6,), as of `advance_oscillator`; updated.
-    """
+    """Follow the equilibrium stiffness y + z = u of one axis over a block of commands, each approached without overshoot."""
     z, before = state[2], state[3]
     for row in range(command.size):
         now = command[row]
@@ -373,48 +294,15 @@ class HystereticOscillator(Stage):
         return True
 
     def laws(self, axes: int) -> list[Law]:
-        """Branches of the force.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        list of Law
-            One per axis.
-        """
+        """Branches of the force."""
         raise NotImplementedError
 
-    def mechanics(self, axes: int) -> Array:
-        """Mass, damping and stiffness of every axis.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        ndarray
-            (A, 3).
-        """
+    def mechanics(self, axes: int) -> Annotated[Array, "A 3"]:
+        """Mass, damping and stiffness of every axis."""
         return np.ascontiguousarray(np.stack(per_axis_scalars(self, axes, "mass", "damping", "stiffness"), axis=1))
 
-    def small_motion_stiffness(self, axes: int) -> Array:
-        """Stiffness for small motions about rest, the force's included.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        ndarray
-            (A,), V/measurement unit.
-        """
+    def small_motion_stiffness(self, axes: int) -> Annotated[Array, "A"]:
+        """Stiffness for small motions about rest, the force's included."""
         at_rest = [
             0.5 * sum(branch_slope(0.0, upward, law.formula, law.knots, law.rising, law.falling) for upward in (True, False))
             for law in self.laws(axes)
@@ -423,23 +311,7 @@ class HystereticOscillator(Stage):
         return stiffness
 
     def steps(self, sampling: Sampling) -> list[int]:
-        """Number of integration steps between two samples.
-
-        Parameters
-        ----------
-        sampling
-            Clock of the filter.
-
-        Returns
-        -------
-        list of int
-            One per axis, at least 1.
-
-        Raises
-        ------
-        InputError
-            The mechanics are too fast for the sample time.
-        """
+        """Number of integration steps between two samples."""
         mass, damping, stiffness = self.mechanics(sampling.axes).T
         stiffest = np.maximum(self.small_motion_stiffness(sampling.axes), stiffness)
         with np.errstate(over="ignore", divide="ignore"):
@@ -469,17 +341,7 @@ class HystereticOscillator(Stage):
 
 
 class OscillatorFilter(Filter):
-    """Streaming `HystereticOscillator`; without a clock it only settles and follows.
-
-    Parameters
-    ----------
-    stage
-        With its parameters.
-    axes
-        Number of axes.
-    sampling
-        Clock of the filter.
-    """
+    """Streaming `HystereticOscillator`; without a clock it only settles and follows."""
 
     hold = "foh"
 

@@ -19,7 +19,7 @@ throw the command to its limits for a sample.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numba import njit
@@ -35,19 +35,7 @@ from hyst_control.errors import InputError
 def trial(
     u: float, thresholds: Array, release: Array, weights: Array, w0: float, rotation: float, k: float, b: float, state: Array
 ) -> tuple[float, float]:
-    """Output and slope of the model of one axis without touching its memory.
-
-    Parameters
-    ----------
-    u
-        Command in V.
-    thresholds, release, weights, state
-        (n,), of the operators: V, V, output unit / V, and their values in V.
-    w0, k, b
-        Parameters of the stage.
-    rotation
-        w_r, output unit / V.
-    """
+    """Output and slope of the model of one axis without touching its memory."""
     total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
     for i in range(thresholds.size):
         h = state[i]
@@ -81,23 +69,7 @@ def solve_command(
     b: float,
     state: Array,
 ) -> float:
-    """Command in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v.
-
-    Parameters
-    ----------
-    v
-        Demand, output unit.
-    start, lower, upper
-        V.
-    resolution
-        V, at which the search ends.
-    thresholds, release, weights, state
-        (n,), of the operators: V, V, output unit / V, and their values in V.
-    w0, k, b
-        Parameters of the stage.
-    rotation
-        w_r, output unit / V.
-    """
+    """Command in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v."""
     u = min(max(start, lower), upper)
     y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
     if y == v:
@@ -136,49 +108,27 @@ def solve_command(
 
 @njit(cache=True)
 def inverse_multiplicative(
-    demand: Array,
-    previous: Array,
-    rate_factor: Array,
-    most: Array,
-    thresholds: Array,
-    release: Array,
-    weights: Array,
-    w0: Array,
-    m1: Array,
-    m2: Array,
-    k: Array,
-    b: Array,
-    lower: Array,
-    upper: Array,
-    gain: Array,
+    demand: Annotated[Array, "N A"],
+    previous: Annotated[Array, "A"],
+    rate_factor: Annotated[Array, "A"],
+    most: Annotated[Array, "A"],
+    thresholds: Annotated[Array, "A n"],
+    release: Annotated[Array, "A n"],
+    weights: Annotated[Array, "A n"],
+    w0: Annotated[Array, "A"],
+    m1: Annotated[Array, "A"],
+    m2: Annotated[Array, "A"],
+    k: Annotated[Array, "A"],
+    b: Annotated[Array, "A"],
+    lower: Annotated[Array, "A"],
+    upper: Annotated[Array, "A"],
+    gain: Annotated[Array, "A"],
     iterations: int,
-    state: Array,
-    command: Array,
-    output: Array,
+    state: Annotated[Array, "A"],
+    command: Annotated[Array, "A"],
+    output: Annotated[Array, "N A"],
 ) -> None:
-    """Commands for demands, all axes.
-
-    Parameters
-    ----------
-    demand, output
-        (N, A): the demands, and the commands in V that are filled in.
-    previous, command, state
-        (A,), (A,) and (A, n): demand, command and operators of the sample before, updated.
-    rate_factor
-        (A,), turns the difference of two demands into the command's rate in V/s.
-    most
-        (A,), bounds |w_r|.
-    thresholds, release, weights
-        (A, n), of the operators.
-    w0, m1, m2, k, b
-        (A,), parameters of the stage.
-    lower, upper
-        (A,), V, between which commands lie.
-    gain
-        (A,), V per output unit.
-    iterations
-        Steps per sample; 0 solves exactly.
-    """
+    """Commands for demands, all axes."""
     for row in range(demand.shape[0]):
         for axis in range(demand.shape[1]):
             v = demand[row, axis]
@@ -497,15 +447,6 @@ def slope_range(
     w0 + sum(w_1 … w_j) + j (k u + b) + k sum(H); sum(H) lies between the curve from rest and the descending one. j = 0 is the
     play of the first operator after a reversal, in which nothing moves: the inverse crosses it, and it counts only where the
     first threshold is 0 or w0 is not.
-
-    Parameters
-    ----------
-    thresholds, release, weights
-        (n,), of the operators.
-    w0, k, b
-        Parameters of the stage.
-    lower, upper
-        V.
     """
     finite = np.isfinite(thresholds)
     r, q, w = thresholds[finite], release[finite], weights[finite]

@@ -212,17 +212,7 @@ class PlayOperators(Protocol):
 
 
 def play_filter(stage: PlayOperators, sampling: Sampling, **coefficients: ScalarPerAxis) -> PlayFilter:
-    """Filter of a stage with thresholds and weights.
-
-    Parameters
-    ----------
-    stage
-        With thresholds, weights and the kind of its operators.
-    sampling
-        Clock of the filter.
-    coefficients
-        w0, m1, m2, k and b; those not given are 0.
-    """
+    """Filter of a stage with thresholds and weights."""
     axes = sampling.axes
     values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
     return PlayFilter(

@@ -10,7 +10,7 @@ Trans. Mechatronics 18, 2013), r_i = α i + β |u̇|, with the thresholds at res
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numba import njit
@@ -23,33 +23,17 @@ from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar
 
 @njit(cache=True, error_model="numpy")
 def rate_dependent_prandtl_ishlinskii(
-    command: Array,
-    previous: Array,
+    command: Annotated[Array, "N A"],
+    previous: Annotated[Array, "A"],
     rate_factor: float,
-    thresholds: Array,
-    weights: Array,
-    w0: Array,
-    beta: Array,
-    state: Array,
-    output: Array,
+    thresholds: Annotated[Array, "A n"],
+    weights: Annotated[Array, "A n"],
+    w0: Annotated[Array, "A"],
+    beta: Annotated[Array, "A"],
+    state: Annotated[Array, "A n"],
+    output: Annotated[Array, "N A"],
 ) -> None:
-    """Advance the model over a block, all axes.
-
-    Parameters
-    ----------
-    command, output
-        (N, A): V, and the output that is filled in.
-    previous
-        (A,), command of the sample before, updated.
-    rate_factor
-        1 / sample time, 1/s.
-    thresholds, weights
-        (A, n), of the operators.
-    w0, beta
-        (A,), parameters of the stage.
-    state
-        (A, n), values of the operators, updated.
-    """
+    """Advance the model over a block, all axes."""
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]

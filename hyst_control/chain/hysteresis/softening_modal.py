@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -151,77 +151,46 @@ class SofteningModal(Stage):
 
 
 class Numbers(NamedTuple):
-    """The numbers of a `SofteningModal` as its kernels take them, for M modes and A axes.
+    """The numbers of a `SofteningModal` as its kernels take them, for M modes and A axes."""
 
-    Parameters
-    ----------
-    exponent, amplitude
-        (K,) of the softening force; V.
-    decay, frequency, decay_change, frequency_change
-        (M,), as of the stage.
-    c, b, b_change, d, k
-        Outputs (M, A), inputs and their change (M, A), feedthrough (A, A), elongation (A, A).
-    h, h_d
-        Inputs (M, (K + T) A + P) and feedthrough (A, (K + T) A + P) of all forces.
-    force_mean, threshold, stop_mean, product_mean
-        (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p.
-    """
-
-    exponent: Array
+    # exponent, amplitude: (K,) of the softening force; V
+    exponent: Annotated[Array, "K"]
     amplitude: float
-    decay: Array
-    frequency: Array
-    decay_change: Array
-    frequency_change: Array
+    # decay, frequency, decay_change, frequency_change: (M,), as of the stage
+    decay: Annotated[Array, "M"]
+    frequency: Annotated[Array, "M"]
+    decay_change: Annotated[Array, "M"]
+    frequency_change: Annotated[Array, "M"]
+    # c, b, b_change, d, k: Outputs (M, A), inputs and their change (M, A), feedthrough (A, A), elongation (A, A)
     c: NDArray[np.complex128]
     b: NDArray[np.complex128]
     b_change: NDArray[np.complex128]
-    d: Array
-    k: Array
+    d: Annotated[Array, "M A"]
+    k: Annotated[Array, "M A"]
+    # h, h_d: Inputs (M, (K + T) A + P) and feedthrough (A, (K + T) A + P) of all forces
     h: NDArray[np.complex128]
     h_d: Array
-    force_mean: Array
-    threshold: Array
-    stop_mean: Array
-    product_mean: Array
+    # force_mean, threshold, stop_mean, product_mean: (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p
+    force_mean: Annotated[Array, "T"]
+    threshold: Annotated[Array, "T"]
+    stop_mean: Annotated[Array, "T"]
+    product_mean: Annotated[Array, "T"]
 
 
 class Memory(NamedTuple):
-    """Memory of a `SofteningModal`, updated in place.
+    """Memory of a `SofteningModal`, updated in place."""
 
-    Parameters
-    ----------
-    state
-        (2, M) complex: x and w.
-    mean_square
-        (1,): a².
-    force
-        ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n.
-    play
-        (T A,): command less what the stop operators hold.
-    """
-
-    state: NDArray[np.complex128]
-    mean_square: Array
-    force: Array
-    play: Array
+    state: NDArray[np.complex128]  # (2, M) complex: x and w
+    mean_square: Annotated[Array, "1"]  # (1,): a²
+    force: Array  # ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n
+    play: Array  # (T A,): command less what the stop operators hold
 
 
 @njit(cache=True)
-def softening_forces(linear: Array, a: float, numbers: Numbers, strain: Array, force: Array) -> None:
-    """Compute the forces that follow the elongation: n and p, each less its mean at the slow amplitude.
-
-    Parameters
-    ----------
-    linear
-        (A,): output without forces.
-    a
-        Slow amplitude, V.
-    numbers
-        Of the stage.
-    strain, force
-        (A,) and ((K + T) A + P,): elongation, which is filled in, and forces, of which n and p are.
-    """
+def softening_forces(
+    linear: Annotated[Array, "A"], a: float, numbers: Numbers, strain: Annotated[Array, "A"], force: Annotated[Array, "A"]
+) -> None:
+    """Compute the forces that follow the elongation: n and p, each less its mean at the slow amplitude."""
     axes, exponent, force_mean, product_mean = len(strain), numbers.exponent, numbers.force_mean, numbers.product_mean
     for j in range(axes):
         q = 0.0
@@ -240,23 +209,16 @@ def softening_forces(linear: Array, a: float, numbers: Numbers, strain: Array, f
 
 @njit(cache=True)
 def advance_softening_modal(
-    block: Array, smooth: float, step: float, last: Array, numbers: Numbers, memory: Memory, output: Array
+    block: Annotated[Array, "N A"],
+    smooth: float,
+    step: float,
+    last: Annotated[Array, "A"],
+    numbers: Numbers,
+    memory: Memory,
+    output: Annotated[Array, "N A"],
 ) -> None:
-    """Run the equations of `SofteningModal` over a block.
-
-    Parameters
-    ----------
-    block, output
-        (N, A): command, and the output that is filled in.
-    smooth
-        1 - e^(-step/memory).
-    step
-        s.
-    last
-        (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated.
-    numbers, memory
-        Of the stage.
-    """
+    """Run the equations of `SofteningModal` over a block."""
+    # last: (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated
     amplitude = numbers.amplitude
     decay, frequency, decay_change, frequency_change = (
         numbers.decay,
@@ -315,16 +277,8 @@ def advance_softening_modal(
 
 
 @njit(cache=True)
-def settle_softening_modal(value: Array, numbers: Numbers, memory: Memory, output: Array) -> None:
-    """Bring `SofteningModal` to rest at a constant command.
-
-    Parameters
-    ----------
-    value, output
-        (A,): command, and the output that is filled in.
-    numbers, memory
-        Of the stage.
-    """
+def settle_softening_modal(value: Annotated[Array, "A"], numbers: Numbers, memory: Memory, output: Annotated[Array, "A"]) -> None:
+    """Bring `SofteningModal` to rest at a constant command."""
     amplitude = numbers.amplitude
     decay, frequency, decay_change, frequency_change = (
         numbers.decay,

@@ -32,15 +32,6 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
     """Advance a system exactly by one sample.
 
     The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
-
-    Parameters
-    ----------
-    system
-        Continuous-time system.
-    fraction
-        (m,), of a sample, by which the inputs are late: 0 <= fraction < 1.
-    sampling
-        Clock of the filter.
     """
     ts = sampling.sample_time
     n, m = system.B.shape
@@ -66,13 +57,7 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
 
 
 def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval.
-
-    Parameters
-    ----------
-    system, fraction, sampling
-        As for `discretise`.
-    """
+    """As `discretise`, but the output is its mean over the interval: its integral, which starts from 0 in every interval."""
     n, p = len(system.A), len(system.D)
     a = np.zeros((n + p, n + p))
     a[:n, :n], a[n:, :n] = system.A, system.C / sampling.sample_time

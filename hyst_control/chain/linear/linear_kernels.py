@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 from numba.cpython.unsafe.tuple import tuple_setitem
@@ -105,48 +107,22 @@ for (int i = 0; i < SYSTEMS; i++) {
 @njit(cache=True, error_model="numpy")
 def advance_linear(
     block: Array,
-    a: Array,
+    a: Annotated[Array, "S n n"],
     reach: NDArray[np.int64],
-    b: Array,
+    b: Annotated[Array, "S 3 n m"],
     late: NDArray[np.bool_],
-    c: Array,
-    d: Array,
+    c: Annotated[Array, "S m n"],
+    d: Annotated[Array, "S 2 m m"],
     bias: Array,
     whole: NDArray[np.int64],
-    state: Array,
-    scratch: Array,
-    taps: Array,
+    state: Annotated[Array, "S n"],
+    scratch: Annotated[Array, "3 m"],
+    taps: Annotated[Array, "3 m"],
     history: Array,
     position: int,
     output: Array,
 ) -> int:
-    """Run S systems of m inputs each over a block; see `Discretized`. Returns the new position.
-
-    Parameters
-    ----------
-    block, output
-        (N, S m): input, and output that is filled in.
-    a
-        (S, n, n).
-    reach
-        (S, n, 2), first and past-the-last nonzero column of the rows of a.
-    b
-        (S, 3, n, m).
-    late
-        (S,), whether any but the newest input acts.
-    c
-        (S, m, n).
-    d
-        (S, 2, m, m).
-    bias, whole
-        (S m,): constant of the output, delay in samples.
-    state
-        (S, n), updated.
-    scratch, taps
-        (n,) and (3, m), work space.
-    history, position
-        (L, S m), ring of past inputs, and its write position.
-    """
+    """Run S systems of m inputs each over a block; see `Discretized`. Returns the new position."""
     length = history.shape[0]
     systems, n = state.shape
     m = c.shape[1]
@@ -208,13 +184,7 @@ def advance_single(
     position: int,
     output: Array,
 ) -> int:
-    """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster.
-
-    Parameters
-    ----------
-    block, a, reach, b, late, c, d, bias, whole, state, scratch, history, position, output
-        As for `advance_linear`, with m = 1.
-    """
+    """As `advance_linear` for systems of one input each (m = 1), one after the other: with fewer indices it is faster."""
     length = history.shape[0]
     systems, n = state.shape
     begin = position
@@ -272,13 +242,6 @@ def advance_few(
     """As `advance_single`, for long blocks and up to `FEW` states: it is compiled for each number of states, with its loops unrolled.
 
     The states are a tuple, which the compiler keeps in registers; an array would be written and read in every row.
-
-    Parameters
-    ----------
-    block, a, b, late, c, d, bias, whole, state, history, position, output
-        As for `advance_single`.
-    zeros
-        (n,), which tells the number of states.
     """
     length, begin = history.shape[0], position
     for s in range(state.shape[0]):
@@ -317,23 +280,8 @@ def advance_few(
     return position
 
 
-def quads_of(a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """The entries of matrices that act, four rows side by side.
-
-    Parameters
-    ----------
-    a
-        (S, n, n).
-
-    Returns
-    -------
-    quads : ndarray, shape (E, 4)
-        Four rows of a column, in the order of the systems, the rows and the columns.
-    acting : ndarray, shape (E,)
-        Its column.
-    ends : ndarray, shape (S, n / 4 + 1)
-        Index of the first entry of four rows of a system; the last: past its last one.
-    """
+def quads_of(a: Annotated[Array, "S n n"]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """The entries of matrices that act, four rows side by side."""
     systems, n, _ = a.shape
     fours = -(-n // QUAD)
     filled = np.zeros((systems, fours * QUAD, n))
@@ -353,7 +301,7 @@ def advance_block(
     quads: Array,
     acting: NDArray[np.int64],
     ends: NDArray[np.int64],
-    b: Array,
+    b: Annotated[Array, "S 3 m n"],
     late: NDArray[np.bool_],
     c: Array,
     d: Array,
@@ -368,17 +316,6 @@ def advance_block(
     """As `advance_linear`, for long blocks: sums of the same order, but side by side for many states and many rows.
 
     Every state and every output is still summed one term after the other, in the same order, so that the results are the same.
-
-    Parameters
-    ----------
-    block, late, c, d, bias, whole, state, history, position, output
-        As for `advance_linear`.
-    quads, acting, ends
-        Of `quads_of`.
-    b
-        (S, 3, m, n), the last two axes of `advance_linear` changed over, n filled up to whole quads.
-    scratch
-        (n,), filled up likewise.
     """
     length = history.shape[0]
     systems, n = state.shape

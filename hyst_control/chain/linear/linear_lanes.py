@@ -10,6 +10,7 @@ With H and G computed once, a long block is products of matrices, and only every
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -29,23 +30,17 @@ GROUPS = 128
 
 @njit(cache=True, error_model="numpy")
 def advance_rows(
-    inputs: Array, begin: NDArray[np.int64], a: Array, b: Array, c: Array, d: Array, bias: Array, state: Array, output: Array
+    inputs: Annotated[Array, "L M"],
+    begin: NDArray[np.int64],
+    a: Annotated[Array, "L n n"],
+    b: Annotated[Array, "L n n"],
+    c: Annotated[Array, "L n n"],
+    d: Annotated[Array, "L n n"],
+    bias: Annotated[Array, "L n n"],
+    state: Annotated[Array, "L n"],
+    output: Annotated[Array, "L N"],
 ) -> None:
-    """Run L systems of n states row by row.
-
-    Parameters
-    ----------
-    inputs
-        (L, M): input of every system.
-    begin
-        (L,): place in `inputs` of the oldest of the three taps of the first row.
-    a, b, c, d, bias
-        (L, n, n), (L, 3, n), (L, n), (L, 2), (L,): see `Discretised`.
-    state
-        (L, n), updated.
-    output
-        (L, N), written.
-    """
+    """Run L systems of n states row by row."""
     n = a.shape[1]
     following = np.empty(n)
     for lane in range(len(output)):
@@ -67,15 +62,7 @@ def advance_rows(
 
 @njit(cache=True, error_model="numpy")
 def fill_taps(inputs: Array, begin: NDArray[np.int64], acting: Array) -> None:
-    """Copy the inputs that act on groups of T rows.
-
-    Parameters
-    ----------
-    inputs, begin
-        As for `advance_rows`.
-    acting
-        (L, K, T + 2 + n): the first T + 2 entries of every group are written.
-    """
+    """Copy the inputs that act on groups of T rows."""
     lanes, groups = acting.shape[:2]
     for lane in range(lanes):
         for group in range(groups):
@@ -85,20 +72,10 @@ def fill_taps(inputs: Array, begin: NDArray[np.int64], acting: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def advance_states(transition: Array, driven: Array, state: Array, acting: Array) -> None:
-    """Follow the states from one group of T rows to the next.
-
-    Parameters
-    ----------
-    transition
-        (L, n, n): A^T of every system.
-    driven
-        (L, K, n): what the inputs of a group add.
-    state
-        (L, n), updated.
-    acting
-        (L, K, T + 2 + n): the state before every group is written behind its inputs.
-    """
+def advance_states(
+    transition: Annotated[Array, "L n n"], driven: Annotated[Array, "L K n"], state: Annotated[Array, "L n"], acting: Array
+) -> None:
+    """Follow the states from one group of T rows to the next."""
     n = state.shape[1]
     following = np.empty(n)
     for lane in range(len(state)):
@@ -115,23 +92,10 @@ def advance_states(transition: Array, driven: Array, state: Array, acting: Array
 
 
 @njit(cache=True, error_model="numpy")
-def group_matrices(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array, Array]:
-    """Matrices that advance L systems by T rows.
-
-    Parameters
-    ----------
-    a, b, c, d
-        (L, n, n), (L, 3, n), (L, n), (L, 2): see `Discretised`.
-
-    Returns
-    -------
-    driven : Array
-        (L, T + 2, n): the state after the rows by the inputs that act.
-    transition : Array
-        (L, n, n): the state after the rows by the state before.
-    outputs : Array
-        (L, T + 2 + n, T): the outputs by the inputs that act and the state before.
-    """
+def group_matrices(
+    a: Annotated[Array, "L n n"], b: Annotated[Array, "L n n"], c: Annotated[Array, "L n n"], d: Annotated[Array, "L n n"]
+) -> tuple[Array, Array, Array]:
+    """Matrices that advance L systems by T rows."""
     lanes, n = c.shape
     driven, transition = np.zeros((lanes, TOGETHER + 2, n)), np.zeros((lanes, n, n))
     outputs = np.zeros((lanes, TOGETHER + 2 + n, TOGETHER))
@@ -187,13 +151,6 @@ class LinearLanes:
     """Linear systems of one input each, running side by side.
 
     The outputs are those of a `LinearFilter` of each, to rounding.
-
-    Parameters
-    ----------
-    systems
-        Systems of one input and equally many states.
-    whole
-        Delay (L,) of every system, samples.
     """
 
     def __init__(self, systems: Sequence[Discretised], whole: Sequence[int]) -> None:
@@ -209,19 +166,8 @@ class LinearLanes:
         self._past = np.zeros((len(systems), int(self._whole.max()) + 2))
         self._driven, self._transition, self._outputs = group_matrices(self._a, self._b, self._c, self._d)
 
-    def settle(self, values: Array) -> Array:
-        """Come to rest at constant inputs.
-
-        Parameters
-        ----------
-        values
-            Input (L,) of every system.
-
-        Returns
-        -------
-        Array
-            Outputs (L,).
-        """
+    def settle(self, values: Annotated[Array, "L"]) -> Annotated[Array, "L"]:
+        """Come to rest at constant inputs."""
         self._past[:] = values[:, None]
         self._state = self._rest * values[:, None]
         settled: Array = self._static_gain * values + self._bias
@@ -232,19 +178,8 @@ class LinearLanes:
         """Number of systems."""
         return len(self._state)
 
-    def process(self, blocks: Sequence[Array] | Array) -> Array:
-        """Filter blocks of consecutive samples.
-
-        Parameters
-        ----------
-        blocks
-            Input (N,) of every system.
-
-        Returns
-        -------
-        Array
-            Outputs (L, N).
-        """
+    def process(self, blocks: Sequence[Array] | Array) -> Annotated[Array, "L N"]:
+        """Filter blocks of consecutive samples."""
         count, kept = len(blocks[0]), self._past.shape[1]
         inputs = np.empty((len(blocks), kept + count))
         inputs[:, :kept] = self._past

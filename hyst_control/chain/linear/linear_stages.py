@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.linear import rational_factors
 from hyst_control.chain.linear.discretization import Discretised as Discretised
 from hyst_control.chain.linear.discretization import discretise as discretise
 from hyst_control.chain.linear.discretization import discretise_average as discretise_average
 from hyst_control.chain.linear.linear_filter import FLOAT_LOSS as FLOAT_LOSS
 from hyst_control.chain.linear.linear_filter import LinearFilter as LinearFilter
-from hyst_control.chain.linear import rational_factors
 from hyst_control.chain.linear.linear_system import LinearSystem as LinearSystem
 from hyst_control.chain.linear.linear_system import stacked as stacked
 from hyst_control.chain.linear.linear_system import transfer_function_system as transfer_function_system
@@ -67,18 +67,7 @@ class LinearStage(Stage):
         return (self,)
 
     def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
-        """Tolerances of the parameters in which the stage has its poles and residues.
-
-        Parameters
-        ----------
-        pole, residue
-            Relative standard deviation of the poles, and of the residues.
-
-        Returns
-        -------
-        dict
-            Relative standard deviation by parameter; empty for a stage of which no poles are identified.
-        """
+        """Tolerances of the parameters in which the stage has its poles and residues."""
         return {}
 
     def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
@@ -218,26 +207,16 @@ class TransferFunction(LinearStage):
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode of a state space: one real pole, or a pair of which `pole` is the one above the real axis.
+    """A mode of a state space: one real pole, or a pair of which `pole` is the one above the real axis."""
 
-    Parameters
-    ----------
-    pole
-        Eigenvalue of A; of a discrete system its z.
-    right, left
-        Right and left eigenvector (n,), left @ right = 1.
-    frequency, damping
-        Hz; damping ratio, negative where the mode is unstable.
-    gains
-        Gain at rest (p,) of every output, root mean square over the inputs.
-    """
-
-    pole: complex
+    pole: complex  # Eigenvalue of A; of a discrete system its z
+    # right, left: Right and left eigenvector (n,), left @ right = 1
     right: NDArray[np.complex128]
     left: NDArray[np.complex128]
+    # frequency, damping: Hz; damping ratio, negative where the mode is unstable
     frequency: float
     damping: float
-    gains: Array
+    gains: Array  # Gain at rest (p,) of every output, root mean square over the inputs
 
     @classmethod
     def of(
@@ -249,22 +228,7 @@ class Mode:
         c: Array,
         sample_time: float | None,
     ) -> Mode:
-        """Mode of a pole with its eigenvectors.
-
-        Parameters
-        ----------
-        pole, right, left
-            As in the class.
-        b, c
-            Matrices B (n, m) and C (p, n).
-        sample_time
-            Of a discrete system, s.
-
-        Returns
-        -------
-        Mode
-            The mode.
-        """
+        """Mode of a pole with its eigenvectors."""
         rate = pole if sample_time is None else np.log(pole + 0j) / sample_time
         size = max(abs(rate), 1e-300)
         rest = -pole if sample_time is None else 1.0 - pole
@@ -277,22 +241,7 @@ class Mode:
         return (1 if self.pole.imag == 0.0 else 2) * np.real(np.outer(self.right, self.left))
 
     def moved(self, frequency: float | None, damping: float | None, corner: float | None, sample_time: float | None) -> complex:
-        """The pole for another frequency and damping; None: as it is. Neither changes its sign.
-
-        Parameters
-        ----------
-        frequency, corner
-            Hz.
-        damping
-            Damping ratio, below 1.
-        sample_time
-            Of a discrete system, s.
-
-        Returns
-        -------
-        complex
-            The pole.
-        """
+        """The pole for another frequency and damping; None: as it is. Neither changes its sign."""
         if frequency is None and damping is None and corner is None:
             return self.pole
         given = corner if frequency is None else frequency
@@ -495,15 +444,6 @@ def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) 
 
     The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
     (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
-
-    Parameters
-    ----------
-    run
-        Linear stages and delays in signal order.
-    sampling
-        Clock of the filter.
-    averaged
-        Hold the output at its mean over each interval, exactly, instead of knowing it at the intervals' ends.
     """
     return _prepared(tuple(run), sampling, averaged).another()
 

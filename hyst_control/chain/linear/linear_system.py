@@ -56,18 +56,7 @@ class LinearSystem:
 
 
 def block_diagonal(*blocks: NDArray[np.floating[Any]]) -> Array:
-    """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long, for its checks.
-
-    Parameters
-    ----------
-    *blocks
-        Matrices of any shape.
-
-    Returns
-    -------
-    Array
-        The matrix, zero beside them.
-    """
+    """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long, for its checks."""
     whole = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
     row = column = 0
     for block in blocks:

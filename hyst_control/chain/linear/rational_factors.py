@@ -22,19 +22,7 @@ LEAST = 0.05
 
 
 def factors(num: Array, den: Array) -> dict[str, Coordinate]:
-    """Factor num(s) / den(s).
-
-    Parameters
-    ----------
-    num, den
-        Coefficients in descending powers of s.
-
-    Returns
-    -------
-    dict
-        `gain`; of poles `frequency[i]` (Hz) with `damping[i]`, `corner[i]` (Hz, negative for an unstable pole); of zeros
-        `zero_frequency[i]` with `zero_damping[i]`, `lead[i]` (s); each kind in rising order of frequency.
-    """
+    """Factor num(s) / den(s)."""
     num, den = np.trim_zeros(np.asarray(num, dtype=float), "f"), np.trim_zeros(np.asarray(den, dtype=float), "f")
     if not len(num):
         return {}
@@ -60,20 +48,8 @@ def factors(num: Array, den: Array) -> dict[str, Coordinate]:
 
 
 def rational(num: Array, den: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Put other values in the place of some factors of num(s) / den(s).
-
-    Parameters
-    ----------
-    num, den
-        Coefficients in descending powers of s.
-    values
-        By the names of `factors`. Frequencies and dampings of poles keep their sign, and a twentieth of their size at least.
-
-    Returns
-    -------
-    num, den : Array
-        The polynomials, the first coefficient of `den` as it was.
-    """
+    """Put other values in the place of some factors of num(s) / den(s)."""
+    # values: by the names of `factors`. Frequencies and dampings of poles keep their sign, and a twentieth of their size at least
     nominal = {name: coordinate.value for name, coordinate in factors(num, den).items()}
     num, den = np.trim_zeros(np.asarray(num, dtype=float), "f"), np.trim_zeros(np.asarray(den, dtype=float), "f")
     known = dict(nominal)

@@ -10,41 +10,19 @@ from hyst_control.chain.stage import Array
 
 
 def flat_weights(order: int) -> Array:
-    """Weights (2 order + 1,) of 1 - ((1 - cos w) / 2)^order at w radians per sample: flat up to near half the sampling rate.
-
-    Parameters
-    ----------
-    order
-        Of the filter, and the samples that it looks ahead.
-    """
+    """Weights (2 order + 1,) of 1 - ((1 - cos w) / 2)^order at w radians per sample: flat up to near half the sampling rate."""
     weights = -_power([-0.25, 0.5, -0.25], order)
     weights[order] += 1.0
     return weights
 
 
 def smooth_weights(order: int) -> Array:
-    """Weights (2 order + 1,) of ((1 + cos w) / 2)^order at w radians per sample, binomial ones: falls early, and never overshoots.
-
-    Parameters
-    ----------
-    order
-        Of the filter, and the samples that it looks ahead.
-    """
+    """Weights (2 order + 1,) of ((1 + cos w) / 2)^order at w radians per sample, binomial ones: falls early, and never overshoots."""
     return _power([0.25, 0.5, 0.25], order)
 
 
 def weighted_sum(weights: Array, axes: int, sample_time: float) -> StateSpace:
-    """Discrete stage that adds up the newest samples of each axis.
-
-    Parameters
-    ----------
-    weights
-        Weights (n,) of the newest samples, the newest first, n at least 2.
-    axes
-        Number of axes.
-    sample_time
-        Sample time, s.
-    """
+    """Discrete stage that adds up the newest samples of each axis."""
     count = len(weights) - 1
     a, b = np.eye(count, k=-1), np.eye(count, 1)
     parts = (a, b, np.asarray(weights)[None, 1:], np.asarray(weights)[None, :1])

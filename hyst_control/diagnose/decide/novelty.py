@@ -21,26 +21,7 @@ from hyst_control.diagnose.verdict import Reason
 def signs(
     evidence: Evidence, chosen: int, outweighed: bool, outliers: Sequence[Outliers], thresholds: Thresholds
 ) -> dict[Reason, float]:
-    """Measure the signs of an unknown effect beside an explanation.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        With the residual of the explanation.
-    chosen : int
-        Index of the explanation among the hypotheses.
-    outweighed : bool
-        True where 1/f noise explains more than any effect, which leaves no energy to explain.
-    outliers : sequence of Outliers
-        What excess noise consists of, where it is outliers.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    dict of Reason to float
-        How many times each rule's threshold is reached, by the reason that the verdict gets where that is enough.
-    """
+    """Measure the signs of an unknown effect beside an explanation."""
     one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
     due = _energy_due(evidence, chosen)
     beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
@@ -60,26 +41,9 @@ def signs(
 
 
 def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bound: bool, thresholds: Thresholds) -> float:
-    """Compute the novelty score m / (m + q), where m is the clearest sign and q the conformal threshold: above 0.5 all is `unknown`.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        Of which no residual is needed.
-    chosen : int
-        Index of the explanation among the hypotheses.
-    found : mapping of Reason to float
-        The signs.
-    at_bound : bool
-        True where the one explanation has an effect at the end of its range: how far beyond it the effect would be nobody knows.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
+    """Compute the novelty score m / (m + q), where m is the clearest sign and q the conformal threshold: above 0.5 all is `unknown`."""
+    # at_bound: true where the one explanation has an effect at the end of its range: how far beyond it the effect would be nobody
+    # knows
     threshold = thresholds.novelty_threshold
     clearest = max([0.0, *found.values()])
     if not evidence.hypotheses[chosen].names:  # of coefficients alone no rule makes an unknown effect
@@ -90,22 +54,7 @@ def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bou
 
 
 def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
-    """Tests by which a named effect is not itself, each with its sign: its size would have to change a lot, and that would explain much.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        With the residual of the explanation.
-    chosen : int
-        Index of the explanation among the hypotheses.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    list of (DistortionEvidence, float)
-        The test of least chance first.
-    """
+    """Tests by which a named effect is not itself, each with its sign: its size would have to change a lot, and that would explain much."""
     found = failed_tests(evidence, chosen, thresholds, 0.0)
     if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
         for seen in evidence.record:
@@ -124,21 +73,6 @@ def failed_tests(
 
     What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        With the residual of the hypothesis.
-    index : int
-        Of the hypothesis.
-    thresholds : Thresholds
-        Values of the configuration.
-    least : float
-        As a multiple of a test's threshold.
-
-    Returns
-    -------
-    list of (DistortionEvidence, float)
     """
     residual, due = residual_of(evidence, index), _energy_due(evidence, index)
     beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.least_excess * due)
@@ -169,20 +103,6 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
 
     Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        With the residual of the explanation.
-    chosen : int
-        Index of the explanation among the hypotheses.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-        0 to 1.
     """
     one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
     if not (one.names or one.coefficients_alone):

@@ -14,6 +14,7 @@ than the practical size; claims become probabilities by their scores. The verdic
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -36,19 +37,7 @@ PARAMETERS = ("parameters",)
 
 
 def join(decisions: Sequence[Decision]) -> JointDecision:
-    """Join the decisions on the axes of a plant.
-
-    Parameters
-    ----------
-    decisions : sequence of Decision
-        At least one, in any order.
-
-    Returns
-    -------
-    JointDecision
-        The verdict that prevails on any of them, with the reasons of those that have it.
-
-    """
+    """Join the decisions on the axes of a plant."""
     prevailing = min((decision.verdict for decision in decisions), key=list(Verdict).index)
     reasons = {reason for decision in decisions if decision.verdict is prevailing for reason in decision.reasons}
     return JointDecision(
@@ -61,20 +50,7 @@ def join(decisions: Sequence[Decision]) -> JointDecision:
 
 
 def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
-    """Judge the evidence on one problem.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        With the residuals of all `contenders`.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    Decision
-
-    """
+    """Judge the evidence on one problem."""
     claims = _claims(evidence, thresholds)
     noise = flicker_found(evidence, _first(claims), thresholds)
     outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
@@ -140,42 +116,22 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
 
 
 def contenders(evidence: Evidence, thresholds: Thresholds) -> tuple[int, ...]:
-    """Hypotheses whose residuals the policy may ask for: no effect, the best explanation, and the best one without effects.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        Residuals are not needed.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    tuple of int
-        Indices in `evidence.hypotheses`, ascending.
-
-    """
+    """Hypotheses whose residuals the policy may ask for: no effect, the best explanation, and the best one without effects."""
     first = _first(_claims(evidence, thresholds))
     return tuple(sorted({0, first, _first(_claims(evidence, thresholds, with_effects=False))}))
 
 
-def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thresholds: Thresholds) -> float:
+def practical_floor(
+    spans: Annotated[Array, "A"],
+    steps: Annotated[Array, "A"],
+    stated: Annotated[Array, "A"],
+    noise: Annotated[Array, "A"],
+    thresholds: Thresholds,
+) -> float:
     """Rms, in units of the noise, that an effect must take off to be worth naming.
 
     A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
     rounding of a converter follows the signal: a share of it is no effect.
-
-    Parameters
-    ----------
-    spans, steps, stated, noise : ndarray, shape (A,)
-        Range of the measurement, step of its lattice (0 without), stated and measured noise (rms), all in the measurement's unit.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-
     """
     size = thresholds.practical_size * spans / noise
     excess = np.sqrt(np.maximum((stated / noise) ** 2 - 1.0, 0.0))
@@ -184,37 +140,12 @@ def practical_floor(spans: Array, steps: Array, stated: Array, noise: Array, thr
 
 
 def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
-    """True when coefficients are further from the nominal ones than chance explains.
-
-    Parameters
-    ----------
-    strain : float
-        Misfit of their distance, nats: half their chi-square.
-    coefficients : int
-        Their number, the mean of the chi-square.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-    """
+    """True when coefficients are further from the nominal ones than chance explains."""
     return 2.0 * strain >= coefficients + thresholds.strain_deviations * float(np.sqrt(2.0 * coefficients))
 
 
 def key(hypothesis: HypothesisEvidence) -> tuple[str, ...]:
-    """Name of a hypothesis in `Decision.probability`.
-
-    Parameters
-    ----------
-    hypothesis : HypothesisEvidence
-        Of the evidence.
-
-    Returns
-    -------
-    tuple of str
-
-    """
+    """Name of a hypothesis in `Decision.probability`."""
     return PARAMETERS if hypothesis.coefficients_alone else hypothesis.names
 
 

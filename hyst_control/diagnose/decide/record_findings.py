@@ -24,22 +24,7 @@ from hyst_control.effects.effect import RecordCheck
 
 
 def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
-    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of.
-
-    Parameters
-    ----------
-    record : sequence of RecordEvidence
-        By axis.
-    checks : collection of RecordCheck
-        Checks whose effect is in the catalogue.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    tuple of Finding
-
-    """
+    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of."""
     found = []
     for axis, seen in enumerate(record):
         least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
@@ -59,19 +44,7 @@ def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], 
 
 
 def not_received(seen: RoughnessEvidence, thresholds: Thresholds) -> bool:
-    """True where a recorded command is rough as a rounded one is, and the plant did not receive that.
-
-    Parameters
-    ----------
-    seen : RoughnessEvidence
-        Of an axis.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-    """
+    """True where a recorded command is rough as a rounded one is, and the plant did not receive that."""
     rounded = (
         seen.share < thresholds.rough_share
         and seen.correlation < max(thresholds.rough_correlation, thresholds.rough_scatter / float(np.sqrt(seen.samples)))
@@ -91,26 +64,7 @@ def not_received(seen: RoughnessEvidence, thresholds: Thresholds) -> bool:
 def findings(
     evidence: Evidence, chosen: int, noise: FlickerEvidence | None, thresholds: Thresholds
 ) -> tuple[tuple[Finding, ...], tuple[Outliers, ...]]:
-    """Find effects without a waveform, and excess noise that is outliers.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    chosen : int
-        Index of the best explanation.
-    noise : FlickerEvidence or None
-        1/f noise that was found.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    found : tuple of Finding
-        Effects by a check of the record, and noise.
-    outliers : tuple of Outliers
-        Single samples that are nearly all of an axis' excess noise.
-    """
+    """Find effects without a waveform, and excess noise that is outliers."""
     holds = bool(evidence.repeating.intersection(evidence.hypotheses[chosen].names))
     found = [
         finding
@@ -145,22 +99,7 @@ def findings(
 
 
 def flicker_found(evidence: Evidence, first: int, thresholds: Thresholds) -> FlickerEvidence | None:
-    """Find 1/f noise in what the coefficients leave, if it explains more than the best explanation, else in what that leaves.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    first : int
-        Index of the best explanation.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    FlickerEvidence or None
-        None where there is none.
-    """
+    """Find 1/f noise in what the coefficients leave, if it explains more than the best explanation, else in what that leaves."""
     if RecordCheck.FALLING_SPECTRUM not in evidence.checks:
         return None
     for index in (0, first):
@@ -188,21 +127,7 @@ def _falls_to_the_top(seen: FlickerEvidence, evidence: Evidence, first: int, thr
 
 
 def outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:
-    """True where 1/f noise explains more than the best explanation does.
-
-    Parameters
-    ----------
-    noise : FlickerEvidence
-        1/f noise that was found.
-    evidence : Evidence
-        On one problem.
-    first : int
-        Index of the best explanation.
-
-    Returns
-    -------
-    bool
-    """
+    """True where 1/f noise explains more than the best explanation does."""
     one = evidence.hypotheses[first]
     return not one.names or noise.gain > evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
 
@@ -215,60 +140,18 @@ def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) ->
 
 
 def is_stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:
-    """True where the measurement comes back to one value again and again, and does not in clean records.
-
-    Parameters
-    ----------
-    seen : RecordEvidence
-        Of an axis.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-    """
+    """True where the measurement comes back to one value again and again, and does not in clean records."""
     return seen.stuck >= thresholds.stuck and seen.stuck > thresholds.beyond_clean * seen.usual_stuck
 
 
 def share_of_outliers(evidence: Evidence, outliers: Outliers) -> float:
-    """Compute the share of the gap's energy that is outliers, which no effect of the catalogue is.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    outliers : Outliers
-        Of an axis.
-
-    Returns
-    -------
-    float
-        0 to 1.
-    """
+    """Compute the share of the gap's energy that is outliers, which no effect of the catalogue is."""
     energy = (outliers.rms / evidence.noise[outliers.axis]) ** 2 / len(evidence.noise)
     return float(np.clip(energy / max(evidence.hypotheses[0].energy - 1.0, 1e-12), 0.0, 1.0))
 
 
 def residual_of(evidence: Evidence, index: int) -> ResidualEvidence:
-    """Evidence on what a hypothesis leaves.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    index : int
-        Of the hypothesis.
-
-    Returns
-    -------
-    ResidualEvidence
-
-    Raises
-    ------
-    ValueError
-        It was not collected.
-    """
+    """Evidence on what a hypothesis leaves."""
     residual = evidence.hypotheses[index].residual
     if residual is None:
         raise ValueError(f"hypothesis {index}: collect the evidence on what it leaves before deciding")

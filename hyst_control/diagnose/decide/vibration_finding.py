@@ -23,22 +23,6 @@ def vibration_found(evidence: Evidence, first: int, left: float, thresholds: Thr
     """Find the hypothesis whose residual shows a vibration without a waveform, where the best explanation leaves too much.
 
     As a model of the noise the hump competes with effects by its likelihood: what a waveform explains, a spectrum explains less well.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    first : int
-        Index of the best explanation.
-    left : float
-        Share of the gap that it leaves.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    int or None
-        0 where the vibration explains more than the best explanation, that one's index where both are at work, None where there is none.
     """
     if RecordCheck.SPECTRAL_HUMP not in evidence.checks or left <= thresholds.unknown_share:
         return None
@@ -55,20 +39,7 @@ def vibration_found(evidence: Evidence, first: int, left: float, thresholds: Thr
 
 
 def vibration(hump: HumpEvidence, noise: float) -> Finding:
-    """Finding of a vibration without a waveform.
-
-    Parameters
-    ----------
-    hump : HumpEvidence
-        In units of the noise.
-    noise : float
-        Rms, measurement unit.
-
-    Returns
-    -------
-    Finding
-        Its value is the amplitude of a sine of the same rms, measurement unit; frequency and width are further parameters.
-    """
+    """Finding of a vibration without a waveform."""
     rms, low, high = (noise * size for size in (hump.rms, *hump.ci90))
     times = (hump.ci90[1] / hump.rms) ** LESS_SURE
     sine = float(np.sqrt(2.0))
@@ -87,19 +58,7 @@ def vibration(hump: HumpEvidence, noise: float) -> Finding:
 
 
 def without_vibration(evidence: Evidence, thresholds: Thresholds) -> Evidence:
-    """Take a vibration's energy off what hypotheses leave.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        On one problem.
-    thresholds : Thresholds
-        Values of the configuration.
-
-    Returns
-    -------
-    Evidence
-    """
+    """Take a vibration's energy off what hypotheses leave."""
     residuals = {}
     for index, one in enumerate(evidence.hypotheses):
         hump = None if one.residual is None else _clear(evidence, index, thresholds)

@@ -17,6 +17,7 @@ The alarm rises after `consecutive` windows in a row above that quantile, and fa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import chi2
@@ -36,21 +37,7 @@ class LiveTwin:
     """The model and its slopes, streamed from the command that the plant gets."""
 
     def __init__(self, model: Model, sample_time: float) -> None:
-        """Prepare the model and its slopes.
-
-        Parameters
-        ----------
-        model : Model
-            Nominal model.
-        sample_time : float
-            s, of the running system.
-
-        Raises
-        ------
-        InputError
-            Where the model cannot run at it.
-
-        """
+        """Prepare the model and its slopes."""
         self._running = [Simulator(model, sample_time)]
         scatter = scatter_of(model)
         for z in STEP * np.eye(len(scatter.coefficients)):
@@ -65,33 +52,12 @@ class LiveTwin:
         """Number of uncertain coefficients."""
         return len(self._running) - 1
 
-    def settle(self, command: Array) -> None:
-        """Begin anew at rest, reached from 0 V on the virgin curve.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,)
-            V.
-
-        """
+    def settle(self, command: Annotated[Array, "A"]) -> None:
+        """Begin anew at rest, reached from 0 V on the virgin curve."""
         self._ahead = [simulator.reset(command) for simulator in self._running]
 
-    def follow(self, commands: Array) -> tuple[Array, Array]:
-        """Predict the measurement at the ticks of these commands.
-
-        Parameters
-        ----------
-        commands : ndarray, shape (N, A)
-            V.
-
-        Returns
-        -------
-        predicted : ndarray, shape (N, A)
-            Measurement unit.
-        slopes : ndarray, shape (N, A, K)
-            Per standard deviation of each coefficient.
-
-        """
+    def follow(self, commands: Annotated[Array, "N A"]) -> tuple[Array, Array]:
+        """Predict the measurement at the ticks of these commands."""
         found = []
         for i, simulator in enumerate(self._running):
             following = simulator.step(commands)
@@ -104,58 +70,27 @@ class LiveTwin:
 
 @dataclass(frozen=True)
 class Window:
-    """Window of the residual.
+    """Window of the residual."""
 
-    Parameters
-    ----------
-    end : int
-        Rows of those just added that had come when it was complete.
-    rms : float
-        Over all axes, measurement unit.
-    nrmse : float
-        % of the range since the start, the mean over the axes.
-    excess : float
-        Energy over the threshold, NaN while calibrating.
-    alarm : bool
-        Whether the alarm stands.
-
-    """
-
-    end: int
-    rms: float
-    nrmse: float
-    excess: float
-    alarm: bool
+    end: int  # Rows of those just added that had come when it was complete
+    rms: float  # Over all axes, measurement unit
+    nrmse: float  # % of the range since the start, the mean over the axes
+    excess: float  # Energy over the threshold, NaN while calibrating
+    alarm: bool  # Whether the alarm stands
 
 
 @dataclass
 class GapAlarm:
-    """Windows of the residual against their threshold; see the module's text for the statistics.
+    """Windows of the residual against their threshold; see the module's text for the statistics."""
 
-    Parameters
-    ----------
-    sample_time : float
-        s.
-    window, calibrate : int
-        Rows of a window, and rows from which coefficients and noise are learned.
-    stated : ndarray, shape (A,)
-        Noise (rms, measurement unit) that the model states.
-    false_alarm_rate : float
-        Expected false alarms per hour.
-    consecutive : int
-        Windows in a row that raise the alarm, or let it fall.
-    configuration : Configuration
-        All values.
-
-    """
-
-    sample_time: float
+    sample_time: float  # S
+    # window, calibrate: Rows of a window, and rows from which coefficients and noise are learned
     window: int
     calibrate: int
-    stated: Array
-    false_alarm_rate: float
-    consecutive: int
-    configuration: Configuration = CONFIGURATION
+    stated: Annotated[Array, "A"]  # Noise (rms, measurement unit) that the model states
+    false_alarm_rate: float  # Expected false alarms per hour
+    consecutive: int  # Windows in a row that raise the alarm, or let it fall
+    configuration: Configuration = CONFIGURATION  # All values
 
     def __post_init__(self) -> None:
         self.reset()
@@ -176,22 +111,10 @@ class GapAlarm:
         self._parts: list[tuple[Array, Array]] = []
         self._collected = 0
 
-    def add(self, measured: Array, residual: Array, slopes: Array) -> list[Window]:
-        """Add successive rows.
-
-        Parameters
-        ----------
-        measured, residual : ndarray, shape (N, A)
-            Measurement, and measured minus predicted, measurement unit.
-        slopes : ndarray, shape (N, A, K)
-            Of the prediction, per standard deviation of each coefficient.
-
-        Returns
-        -------
-        list of Window
-            Those that became complete.
-
-        """
+    def add(
+        self, measured: Annotated[Array, "N A"], residual: Annotated[Array, "N A"], slopes: Annotated[Array, "N A K"]
+    ) -> list[Window]:
+        """Add successive rows."""
         found, begin = [], 0
         self._lower = np.minimum(self._lower, measured.min(axis=0, initial=np.inf))
         self._upper = np.maximum(self._upper, measured.max(axis=0, initial=-np.inf))
@@ -265,25 +188,11 @@ def _gram(slopes: Array) -> Array:
     return np.stack([np.einsum("nk,nl->kl", axis, axis) for axis in np.moveaxis(slopes, 1, 0)])
 
 
-def energy_quantile(weights: Array, count: int, share: float) -> float:
+def energy_quantile(weights: Annotated[Array, "K"], count: int, share: float) -> float:
     """Upper quantile of the squared size of a Gaussian vector.
 
     By the first three cumulants (Imhof 1961, section 4): with c_k the sum of the k-th powers of the covariance's eigenvalues,
     (|u|^2 - c_1) / sqrt(c_2) is as (X - nu) / sqrt(nu), X chi-square with nu = c_2^3 / c_3^2 degrees of freedom.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (K,)
-        Eigenvalues of its covariance beyond 1.
-    count : int
-        Its size.
-    share : float
-        Probability that the squared size exceeds the quantile.
-
-    Returns
-    -------
-    float
-
     """
     first, second, third = (count + float(np.sum((1.0 + weights) ** power - 1.0)) for power in (1, 2, 3))
     freedom = second**3 / third**2

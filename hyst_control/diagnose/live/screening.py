@@ -35,28 +35,16 @@ CLEARLY = 2.0
 
 @dataclass(frozen=True)
 class Screening:
-    """Gap of records, and whether it is proved to be none.
+    """Gap of records, and whether it is proved to be none."""
 
-    Parameters
-    ----------
-    no_gap : bool
-        True where a diagnosis would say "no_gap"; where False it may say anything.
-    gap_rms, floor_rms : float
-        As in the gap report, measurement unit.
-    gap_nrmse : float
-        As in the gap report, % of the range.
-    left_rms : float
-        What the coefficients leave within their tolerances, rms over all axes, measurement unit.
-    unit : str
-        Measurement unit.
-    """
-
-    no_gap: bool
+    no_gap: bool  # True where a diagnosis would say "no_gap"; where False it may say anything
+    # gap_rms, floor_rms: As in the gap report, measurement unit
     gap_rms: float
-    gap_nrmse: float
+    gap_nrmse: float  # As in the gap report, % of the range
     floor_rms: float
+    # What the coefficients leave within their tolerances, rms over all axes, measurement unit
     left_rms: float
-    unit: str
+    unit: str  # Measurement unit
 
 
 def screen(
@@ -66,31 +54,7 @@ def screen(
     verdict: bool = True,
     configuration: Configuration = CONFIGURATION,
 ) -> Screening:
-    """Screen records.
-
-    Parameters
-    ----------
-    records
-        With command and measurement.
-    model
-        Nominal model, as in `diagnose`.
-    baseline
-        Clean records of the same plant.
-    verdict
-        Whether a proof is tried; without it, only the gap is measured.
-    configuration
-        Settings of the diagnosis.
-
-    Returns
-    -------
-    Screening
-        Gap, and whether it is proved to be none.
-
-    Raises
-    ------
-    InputError
-        If the records cannot be used.
-    """
+    """Screen records."""
     nominal, _, _, parts = with_clean(records, model, 0.0, configuration, baseline)
     energies, floors, relative, left, clear = [], [], [], [], verdict
     for problem, beside, sensor_side in parts:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -51,58 +51,27 @@ from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
 @dataclass(frozen=True)
 class Baseline:
-    """Baseline of one problem: its model extended by the model's known error, and the size of that error.
+    """Baseline of one problem: its model extended by the model's known error, and the size of that error."""
 
-    Parameters
-    ----------
-    problem : Problem
-        The new records; their model has stages for the known error and the session's zero.
-    carried : bool
-        True when the model's error is carried over sample by sample.
-    repeatability : ndarray, shape (A,)
-        Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
-        error if no clean record has that command; 0 if there is only one clean record and its command has no period.
-    usual_zero : ndarray, shape (A, 3)
-        Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the clean records predict for
-        the next one, and a share of the range at most, which is all that is known beside a single one.
-    floor : ndarray, shape (A,)
-        Rms that an effect must remove from the residual to be named at all, measurement unit.
-    clean : Problem or None
-        The clean records; None if the model file's discrepancy is used instead.
-    error : ndarray, shape (A,)
-        Rms of the model's own error on the clean records without their zeros, measurement unit.
-    learned : LearnedDiscrepancy or None
-        What predicts this error on other commands; None where that is not known, or of axes that the model mixes.
-    error_rows : Problem or None
-        The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where the
-        new records have no others. None where the error is carried over, or a model file states it.
-    """
-
-    problem: Problem
-    carried: bool
-    repeatability: Array
-    usual_zero: Array
-    floor: Array
-    clean: Problem | None
-    error: Array
+    problem: Problem  # The new records; their model has stages for the known error and the session's zero
+    carried: bool  # True when the model's error is carried over sample by sample
+    # Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
+    # error if no clean record has that command; 0 if there is only one clean record and its command has no period
+    repeatability: Annotated[Array, "A"]
+    # Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the clean records predict for
+    # the next one, and a share of the range at most, which is all that is known beside a single one
+    usual_zero: Annotated[Array, "A 3"]
+    floor: Annotated[Array, "A"]  # Rms that an effect must remove from the residual to be named at all, measurement unit
+    clean: Problem | None  # The clean records; None if the model file's discrepancy is used instead
+    error: Annotated[Array, "A"]  # Rms of the model's own error on the clean records without their zeros, measurement unit
+    # What predicts this error on other commands; None where that is not known, or of axes that the model mixes
     learned: LearnedDiscrepancy | None = None
+    # The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where
+    # the new records have no others. None where the error is carried over, or a model file states it
     error_rows: Problem | None = None
 
-    def error_energy(self, command: Array, sample_time: float) -> float:
-        """Predict the energy of the model's own error on a command.
-
-        Parameters
-        ----------
-        command : ndarray, shape (N, A)
-            V.
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        float
-            Sum over the axes of the mean square, measurement unit squared.
-        """
+    def error_energy(self, command: Annotated[Array, "N A"], sample_time: float) -> float:
+        """Predict the energy of the model's own error on a command."""
         if self.learned is None:
             return float(np.sum(self.error**2))
         design, _ = without_zero(self.learned.features.rows(np.ascontiguousarray(command[:, 0]), sample_time))
@@ -111,48 +80,15 @@ class Baseline:
 
 
 def no_model(record: Record) -> Model:
-    """Make a placeholder for a missing model: its output is 0, so that the clean record alone is the prediction.
-
-    Parameters
-    ----------
-    record : Record
-        Record with command and measurement.
-
-    Returns
-    -------
-    Model
-
-    Raises
-    ------
-    InputError
-        If the record lacks a signal.
-    """
+    """Make a placeholder for a missing model: its output is 0, so that the clean record alone is the prediction."""
     command, measurement = record.signal("command"), record.signal("measurement")
     units = {"command": command.unit, "measurement": measurement.unit}
     sample_time = record.sample_time(("command", "measurement"))
     return Model("no model", measurement.axes, units, sample_time, Chain((Gain(0.0),)), record.hold)
 
 
-def error_on(records: Sequence[Record], model: Model) -> Array:
-    """Measure what a model leaves on clean records, their zeros and drifts included.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Clean records with command and measurement.
-    model : Model
-        Nominal model.
-
-    Returns
-    -------
-    ndarray, shape (A,)
-        Rms, measurement unit.
-
-    Raises
-    ------
-    InputError
-        If a record lacks a signal, or belongs to another plant.
-    """
+def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
+    """Measure what a model leaves on clean records, their zeros and drifts included."""
     found = []
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
@@ -167,21 +103,7 @@ def error_on(records: Sequence[Record], model: Model) -> Array:
 
 
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
-    """Make the baseline of a problem from clean records.
-
-    Parameters
-    ----------
-    problem : Problem
-        The new records.
-    clean : Problem
-        Clean records of the same axes, with the same sample time.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    Baseline
-    """
+    """Make the baseline of a problem from clean records."""
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
     if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
         # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
@@ -206,21 +128,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: bool = False) -> Baseline:
-    """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records.
-
-    Parameters
-    ----------
-    problem : Problem
-        The new records; their model states a discrepancy.
-    settings : BaselineSettings
-        Values of the configuration.
-    by_spectrum : bool
-        Whether the own error is weighed by the spectrum that the file states, rather than by its size and its correlation.
-
-    Returns
-    -------
-    Baseline
-    """
+    """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records."""
     found = _beside_own_error(problem, problem.model.discrepancy, None, settings)
     if not by_spectrum:
         return found

@@ -7,6 +7,8 @@ known to a factor only (Student's t with an unknown scale).
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.fft import dct
 
@@ -19,21 +21,8 @@ FIRST = 4
 """Bins of the slowest band."""
 
 
-def beyond_own_error(problem: Problem, residual: Array) -> float:
-    """Weigh what a residual has beyond the model's own error and the noise.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model; the own error's spectrum is known.
-    residual : ndarray, shape (M,)
-        Whitened by that spectrum.
-
-    Returns
-    -------
-    float
-        Nats; 0 where no octave of any record exceeds it.
-    """
+def beyond_own_error(problem: Problem, residual: Annotated[Array, "M"]) -> float:
+    """Weigh what a residual has beyond the model's own error and the noise."""
     found = 0.0
     for rows in problem.by_piece(residual):
         octave = np.maximum(np.floor(np.log2(np.arange(len(rows)) / FIRST + 1e-9)).astype(int) + 1, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -23,23 +24,7 @@ UNEXCITED = 1e-6
 
 
 def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
-    """Estimate the spectrum of the model's own error for a record of other length.
-
-    Parameters
-    ----------
-    errors : sequence of ndarray, shape (N, A)
-        On the clean records, from the row on at which the time before them no longer shows, measurement unit.
-    everything : sequence of ndarray, shape (M, A)
-        The same on all rows that count.
-    clean : Problem
-        The clean records.
-    count : int
-        Rows of the new record.
-
-    Returns
-    -------
-    ErrorSpectrum
-    """
+    """Estimate the spectrum of the model's own error for a record of other length."""
     slowest = lowest_frequency(clean)
 
     def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
@@ -56,27 +41,9 @@ def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], cle
 
 
 def on_new_ground(
-    spectrum: ErrorSpectrum, problem: Problem, clean: Problem, error: Array, settings: BaselineSettings
+    spectrum: ErrorSpectrum, problem: Problem, clean: Problem, error: Annotated[Array, "A"], settings: BaselineSettings
 ) -> ErrorSpectrum:
-    """Add to an own error's spectrum what the model may leave at frequencies that the new records' commands drive more.
-
-    Parameters
-    ----------
-    spectrum : ErrorSpectrum
-        Of the own error on the clean records.
-    problem : Problem
-        The new records; the error that their model's file states counts too, where it is larger.
-    clean : Problem
-        The clean records.
-    error : ndarray, shape (A,)
-        Rms that the model leaves on these, measurement unit.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    ErrorSpectrum
-    """
+    """Add to an own error's spectrum what the model may leave at frequencies that the new records' commands drive more."""
     count, slowest = len(spectrum.frequencies), lowest_frequency(clean)
     new = [without_zero(simulated_rows(problem, i, piece))[0] for i, piece in enumerate(problem.pieces)]
     known = [without_zero(simulated_rows(clean, i, piece))[0] for i, piece in enumerate(clean.pieces)]
@@ -89,25 +56,8 @@ def on_new_ground(
     return spectrum.for_output(before, now, relative)
 
 
-def learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Array:
-    """The last rows of what a learned error predicts on a record.
-
-    Parameters
-    ----------
-    learned : LearnedDiscrepancy
-        Of a model of one axis.
-    piece : Piece
-        The record.
-    rows : int
-        Their number, N.
-    sample_time : float
-        s.
-
-    Returns
-    -------
-    ndarray, shape (N, 1)
-        Measurement unit.
-    """
+def learned_mean(learned: LearnedDiscrepancy, piece: Piece, rows: int, sample_time: float) -> Annotated[Array, "N 1"]:
+    """The last rows of what a learned error predicts on a record."""
     features = learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), sample_time)
     return np.asarray((features @ learned.mean)[-rows:, None], dtype=np.float64)
 
@@ -117,18 +67,6 @@ def predicted_error(problem: Problem, learned: LearnedDiscrepancy) -> tuple[Lear
 
     The mean is one direction more, free between absent and twice itself: on other commands it is a guess, and the nominal model stays
     the model as given.
-
-    Parameters
-    ----------
-    problem : Problem
-        The new records.
-    learned : LearnedDiscrepancy
-        Taught by the clean records, or stated by the model's file.
-
-    Returns
-    -------
-    tuple of LearnedError
-        One stage; none where no direction matters.
     """
     rows = [
         without_zero(learned.features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time))[0]
@@ -143,38 +81,12 @@ def predicted_error(problem: Problem, learned: LearnedDiscrepancy) -> tuple[Lear
     return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)
 
 
-def simulated_rows(problem: Problem, index: int, piece: Piece) -> Array:
-    """Simulate all rows of a record, also those that do not count.
-
-    Parameters
-    ----------
-    problem : Problem
-        Model and records.
-    index : int
-        Of the record, among those that the model's stages of a session know.
-    piece : Piece
-        The record.
-
-    Returns
-    -------
-    ndarray, shape (N, A)
-        Measurement unit.
-    """
+def simulated_rows(problem: Problem, index: int, piece: Piece) -> Annotated[Array, "N A"]:
+    """Simulate all rows of a record, also those that do not count."""
     alone = replace(problem, pieces=(replace(piece, keep=None),), sigma=np.ones(len(problem.sigma)))
     return alone.rows(alone.simulate([stage.for_record(index) for stage in problem.model.chain.stages]))
 
 
 def lowest_frequency(problem: Problem) -> float:
-    """Lowest frequency that the commands excite.
-
-    Parameters
-    ----------
-    problem : Problem
-        The records.
-
-    Returns
-    -------
-    float
-        Hz; the least of all records.
-    """
+    """Lowest frequency that the commands excite."""
     return frequency_of([piece.command for piece in problem.pieces], problem.sample_time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.signal import correlate
@@ -25,24 +26,8 @@ class Match:
     end: int
 
 
-def matching(command: Array, clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
-    """Find the clean records that have the same command up to a shift.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        Command of the new record, V.
-    clean : sequence of Piece
-        Clean records to search.
-    same : float
-        Difference up to which two commands are the same, rms, as a share of the range.
-    overlap : float
-        Least share of the new record in which they are.
-
-    Returns
-    -------
-    list of Match
-    """
+def matching(command: Annotated[Array, "N A"], clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
+    """Find the clean records that have the same command up to a shift."""
     found = []
     for piece in clean:
         other = piece.command
@@ -73,19 +58,6 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
     """Put the command of a clean record in the place of one whose roughness the plant did not receive, where both are the same.
 
     What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
-
-    Parameters
-    ----------
-    problem : Problem
-        The new records; those whose commands were smoothed have the recorded ones beside.
-    clean : Problem
-        Clean records of the same axes.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    Problem
     """
     pieces = []
     for piece in problem.pieces:
@@ -102,25 +74,11 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
     return replace(problem, pieces=tuple(pieces))
 
 
-def repeating_rows(command: Array, begin: int, end: int, settings: BaselineSettings) -> slice:
+def repeating_rows(command: Annotated[Array, "N A"], begin: int, end: int, settings: BaselineSettings) -> slice:
     """Rows of a clean record that tell what its periods differ by.
 
     Where the rows that count hold a single period, the one before them in the warm-up is taken along. Memory and simulation may still
     settle there, by which the periods then differ more than sessions do.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        Of the whole record, V.
-    begin, end : int
-        First row that counts, and the row behind the last one.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    slice
-        Those that count, or one period more.
     """
     if period_of(command[begin:end], settings.same_command) is None:
         period = period_of(command[:end], settings.same_command)
@@ -129,27 +87,10 @@ def repeating_rows(command: Array, begin: int, end: int, settings: BaselineSetti
     return slice(begin, end)
 
 
-def period_differences(command: Array, error: Array, before: int, settings: BaselineSettings) -> tuple[list[Array], list[Array]]:
-    """The part of an error that does not repeat from period to period of a periodic command.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        V.
-    error : ndarray, shape (N, A)
-        Measured minus simulated, measurement unit.
-    before : int
-        Rows of the clean record before these.
-    settings : BaselineSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    successive : list of ndarray, shape (P, A)
-        Differences between successive periods, without their zeros and drifts; empty if the command is not periodic.
-    about_mean : list of ndarray, shape (M, A)
-        One, the error without its mean over the periods, without zero and drift; empty if the command is not periodic.
-    """
+def period_differences(
+    command: Annotated[Array, "N A"], error: Annotated[Array, "N A"], before: int, settings: BaselineSettings
+) -> tuple[list[Array], list[Array]]:
+    """The part of an error that does not repeat from period to period of a periodic command."""
     whole = _whole_periods(command, error, before, settings)
     if not len(whole):
         return [], []

@@ -10,6 +10,8 @@ otherwise those in which the command goes beyond all that it has met: only there
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numba import njit
 
@@ -28,20 +30,7 @@ LEAST = 1e-3
 
 
 def initial_memory(problem: Problem, share: float) -> LearnedError | None:
-    """Make the stage that adds what an unknown initial memory does.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records of one axis.
-    share : float
-        Standard deviation of an operator's weight, as a share of the machine's mean slope.
-
-    Returns
-    -------
-    LearnedError or None
-        None where no row that counts is reached by it, and of axes that the model mixes.
-    """
+    """Make the stage that adds what an unknown initial memory does."""
     if len(problem.model.axes) > 1:
         return None
     directions = []
@@ -60,58 +49,26 @@ def initial_memory(problem: Problem, share: float) -> LearnedError | None:
     return LearnedError(np.zeros(len(kept)), ErrorBasis(tuple(own[:, kept] for own in directions)))
 
 
-def wiped_out(command: Array) -> int:
-    """Find the row from which a record says next to nothing of the time before it: where its command has nearly met both extremes.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        V.
-
-    Returns
-    -------
-    int
-        0 to N - 1.
-    """
+def wiped_out(command: Annotated[Array, "N A"]) -> int:
+    """Find the row from which a record says next to nothing of the time before it: where its command has nearly met both extremes."""
     near = NEARLY * np.ptp(command, axis=0)
     met = np.argmax(command >= command.max(axis=0) - near, axis=0), np.argmax(command <= command.min(axis=0) + near, axis=0)
     return int(np.max(met))
 
 
-def has_whole_loop(command: Array, first: int) -> bool:
-    """Tell whether a command goes from one of its extremes to the other and back behind a row.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        V.
-    first : int
-        Row at which an extreme was nearly met, of `wiped_out`.
-
-    Returns
-    -------
-    bool
-    """
+def has_whole_loop(command: Annotated[Array, "N A"], first: int) -> bool:
+    """Tell whether a command goes from one of its extremes to the other and back behind a row."""
     whole = (1.0 - 2.0 * NEARLY) * np.ptp(command, axis=0)
     rest = command[first:]
     back = rest[wiped_out(rest) :]
     return bool(np.all(np.ptp(rest, axis=0) >= whole) and np.all(np.ptp(back, axis=0) >= whole))
 
 
-def is_new_ground(command: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def is_new_ground(command: Annotated[Array, "N"]) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind.
 
     Of a hysteresis without rate dependence two different memories of the time before give outputs whose difference changes in these rows
     alone: what lies within the extremes met so far is the record's own doing (wiping-out property).
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        V.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
     """
     highest, lowest = np.maximum.accumulate(command), np.minimum.accumulate(command)
     beyond = np.concatenate([[True], (np.diff(highest) > 0.0) | (np.diff(lowest) < 0.0)])
@@ -120,21 +77,8 @@ def is_new_ground(command: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.boo
 
 
 @njit(cache=True)
-def left_of_memory(command: Array, half_widths: Array) -> Array:
-    """Difference of two play operators that begin at either end of their play.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        V.
-    half_widths : ndarray, shape (K,)
-        V.
-
-    Returns
-    -------
-    ndarray, shape (N, K)
-        V; falls from twice the half width to 0, where it stays.
-    """
+def left_of_memory(command: Annotated[Array, "N"], half_widths: Annotated[Array, "K"]) -> Annotated[Array, "N K"]:
+    """Difference of two play operators that begin at either end of their play."""
     found = np.zeros((len(command), len(half_widths)))
     for k, half in enumerate(half_widths):
         upper, lower = command[0] + half, command[0] - half

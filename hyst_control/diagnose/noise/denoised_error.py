@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,23 +14,13 @@ NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
 
 
-def without_noise(error: Array, most: Array | float = np.inf) -> Array:
+def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> Annotated[Array, "N A"]:
     """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
 
     The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N, A)
-        Measured minus simulated, measurement unit.
-    most : ndarray, shape (A,), or float
-        Noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough as noise.
-
-    Returns
-    -------
-    ndarray, shape (N, A)
-        Measurement unit.
     """
+    # most: noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough
+    # as noise
     rest, _ = without_zero(error)
     spectrum, smooth, floor = _floor_of(rest)
     floor = np.minimum(floor, 2 * len(rest) * most**2)
@@ -36,19 +28,8 @@ def without_noise(error: Array, most: Array | float = np.inf) -> Array:
     return np.asarray(error - rest + np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
 
 
-def white_noise(rows: Array) -> Array:
-    """Estimate the white part of rows from the quietest bins of the upper half of their spectrum.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N, A)
-        Of any unit.
-
-    Returns
-    -------
-    ndarray, shape (A,)
-        Its rms; infinite for fewer rows than the spectrum is averaged over.
-    """
+def white_noise(rows: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:
+    """Estimate the white part of rows from the quietest bins of the upper half of their spectrum."""
     if len(rows) <= 2 * NOISE_REACH:
         return np.full(rows.shape[1], np.inf)
     return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)

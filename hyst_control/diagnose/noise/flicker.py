@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
@@ -20,25 +22,12 @@ LEAST_APART = 4.0
 """Bins between lines from which those in between tell the noise."""
 
 
-def flicker(residual: Array, command: Array, settings: FlickerSettings = CONFIGURATION.flicker) -> FlickerEvidence:
+def flicker(
+    residual: Annotated[Array, "N"], command: Annotated[Array, "N"], settings: FlickerSettings = CONFIGURATION.flicker
+) -> FlickerEvidence:
     """Fit a + b/f^p to the periodogram of a residual by Whittle's likelihood over bands; a the white part, b the flicker.
 
     Every band counts with its median, which few lines in it do not move; where the command repeats, bins at its harmonics are left out.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Any unit.
-    command : ndarray, shape (N,)
-        Tells rest from motion, and the harmonics from the rest.
-    settings : FlickerSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    FlickerEvidence
-        In the residual's unit.
-
     """
     count = len(residual)
     k = np.arange(2, count // 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -26,27 +27,13 @@ SHAPES = ("tone", "mode")
 
 @dataclass(frozen=True)
 class Hump:
-    """White noise and a hump, S = floor (1 + height · shape), all in bins and in the power of a residual's spectrum.
+    """White noise and a hump, S = floor (1 + height · shape), all in bins and in the power of a residual's spectrum."""
 
-    Parameters
-    ----------
-    floor : float
-        Power of the white noise.
-    height : float
-        Of the hump over the floor.
-    frequency : float
-        Of its top, bins.
-    half_width : float
-        Half its width at half its height, bins.
-    shape : str
-        One of `SHAPES`.
-    """
-
-    floor: float
-    height: float
-    frequency: float
-    half_width: float
-    shape: str
+    floor: float  # Power of the white noise
+    height: float  # Of the hump over the floor
+    frequency: float  # Of its top, bins
+    half_width: float  # Half its width at half its height, bins
+    shape: str  # One of `SHAPES`
 
     def spectrum(self, at: Array) -> Array:
         """Power (K,) at frequencies (K,) in bins."""
@@ -64,35 +51,14 @@ class Hump:
 
 
 def random_vibration(
-    residual: Array,
-    in_noise: Array,
-    commands: Array,
-    simulated: Array,
+    residual: Annotated[Array, "N"],
+    in_noise: Annotated[Array, "N"],
+    commands: Annotated[Array, "N A"],
+    simulated: Annotated[Array, "N"],
     sample_time: float,
     settings: HumpSettings = CONFIGURATION.hump,
 ) -> HumpEvidence | None:
-    """Measure a hump in the spectrum of a residual by Whittle's likelihood.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        As the fits have it: white but for what is not explained, of unit variance.
-    in_noise : ndarray, shape (N,)
-        The same in units of the noise.
-    commands : ndarray, shape (N, A)
-        What a vibration does not follow: the command of this axis, then those of the others, V.
-    simulated : ndarray, shape (N,)
-        Nor this: the measurement as it is simulated.
-    sample_time : float
-        s.
-    settings : HumpSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    HumpEvidence or None
-        None where no hump stands out.
-    """
+    """Measure a hump in the spectrum of a residual by Whittle's likelihood."""
     count = len(residual)
     whole = np.abs(_windowed(residual)) ** 2
     every = np.arange(len(whole), dtype=float)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -18,21 +19,6 @@ def noise_of(
     """White noise in residuals, from the upper part of their spectrum, the median over it.
 
     Where the command rests long enough and the noise is clearly less there, that counts: in motion the gap itself reaches up.
-
-    Parameters
-    ----------
-    residuals : sequence of ndarray, shape (N,)
-        Of every stretch; any unit.
-    commands : sequence of ndarray, shape (N,), optional
-        Of the same stretches; without them rests are not looked at.
-    settings : NoiseSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-        Rms, in the residuals' unit.
-
     """
     found = [_upper(residuals, settings.band)]
     if commands is not None:
@@ -49,21 +35,6 @@ def noise_between_periods(rows: Sequence[Array], commands: Sequence[Array], sett
 
     Of each record two stretches are compared that are as many periods long as it holds twice, without zero, drift and curvature. What
     is slow otherwise, or does not settle within them, makes it too large, never too small.
-
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (N,)
-        Measurement, or residual, of every stretch; any unit.
-    commands : sequence of ndarray, shape (N, A)
-        Of the same stretches, V.
-    settings : NoiseSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-        Rms, in the unit of the rows; infinite where some command does not repeat, or where rows of one are mere copies.
-
     """
     differences = []
     for values, command in zip(rows, commands, strict=True):
@@ -78,22 +49,8 @@ def noise_between_periods(rows: Sequence[Array], commands: Sequence[Array], sett
     return float(np.sqrt(np.mean(np.concatenate(differences) ** 2))) if differences else np.inf
 
 
-def resting(command: Array, settings: NoiseSettings = CONFIGURATION.noise) -> list[tuple[int, int]]:
-    """Stretches of a constant command, without their first part, which still settles.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        V.
-    settings : NoiseSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    list of (int, int)
-        First row, and the row after the last.
-
-    """
+def resting(command: Annotated[Array, "N"], settings: NoiseSettings = CONFIGURATION.noise) -> list[tuple[int, int]]:
+    """Stretches of a constant command, without their first part, which still settles."""
     still = np.concatenate([[False], np.diff(command) == 0.0, [False]])
     edges = np.flatnonzero(np.diff(still.astype(int)))
     found = []

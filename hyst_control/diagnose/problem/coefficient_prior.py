@@ -65,18 +65,7 @@ class Scatter:
         return np.array([float(coefficient.companion) for coefficient in self.coefficients])
 
     def size(self, coefficient: Coefficient) -> float:
-        """Size of a companion whose nuisance value is 1.
-
-        Parameters
-        ----------
-        coefficient : Coefficient
-            A companion among the coefficients.
-
-        Returns
-        -------
-        float
-            In the measurement unit.
-        """
+        """Size of a companion whose nuisance value is 1."""
         return coefficient.tolerance * _find(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
 
     def at(self, z: Array) -> tuple[Stage, ...]:
@@ -161,20 +150,9 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
 
     A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
     independently, such coefficients make models that no clean record allows: on clean records the model is wrong by its own error.
-
-    Parameters
-    ----------
-    scatter : Scatter
-        Uncertain coefficients.
-    problem : Problem
-        Records, and the model's own error; without it, or where the coefficients scatter together, as a fit has found it, the
-        scatter is returned unchanged.
-
-    Returns
-    -------
-    Scatter
-        The same coefficients, with smaller tolerances where they were too large.
     """
+    # problem: records, and the model's own error; without it, or where the coefficients scatter together, as a fit has found it,
+    # the scatter is returned unchanged
     if problem.own_error is None or scatter.joint is not None:
         return scatter
     size = float(np.sqrt(np.mean((problem.own_error / problem.sigma) ** 2)))
@@ -198,18 +176,6 @@ def pinned(scatter: Scatter, clean: Problem) -> Scatter:
 
     What a coefficient moves on a clean record by more than the model's own error there, it cannot have moved in the new one either.
     The nominal values stay: how far a model is off on clean records is its own error.
-
-    Parameters
-    ----------
-    scatter : Scatter
-        Uncertain coefficients.
-    clean : Problem
-        Clean records, with the noise and the spectrum of the model's own error.
-
-    Returns
-    -------
-    Scatter
-        With the posterior covariance; unchanged where each coefficient scatters by itself.
     """
     if scatter.joint is None:
         return scatter
@@ -253,19 +219,7 @@ def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
 
 
 def idle_tolerances(model: Model) -> list[str]:
-    """Names under `tolerance` of a model file by which no parameter of its chain scatters: misspelled, or of another model.
-
-    Parameters
-    ----------
-    model : Model
-        Model whose tolerance is read.
-
-    Returns
-    -------
-    names : list of str
-        In the order of the file.
-
-    """
+    """Names under `tolerance` of a model file by which no parameter of its chain scatters: misspelled, or of another model."""
     known = {name for stage in model.chain.stages for name in _names_that_scatter(stage)}
     return [name for name, share in model.tolerance.items() if np.any(share) and name not in known]
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -45,22 +45,10 @@ class SessionZero(TimedStage):
     record: int = count("index of the record", default=0)
 
     @classmethod
-    def usual(cls, scale: Array, durations: Array, known: Array) -> SessionZero:
-        """Make a stage whose zero, drift and curvature are the known ones in every record.
-
-        Parameters
-        ----------
-        scale : ndarray, shape (A, 3)
-            Standard deviation of every share, measurement unit.
-        durations : ndarray, shape (R,)
-            Durations of the records, s.
-        known : ndarray, shape (R, A, 3)
-            Zero, drift and curvature that are known, measurement unit.
-
-        Returns
-        -------
-        SessionZero
-        """
+    def usual(
+        cls, scale: Annotated[Array, "A 3"], durations: Annotated[Array, "R"], known: Annotated[Array, "R A 3"]
+    ) -> SessionZero:
+        """Make a stage whose zero, drift and curvature are the known ones in every record."""
         return cls(np.zeros((len(durations), len(scale), len(SHAPES))), scale, durations, known)
 
     def for_record(self, index: int | None) -> Stage:
@@ -85,17 +73,10 @@ class CarriedError(Stage):
     """Known series that is added to each record: the model's error on a clean record of the same command.
 
     It is data of one diagnosis and is never written to a model file.
-
-    Parameters
-    ----------
-    series : tuple of ndarray, shape (N, A)
-        By record, measurement unit; row k belongs to t = k sample times.
-    record : int
-        Index of the record.
     """
 
     name: ClassVar[str] = "carried_error"
-    series: tuple[Array, ...]
+    series: tuple[Array, ...]  # By record, measurement unit; row k belongs to t = k sample times
     index: int
 
     def __init__(self, series: tuple[Array, ...], record: int = 0) -> None:
@@ -123,19 +104,8 @@ class CarriedError(Stage):
     def _splines(self) -> tuple[Any, ...]:
         return tuple(make_interp_spline(np.arange(len(rows)), rows, k=3) for rows in self.series)
 
-    def delayed(self, samples: Array) -> CarriedError:
-        """The series that come later, by cubic splines: straight lines between samples would smooth all but whole samples of delay.
-
-        Parameters
-        ----------
-        samples : ndarray, shape (A,)
-            Delay of each axis, sample times.
-
-        Returns
-        -------
-        CarriedError
-            Before it begins, a series is as at its begin.
-        """
+    def delayed(self, samples: Annotated[Array, "A"]) -> CarriedError:
+        """The series that come later, by cubic splines: straight lines between samples would smooth all but whole samples of delay."""
         moved = []
         for rows, spline in zip(self.series, self._splines, strict=True):
             times = np.maximum(np.arange(len(rows))[:, None] - samples, 0.0)
@@ -147,24 +117,7 @@ class CarriedError(Stage):
 
 
 def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float, axes: int) -> tuple[Stage, ...]:
-    """Insert a delay of the measurement so that the model's linear stages carry it exactly, and a carried error with them.
-
-    Parameters
-    ----------
-    stages : sequence of Stage
-        In signal order, with those of a session.
-    delay : Delay
-        To be inserted at the sensor.
-    sample_time : float
-        s.
-    axes : int
-        Number of axes A.
-
-    Returns
-    -------
-    tuple of Stage
-        With one more, in front of the model's error, whose carried part is delayed as well.
-    """
+    """Insert a delay of the measurement so that the model's linear stages carry it exactly, and a carried error with them."""
     samples = np.broadcast_to(np.asarray(delay.tau, dtype=float), (axes,)) / sample_time
     index = next((i for i, stage in enumerate(stages) if isinstance(stage, (CarriedError, LearnedError))), None)
     if index is None:
@@ -175,15 +128,9 @@ def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float,
 
 @dataclass(frozen=True, eq=False)
 class ErrorBasis:
-    """Series of a predicted error, in the measurement unit.
+    """Series of a predicted error, in the measurement unit."""
 
-    Parameters
-    ----------
-    directions : tuple of ndarray, shape (N, K)
-        By record.
-    """
-
-    directions: tuple[Array, ...]
+    directions: tuple[Array, ...]  # By record
 
     @cached_property
     def digest(self) -> str:
@@ -226,17 +173,9 @@ class LearnedError(Stage):
 
 
 class SeriesAdder(Filter):
-    """Streaming `CarriedError` of one record; after the end of the series its last row is added.
+    """Streaming `CarriedError` of one record; after the end of the series its last row is added."""
 
-    Parameters
-    ----------
-    series : ndarray, shape (N, A)
-        Error by sample, measurement unit.
-    sampling : Sampling
-        Sampling of the chain; `ahead` is the number of samples by which the filter runs ahead.
-    """
-
-    def __init__(self, series: Array, sampling: Sampling) -> None:
+    def __init__(self, series: Annotated[Array, "N A"], sampling: Sampling) -> None:
         self.hold = sampling.hold
         self.series, self.ahead, self.count = series, int(sampling.ahead or 0), 0
 

@@ -47,18 +47,7 @@ class Piece:
     recorded: Array | None = None
 
     def counted(self, values: Array) -> Array:
-        """Select the rows that count.
-
-        Parameters
-        ----------
-        values : ndarray, shape (N, ...)
-            One row per sample of the piece.
-
-        Returns
-        -------
-        ndarray
-            Rows where `keep` is True, or all.
-        """
+        """Select the rows that count."""
         return values if self.keep is None else values[self.keep]
 
 
@@ -227,18 +216,7 @@ def _first(piece: Piece, where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]])
 
 
 def shared_poles(model: Model) -> tuple[complex, ...]:
-    """Poles of mechanics that drive the axes together.
-
-    Parameters
-    ----------
-    model : Model
-        Nominal model.
-
-    Returns
-    -------
-    tuple of complex
-        1/s, real ones and one of every conjugate pair, in order of size; none where the axes do not mix.
-    """
+    """Poles of mechanics that drive the axes together."""
     stages = model.chain.stages
     index = mechanics_index(stages)
     mechanics = None if index is None else stages[index]
@@ -249,18 +227,7 @@ def shared_poles(model: Model) -> tuple[complex, ...]:
 
 
 def shared_modes(poles: Sequence[complex]) -> tuple[tuple[float, float], ...]:
-    """Modes of such poles, each once.
-
-    Parameters
-    ----------
-    poles : sequence of complex
-        1/s, as `shared_poles` has them.
-
-    Returns
-    -------
-    tuple of (float, float)
-        Frequency (Hz) and damping by mode; real poles in pairs, which have a damping above 1.
-    """
+    """Modes of such poles, each once."""
     found: list[complex] = []
     for pole in poles:
         if all(abs(pole - other) > SAME_POLE * abs(pole) for other in found):
@@ -289,22 +256,7 @@ def axis_model(model: Model, axis: int) -> Model:
 
 
 def uncertainty_of_axis(uncertainty: Mapping[str, Any], axes: Sequence[str], axis: int) -> dict[str, Any]:
-    """The uncertainty of one axis: the rows of its numbers, with a factor of their own covariance.
-
-    Parameters
-    ----------
-    uncertainty : mapping
-        As in the model file; may be empty.
-    axes : sequence of str
-        Names of the axes.
-    axis : int
-        Index of the one that is kept.
-
-    Returns
-    -------
-    dict
-        As in the model file of that axis.
-    """
+    """The uncertainty of one axis: the rows of its numbers, with a factor of their own covariance."""
     names = list(uncertainty.get("parameters", ()))
     own = [i for i, name in enumerate(names) if name.endswith(f" ({axes[axis]})") or not name.endswith(")")]
     if not own:
@@ -339,22 +291,7 @@ def split(problem: Problem) -> list[Problem]:
 
 
 def check_units(model: Model, unit: str, source: str) -> None:
-    """Check that a record's measurement has the model's unit; an unknown unit passes.
-
-    Parameters
-    ----------
-    model : Model
-        Model of the plant.
-    unit : str
-        Unit of the record's measurement.
-    source : str
-        Name of the record, for the error.
-
-    Raises
-    ------
-    InputError
-        Where the units differ.
-    """
+    """Check that a record's measurement has the model's unit; an unknown unit passes."""
     if unit not in ("unknown", model.units["measurement"]):
         raise InputError(
             f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"
@@ -362,18 +299,7 @@ def check_units(model: Model, unit: str, source: str) -> None:
 
 
 def check_command(record: Record) -> None:
-    """Check that the command of a record is one of its measurement.
-
-    Parameters
-    ----------
-    record : Record
-        The record.
-
-    Raises
-    ------
-    InputError
-        Where it is not in V, or has other axes.
-    """
+    """Check that the command of a record is one of its measurement."""
     command, measurement = record.signal("command"), record.signal("measurement")
     if command.unit not in ("unknown", "V"):
         raise InputError(f"{record.source}: command: unit must be V, got {command.unit!r}: import it with its unit")

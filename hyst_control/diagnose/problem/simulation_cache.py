@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.chain import Link, Parallel, arrange, link_of, pieces, resolved, started_link
@@ -24,17 +24,9 @@ class Signal(NamedTuple):
 
 
 class KnownLinks:
-    """Simulation of chains on one command, from the first filter that it has not run before.
+    """Simulation of chains on one command, from the first filter that it has not run before."""
 
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        V.
-    most_bytes : int
-        Memory for outputs.
-    """
-
-    def __init__(self, command: Array, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, command: Annotated[Array, "N A"], most_bytes: int = MOST_BYTES) -> None:
         self.command = command
         self.most = max(most_bytes // max(command.nbytes, 1), 1)
         self._forget()
@@ -44,27 +36,7 @@ class KnownLinks:
         self.count = 0
 
     def run(self, stages: Sequence[Stage], sampling: Sampling) -> tuple[Array, Array]:
-        """Simulate stages from rest at the first command.
-
-        Parameters
-        ----------
-        stages : sequence of Stage
-            In signal order.
-        sampling : Sampling
-            Clock of the command.
-
-        Returns
-        -------
-        settled : ndarray, shape (A,)
-            Output at rest.
-        output : ndarray, shape (N, A)
-            Must not be changed: it is kept.
-
-        Raises
-        ------
-        InputError
-            Where a stage refuses its values.
-        """
+        """Simulate stages from rest at the first command."""
         end = self._after(stages, Signal(self.command[0], self.command, sampling.hold, 0), sampling)
         return end.settled, end.values
 

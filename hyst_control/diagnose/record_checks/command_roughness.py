@@ -26,22 +26,7 @@ LEAST_SHARE = 1e-6
 
 
 def roughness_evidence(problem: Problem, axis: int) -> tuple[RoughnessEvidence | None, tuple[Array, ...]]:
-    """Measure the roughness of a command, and how much of it the plant received.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    axis : int
-        Index in the problem.
-
-    Returns
-    -------
-    evidence : RoughnessEvidence or None
-        None where the command has none.
-    smooth : tuple of ndarray, shape (N,)
-        Smooth command of every record, V.
-    """
+    """Measure the roughness of a command, and how much of it the plant received."""
     columns = [piece.command[:, axis] for piece in problem.pieces]
     if min(len(column) for column in columns) < LEAST_ROWS or not problem.model.chain.stages:
         return None, ()
@@ -83,21 +68,7 @@ def roughness_evidence(problem: Problem, axis: int) -> tuple[RoughnessEvidence |
 
 
 def with_commands(problem: Problem, axis: int, smooth: Sequence[Array]) -> Problem:
-    """Put a smooth command in the place of the recorded one, which every piece keeps beside it.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    axis : int
-        Index in the problem.
-    smooth : sequence of ndarray, shape (N,)
-        By record, V.
-
-    Returns
-    -------
-    Problem
-    """
+    """Put a smooth command in the place of the recorded one, which every piece keeps beside it."""
 
     def changed(piece: Piece, column: Array) -> Piece:
         command = piece.command.copy()
@@ -108,17 +79,7 @@ def with_commands(problem: Problem, axis: int, smooth: Sequence[Array]) -> Probl
 
 
 def as_recorded(problem: Problem) -> Problem:
-    """Take the commands as they were recorded.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-
-    Returns
-    -------
-    Problem
-    """
+    """Take the commands as they were recorded."""
     if all(piece.recorded is None for piece in problem.pieces):
         return problem
     return replace(

@@ -11,6 +11,8 @@ The risk is Stein's unbiased estimate (1981): ‖c - ĉ‖² - N σ² + 2 σ² (
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.signal import fftconvolve
@@ -29,36 +31,14 @@ NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
 
-def white_part(values: Array) -> float:
-    """Rms of the white part of a signal, from the median of its third differences, in which nothing that is smooth is left.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Any unit.
-
-    Returns
-    -------
-    float
-        In the same unit.
-    """
+def white_part(values: Annotated[Array, "N"]) -> float:
+    """Rms of the white part of a signal, from the median of its third differences, in which nothing that is smooth is left."""
     third = np.diff(values, 3)
     return float(np.median(np.abs(third - np.median(third))) / NORMAL_MEDIAN / np.sqrt(20.0)) if len(third) else 0.0
 
 
-def smoothed(values: Array) -> Array:
-    """Estimate the smooth part of a signal beside a white one.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Any unit, at least 4 samples.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        In the same unit.
-    """
+def smoothed(values: Annotated[Array, "N"]) -> Annotated[Array, "N"]:
+    """Estimate the smooth part of a signal beside a white one."""
     sigma = white_part(values)
     found = [_by_frequency(values), _by_parabolas(values, sigma)]
     risks = [float(np.sum((values - smooth) ** 2) + 2.0 * sigma**2 * freedom) for smooth, freedom in found]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -16,31 +17,12 @@ DETUNED = (-3.0, 3.0)
 
 def beyond_clean(
     suggested: Mapping[str, Sequence[float]],
-    residual: Array,
+    residual: Annotated[Array, "M A"],
     clean: Sequence[Array],
     sample_time: float,
     settings: CheckSettings,
 ) -> dict[str, list[float]]:
-    """Leave out lines that a clean record has nearly as large, whatever their phase.
-
-    Parameters
-    ----------
-    suggested : mapping of str to sequence of float
-        By the name of an effect: frequencies (Hz) of lines, or other values, which stay.
-    residual : ndarray, shape (M, A)
-        What the coefficients leave of the new record, measurement unit.
-    clean : sequence of ndarray, shape (N, A)
-        What the model leaves of every clean record, measurement unit.
-    sample_time : float
-        s.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    dict of str to list of float
-        As `suggested`.
-    """
+    """Leave out lines that a clean record has nearly as large, whatever their phase."""
 
     def is_new(frequency: float) -> bool:
         new = _amplitude(residual, frequency, sample_time)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -23,27 +24,10 @@ MOST_LEVELS = 1e6
 """Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
 
 
-def repeated_samples(values: Array, step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks) -> tuple[float, int]:
-    """Share of samples that repeat the one before exactly, beyond what a lattice explains.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Measurement.
-    step : float
-        Step of its lattice, 0 without.
-    sigma : float
-        Its noise (rms).
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    share : float
-    count : int
-        Samples that it was counted on.
-
-    """
+def repeated_samples(
+    values: Annotated[Array, "N"], step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks
+) -> tuple[float, int]:
+    """Share of samples that repeat the one before exactly, beyond what a lattice explains."""
     if step > 0:
         # On a lattice neighbors coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
         smooth = np.convolve(values, np.ones(settings.repeat_smoothing) / settings.repeat_smoothing, "same")
@@ -86,20 +70,6 @@ def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
 
     Samples that are held at random stand on a value each; a sensor that does not follow about some level, or has reached its end,
     comes back to the same value again and again. No noise does.
-
-    Parameters
-    ----------
-    pieces : sequence of (ndarray, ndarray)
-        Command (N,) and measurement (N,) of each stretch of record.
-    step : float
-        Step of the measurement's lattice, 0 without: on one all values come back.
-    sigma : float
-        Noise of the measurement (rms): values of a simulation without any come back too.
-
-    Returns
-    -------
-    int
-        Stretches of at least two samples on the value that has most of them; 0 if these are not most of all repeated samples.
     """
     if step > 0 or sigma < 1e-12 * max((float(np.ptp(values)) for _, values in pieces), default=0.0):
         return 0
@@ -124,21 +94,6 @@ def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
     A sensor that does not follow about some level lets go on the other side of it. Play and the end of a range let go on the side that the
     measurement came from. Friction holds at any level, and what a low-pass takes off is missing at any level: what the next level
     has is taken off.
-
-    Parameters
-    ----------
-    pieces : sequence of (ndarray, ndarray)
-        Simulation (N,) and measurement (N,) of each stretch of record.
-    step : float
-        Step of the measurement's lattice, 0 without: beside noise below it all values stand on levels.
-    sigma : float
-        Noise of the measurement, rms.
-
-    Returns
-    -------
-    int
-        Passages through the level at which the simulation moves most, less those through the next one; 0 where the noise does not
-        resolve the range, or is none.
     """
     reach = STANDS * sigma
     values = np.concatenate([measured for _, measured in pieces])

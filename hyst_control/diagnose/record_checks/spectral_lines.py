@@ -6,6 +6,7 @@ They measure no effect, but suggest where the fits of one begin: the mains, a vi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,27 +20,13 @@ from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.effects.effect import Effect, Line, RecordCheck
 
 
-def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIGURATION.checks) -> dict[str, list[float]]:
+def lines(
+    problem: Problem, unexplained: Annotated[Array, "M"], settings: CheckSettings = CONFIGURATION.checks
+) -> dict[str, list[float]]:
     """Frequencies at which the residual's spectrum has a narrow line.
 
     A line of the command's of any axis is none, since the axes couple; nor a harmonic of a command that is nearly one sine: any
     nonlinearity has those.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    unexplained : ndarray, shape (M,)
-        Residual without what the scattered coefficients explain, of all rows, in units of the noise.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    dict of str to list of float
-        By the name of each effect that is fitted at lines, frequencies (Hz): those of the mains, and others; by the name of the one
-        that rounds commands, steps (V) of its lattice.
-
     """
     mains_effect, line_effect = effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE)
     of_mains, others = [], []
@@ -96,28 +83,15 @@ def lines(problem: Problem, unexplained: Array, settings: CheckSettings = CONFIG
 
 
 def command_lattice(
-    command: Array, unexplained: Array, response: Array, settings: CheckSettings = CONFIGURATION.checks
+    command: Annotated[Array, "N"],
+    unexplained: Annotated[Array, "N"],
+    response: Annotated[Array, "K"],
+    settings: CheckSettings = CONFIGURATION.checks,
 ) -> list[float]:
     """Steps of a lattice that the command may have been rounded to.
 
     The error of rounding is periodic over the command: what the residual holds of it, by a filter matched to the plant's response, has
     as a function of the command a line at one over the step. Differences in time take off what is slow, as most other gaps are.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        V.
-    unexplained : ndarray, shape (N,)
-        Residual without what the scattered coefficients explain, any unit.
-    response : ndarray, shape (K,)
-        Change of the measurement 1, 2, … samples after a change of the command.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    list of float
-        V, the most likely first, and then the doubles of these; none where no line stands out.
     """
     low, span = float(command.min()), float(np.ptp(command))
     bins, padded = settings.lattice_bins, 4
@@ -145,21 +119,8 @@ def command_lattice(
     return [span / one for one in found]
 
 
-def background(power: Array, reach: int) -> Array:
-    """Mean power around every bin of a spectrum, from the median, which no line moves.
-
-    Parameters
-    ----------
-    power : ndarray, shape (N,)
-        By bin.
-    reach : int
-        Bins to either side.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Mean of a floor of the same median: power of noise falls off exponentially.
-    """
+def background(power: Annotated[Array, "N"], reach: int) -> Annotated[Array, "N"]:
+    """Mean power around every bin of a spectrum, from the median, which no line moves."""
     padded = np.pad(power, reach, mode="reflect") if len(power) > reach + 1 else np.pad(power, reach, mode="edge")
     return np.asarray(median_filter(padded, 2 * reach + 1)[reach : reach + len(power)] / np.log(2.0), dtype=np.float64)
 
@@ -201,21 +162,7 @@ def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDAr
 
 
 def takes_up_command(problem: Problem, frequency: float, line: Line) -> bool:
-    """Tell whether a line swells so much that it would take up what an effect does to a command of one frequency.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    frequency : float
-        Of the line, Hz.
-    line : Line
-        Its shape.
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a line swells so much that it would take up what an effect does to a command of one frequency."""
     if line.swells == 1:
         return False
     duration = problem.sample_time * max(len(piece.command) for piece in problem.pieces)
@@ -234,24 +181,6 @@ def covers_command(
 
     Amplitude and phase that change over the record move a line by as much as `reach`. What any effect does to a sine that fades away is
     such a line, at the command's frequency or at a harmonic.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    fundamentals : sequence of float
-        Frequencies of the line, Hz.
-    reach : float
-        Hz to either side.
-    orders : int or None
-        Harmonics of the command that count; None: those that any nonlinearity has.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-        False beside a command whose power is not within `reach` of one frequency.
     """
     piece = max(problem.pieces, key=lambda one: len(one.counted(one.command)))
     driving = piece.counted(piece.command)

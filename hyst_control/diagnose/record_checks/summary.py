@@ -7,6 +7,7 @@ says which of them found something.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -25,38 +26,12 @@ NORMAL_95 = 1.645
 
 
 def effect_found_by(check: RecordCheck) -> Effect | None:
-    """Effect of the catalogue that a check finds.
-
-    Parameters
-    ----------
-    check : RecordCheck
-        Check of a record.
-
-    Returns
-    -------
-    Effect or None
-        The first that names the check, None where there is none.
-
-    """
+    """Effect of the catalogue that a check finds."""
     return next((effect for effect in EFFECTS.values() if check in (effect.record_check, effect.random_check)), None)
 
 
-def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) -> float:
-    """Step of the lattice that all values lie on.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        Any unit.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    float
-        In the values' unit, 0 where there is no lattice.
-
-    """
+def lattice_of(values: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks) -> float:
+    """Step of the lattice that all values lie on."""
     return quantization_step(
         values,
         fewest=settings.lattice_levels,
@@ -69,29 +44,11 @@ def lattice_of(values: Array, settings: CheckSettings = CONFIGURATION.checks) ->
 
 def record_evidence(
     problem: Problem,
-    residuals: Array,
+    residuals: Annotated[Array, "M A"],
     settings: CheckSettings = CONFIGURATION.checks,
     noise_settings: NoiseSettings = CONFIGURATION.noise,
 ) -> tuple[RecordEvidence, ...]:
-    """Measure repeated samples and the lattice of a problem's records.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    residuals : ndarray, shape (M, A)
-        Measurement minus simulation, measurement unit.
-    settings : CheckSettings
-        Values of the configuration.
-    noise_settings : NoiseSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    tuple of RecordEvidence
-        By axis.
-
-    """
+    """Measure repeated samples and the lattice of a problem's records."""
     lattice = effect_found_by(RecordCheck.VALUE_LATTICE)
     modelled = lattice is not None and any(stage.name == lattice.name for stage in problem.model.chain.stages)
     found = []
@@ -111,21 +68,7 @@ def record_evidence(
 
 
 def held_samples(seen: RecordEvidence, axis: int) -> Finding:
-    """Finding of repeated samples.
-
-    Parameters
-    ----------
-    seen : RecordEvidence
-        Evidence of the axis.
-    axis : int
-        Index in the problem.
-
-    Returns
-    -------
-    Finding
-        Its value is the share of the samples.
-
-    """
+    """Finding of repeated samples."""
     share, count = seen.repeated, seen.repeats_counted
     spread = NORMAL_95 * np.sqrt(share * (1 - share) / count)
     interval = (float(share - spread), float(share + spread))
@@ -133,62 +76,21 @@ def held_samples(seen: RecordEvidence, axis: int) -> Finding:
 
 
 def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
-    """Distortion of held samples that occur at one value of the measurement alone.
-
-    Parameters
-    ----------
-    seen : RecordEvidence
-        Evidence of the axis, with stretches that are stuck.
-
-    Returns
-    -------
-    DistortionEvidence
-        Its change is that from none of them to twice the mean; its statistic what so many stretches on one of as many values as there
-        are samples are unlikely by.
-
-    """
+    """Distortion of held samples that occur at one value of the measurement alone."""
     held = effect_found_by(RecordCheck.REPEATED_VALUES)
     name = RecordCheck.REPEATED_VALUES.value if held is None else held.name
     return DistortionEvidence(name, "level", 2.0, (seen.stuck - 1) * float(np.log(seen.samples)), 1.0)
 
 
 def rounding(seen: RecordEvidence, axis: int) -> Finding:
-    """Finding of a lattice of values.
-
-    Parameters
-    ----------
-    seen : RecordEvidence
-        Evidence of the axis.
-    axis : int
-        Index in the problem.
-
-    Returns
-    -------
-    Finding
-        Its value is the step, measurement unit.
-
-    """
+    """Finding of a lattice of values."""
     step = seen.step
     interval = (step * 0.999, step * 1.001)
     return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))
 
 
 def rounded_command(seen: RecordEvidence, axis: int) -> Finding:
-    """Finding of a recorded command that is rough as a rounded one, which the plant did not receive.
-
-    Parameters
-    ----------
-    seen : RecordEvidence
-        Evidence of the axis, with a roughness.
-    axis : int
-        Index in the problem.
-
-    Returns
-    -------
-    Finding
-        Its value is the step, V: the roughness is uniform over one.
-
-    """
+    """Finding of a recorded command that is rough as a rounded one, which the plant did not receive."""
     rough = seen.roughness
     assert rough is not None
     step = float(np.sqrt(12.0)) * rough.rms
@@ -199,29 +101,7 @@ def rounded_command(seen: RecordEvidence, axis: int) -> Finding:
 
 
 def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: int, bins: float, ratio: float) -> Finding | None:
-    """White noise beyond what the model states.
-
-    Parameters
-    ----------
-    noise : float
-        As measured in the upper spectrum (rms, measurement unit).
-    stated : float
-        By the model; where it states none, nothing is in excess.
-    others : sequence of Finding
-        Findings on the same axis, whose errors are in the measured noise.
-    axis : int
-        Index in the problem.
-    bins : float
-        Bins of the spectrum that the noise was read from.
-    ratio : float
-        Of the noise to the stated one from which it is in excess.
-
-    Returns
-    -------
-    Finding or None
-        Its value is the rms of the excess, measurement unit.
-
-    """
+    """White noise beyond what the model states."""
     if stated <= 0:
         return None
     bare = float(np.sqrt(max(noise**2 - sum(finding.rms**2 for finding in others), 0.0)))
@@ -233,24 +113,10 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
     return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))
 
 
-def outliers(residual: Array, settings: CheckSettings = CONFIGURATION.checks) -> tuple[int, float]:
+def outliers(residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks) -> tuple[int, float]:
     """Single samples of a residual that stand out of their neighbors as no white noise does.
 
     Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Any unit.
-    settings : CheckSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    count : int
-    rms : float
-        Error that they bring to all samples, in the residual's unit.
-
     """
     inner = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
     scale = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))

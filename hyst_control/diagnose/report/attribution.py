@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -25,79 +26,34 @@ Axes = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Named:
-    """Effect of the report.
+    """Effect of the report."""
 
-    Parameters
-    ----------
-    name : str
-        Of the effect.
-    axes : tuple of str
-        Names of the axes that it is on.
-    probability : float
-        That it is at work.
-    values : dict of str to tuple
-        By parameter: value, 90 % interval, unit.
-    equivalent : tuple of str
-        Effects that the data cannot tell it from.
-    rms_before, rms_after : float or None
-        Gap without and with it, measurement unit; None without a waveform, like all that follows but the share.
-    shrink : float or None
-        With the coefficients as given.
-    shrink_ci90 : tuple of float or None
-        90 % interval of the shrink.
-    shrink_fitted : float or None
-        With the coefficients fitted on both sides.
-    share : float
-        In what is named together; of noise in the gap's energy.
-
-    """
-
-    name: str
-    axes: tuple[str, ...]
-    probability: float
-    values: dict[str, Value] = field(default_factory=dict)
-    equivalent: tuple[str, ...] = ()
+    name: str  # Of the effect
+    axes: tuple[str, ...]  # Names of the axes that it is on
+    probability: float  # That it is at work
+    values: dict[str, Value] = field(default_factory=dict)  # By parameter: value, 90 % interval, unit
+    equivalent: tuple[str, ...] = ()  # Effects that the data cannot tell it from
+    # rms_before, rms_after: Gap without and with it, measurement unit; None without a waveform, like all that follows but the share
     rms_before: float | None = None
     rms_after: float | None = None
-    shrink: float | None = None
-    shrink_ci90: tuple[float, float] | None = None
-    shrink_fitted: float | None = None
-    share: float = 1.0
+    shrink: float | None = None  # With the coefficients as given
+    shrink_ci90: tuple[float, float] | None = None  # 90 % interval of the shrink
+    shrink_fitted: float | None = None  # With the coefficients fitted on both sides
+    share: float = 1.0  # In what is named together; of noise in the gap's energy
 
 
 @dataclass(frozen=True)
 class Attribution:
-    """Shares of the gap by effect.
+    """Shares of the gap by effect."""
 
-    Parameters
-    ----------
-    effects : tuple of Named
-        The most probable first.
-    candidates : tuple of (str, float)
-        Every effect that was weighed, with its probability.
-    parameters : tuple of (str, float)
-        Coefficients that are off, in tolerances from the nominal ones.
-
-    """
-
-    effects: tuple[Named, ...]
-    candidates: tuple[tuple[str, float], ...]
+    effects: tuple[Named, ...]  # The most probable first
+    candidates: tuple[tuple[str, float], ...]  # Every effect that was weighed, with its probability
+    # Coefficients that are off, in tolerances from the nominal ones
     parameters: tuple[tuple[str, float], ...]
 
 
 def attribute(diagnosis: Diagnosis) -> Attribution:
-    """Attribute the gap to the effects that the decisions list.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-
-    Returns
-    -------
-    Attribution
-
-    """
+    """Attribute the gap to the effects that the decisions list."""
     found_by_checks = _without_waveform(diagnosis)
     named = sorted(_waveforms(diagnosis) + found_by_checks, key=_rank)
     return Attribution(
@@ -265,23 +221,8 @@ def _freedom(part: AxisDiagnosis, settings: AttributionSettings) -> float:
     return settings.freedom if clean is None else 2.0 * len(clean.pieces)
 
 
-def deviations(covariance: Array, count: int, freedom: float) -> Array:
-    """Draw deviations from an estimate.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (P, P)
-        Of the estimate, for the variance of the samples as it was estimated.
-    count : int
-        Number of draws.
-    freedom : float
-        Degrees of freedom of that variance's estimate; infinite where it is known.
-
-    Returns
-    -------
-    ndarray, shape (count, P)
-        Of Student's t, which is normal where the variance is known.
-    """
+def deviations(covariance: Annotated[Array, "P P"], count: int, freedom: float) -> Array:
+    """Draw deviations from an estimate."""
     random = np.random.default_rng(0)
     spread = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-18 * np.eye(len(covariance)))
     found = random.standard_normal((count, len(covariance))) @ spread.T

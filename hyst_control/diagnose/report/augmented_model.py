@@ -19,24 +19,7 @@ from hyst_control.model_file import Model
 
 
 def augmented(diagnosis: Diagnosis) -> Model | None:
-    """Insert the best explanation of every axis into the nominal model.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-
-    Returns
-    -------
-    Model or None
-        None where there is nothing to insert.
-
-    Raises
-    ------
-    InputError
-        Where an effect cannot be added to this model.
-
-    """
+    """Insert the best explanation of every axis into the nominal model."""
     count = len(diagnosis.model.axes)
     values: dict[tuple[str, int], dict[str, list[float]]] = {}
     places: dict[tuple[str, int], str] = {}
@@ -79,15 +62,6 @@ def without_lines(model: Model) -> Model:
     """Take the lines out of an augmented model, such as the mains or a vibration, to compare it with a record of another session.
 
     Their phases are those of the record that was diagnosed; a session has phases of its own.
-
-    Parameters
-    ----------
-    model : Model
-        Augmented model.
-
-    Returns
-    -------
-    Model
     """
     lines = {name for name, effect in EFFECTS.items() if effect.line is not None}
     return model.with_stages([stage for stage in model.chain.stages if stage.name not in lines])

@@ -27,21 +27,7 @@ class Block:
 
 
 def replay(record: Record, settings: ReplaySettings = CONFIGURATION.replay) -> list[Block]:
-    """Replay the sum and limits (command = feedforward + feedback within limits), the PI law, and the transport of the ticks.
-
-    Parameters
-    ----------
-    record : Record
-        Whose signals say which blocks there are.
-    settings : ReplaySettings
-        Values of the configuration.
-
-    Returns
-    -------
-    list of Block
-        Those that can be replayed.
-
-    """
+    """Replay the sum and limits (command = feedforward + feedback within limits), the PI law, and the transport of the ticks."""
     return [block for block in (_sum(record, settings), _feedback(record, settings), _transport(record)) if block is not None]
 
 

@@ -37,18 +37,7 @@ LEAST_SHARE = 0.005
 
 
 def chain_picture(document: Mapping[str, Any]) -> Markup:
-    """Draw the chain from reference to measurement.
-
-    Parameters
-    ----------
-    document
-        A gap report.
-
-    Returns
-    -------
-    Markup
-        Inline SVG: the boxes colored by their share of the gap, effects and faulty blocks named beneath.
-    """
+    """Draw the chain from reference to measurement."""
     shares = dict.fromkeys(range(len(BOXES)), 0.0)
     for row in document["where"]["stage"]:
         if row["name"] in BOX_OF:

@@ -13,40 +13,17 @@ from hyst_control.diagnose.run.diagnosis import Diagnosis
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """One coefficient.
+    """One coefficient."""
 
-    Parameters
-    ----------
-    name : str
-        As in the gap report, with its axis where there are several problems.
-    before, after : float
-        Value in the model file, and as fitted with the best explanation; in the model file's unit.
-    deviations : float
-        Distance in standard deviations of its tolerance.
-
-    """
-
-    name: str
+    name: str  # As in the gap report, with its axis where there are several problems
+    # before, after: Value in the model file, and as fitted with the best explanation; in the model file's unit
     before: float
     after: float
-    deviations: float
+    deviations: float  # Distance in standard deviations of its tolerance
 
 
 def coefficient_changes(diagnosis: Diagnosis, most: int) -> list[CoefficientChange]:
-    """List coefficients with their values before and after, those that moved most first.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-    most : int
-        Rows at most.
-
-    Returns
-    -------
-    list of CoefficientChange
-
-    """
+    """List coefficients with their values before and after, those that moved most first."""
     found = []
     for part in diagnosis.parts:
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""

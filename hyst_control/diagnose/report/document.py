@@ -40,29 +40,7 @@ def gap_report(
     with_next: bool = True,
     remainder: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Make the report.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-    attribution : Attribution
-        Shares of the gap by effect.
-    blocks : sequence of Block
-        Software blocks that were replayed.
-    augmented : str, optional
-        Path of the model file with the effects added.
-    with_next : bool
-        Whether to choose the next experiment.
-    remainder : dict of str, optional
-        What is left where no known effect explains the gap, as `Remainder.document` makes it.
-
-    Returns
-    -------
-    dict of str
-        The JSON document.
-
-    """
+    """Make the report."""
     joint = join([part.decision for part in diagnosis.parts])
     document: dict[str, Any] = _finite(
         {
@@ -205,18 +183,8 @@ def _reduction(report: Mapping[str, Any]) -> str:
 
 
 def sentence(report: dict[str, Any]) -> str:
-    """Say the verdict in one sentence.
-
-    Parameters
-    ----------
-    report : dict of str
-        The JSON document; in one of before `reasons` were added the reason of `unknown` is taken to be the energy left.
-
-    Returns
-    -------
-    str
-
-    """
+    """Say the verdict in one sentence."""
+    # report: the JSON document; in one of before `reasons` were added the reason of `unknown` is taken to be the energy left
     gap, unit = report["gap"], report["gap"]["unit"]
     # What differs between sessions may be many times the gap that is to be explained: a sensor's zero lies anywhere.
     whole, beside = gap["rms"], None if _is_of_the_session(report) else _beside_session(report)
@@ -280,18 +248,7 @@ def _beside_session(report: dict[str, Any]) -> float | None:
 
 
 def named(effect: Mapping[str, Any]) -> str:
-    """Name an effect in the middle of a sentence.
-
-    Parameters
-    ----------
-    effect : mapping of str
-        Of the report's effects.
-
-    Returns
-    -------
-    str
-        Such as "a slew limit of 27.2 kV/s"; the name alone where the catalogue has no phrase, or a value is missing.
-    """
+    """Name an effect in the middle of a sentence."""
     plain = str(effect["name"]).replace("_", " ")
     known = EFFECTS[effect["name"]].phrase if effect["name"] in EFFECTS else ""
     values = {name: row["value"] for name, row in effect.get("parameters", {}).items()}
@@ -302,19 +259,7 @@ def named(effect: Mapping[str, Any]) -> str:
 
 
 def in_words(report: dict[str, Any]) -> str:
-    """Say the whole report, for a terminal.
-
-    Parameters
-    ----------
-    report : dict of str
-        The JSON document.
-
-    Returns
-    -------
-    str
-        Several lines.
-
-    """
+    """Say the whole report, for a terminal."""
     lines = [sentence(report), ""]
     for effect in report["effects"]:
         values = ", ".join(

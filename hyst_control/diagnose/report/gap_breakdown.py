@@ -23,19 +23,7 @@ Rows = list[dict[str, Any]]
 
 
 def budget(diagnosis: Diagnosis) -> dict[str, Rows]:
-    """Split the gap of the nominal model by kind, band, amplitude, axis and time.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-
-    Returns
-    -------
-    dict of str to list of dict
-        By criterion: rows of name, share and 90 % interval, whose shares add up to 1.
-
-    """
+    """Split the gap of the nominal model by kind, band, amplitude, axis and time."""
     settings = diagnosis.configuration.budget
     blocks = settings.blocks
     residuals = [part.gap() for part in diagnosis.parts]
@@ -58,21 +46,6 @@ def budget(diagnosis: Diagnosis) -> dict[str, Rows]:
 def stages(diagnosis: Diagnosis, attribution: Attribution, unfaithful: Sequence[str] = ()) -> Rows:
     """Split the gap by place in the signal chain: the plant's places, what differs between sessions (zero, drift, initial memory), the
     model's own coefficients, noise, what is unexplained.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-    attribution : Attribution
-        Effects named.
-    unfaithful : sequence of str
-        Software blocks that did not do what they should; named with no share of the plant's residual.
-
-    Returns
-    -------
-    list of dict
-        Rows of name, share and 90 % interval, whose shares add up to 1.
-
     """
     settings = diagnosis.configuration.budget
     blocks = settings.blocks

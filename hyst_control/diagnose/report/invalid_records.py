@@ -20,20 +20,7 @@ TOPICS = ("command", "measurement")
 
 
 def invalid_report(records: Sequence[Record], model: Model) -> tuple[dict[str, Any], str] | None:
-    """Report on records that show something else than the plant's answer to the command.
-
-    Parameters
-    ----------
-    records
-        With command and measurement.
-    model
-        Its simulation is what range and sign are held against.
-
-    Returns
-    -------
-    tuple of the JSON document and the same in words, or None
-        None where nothing is found, and where the records cannot be read at all: the diagnosis itself says why.
-    """
+    """Report on records that show something else than the plant's answer to the command."""
     trials = trials_of(records, model)
     found = check_records(trials)
     if not found:
@@ -103,22 +90,7 @@ def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -
 
 
 def write_invalid_page(path: str, document: dict[str, Any], origins: Sequence[Origin] = ()) -> None:
-    """Write the report's page on records that are not diagnosed.
-
-    Parameters
-    ----------
-    path : str
-        HTML file to write.
-    document : dict of str to object
-        Gap report with `invalid_records` and `notes`.
-    origins : sequence of Origin
-        Where the report comes from.
-
-    Raises
-    ------
-    InputError
-        Where the page cannot be written.
-    """
+    """Write the report's page on records that are not diagnosed."""
     from pathlib import Path
 
     from hyst_control.reporting.html_page import Page

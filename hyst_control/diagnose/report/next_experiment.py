@@ -29,23 +29,7 @@ Excitation = dict[str, Any]
 def library(
     lower: float, upper: float, sample_time: float, settings: ExperimentSettings = CONFIGURATION.experiment
 ) -> dict[str, Excitation]:
-    """Excitations to choose from.
-
-    Parameters
-    ----------
-    lower, upper : float
-        Range of the command, V.
-    sample_time : float
-        s.
-    settings : ExperimentSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    dict of str to dict
-        Configurations of the reference generator by name.
-
-    """
+    """Excitations to choose from."""
     duration = settings.duration
     span, centre, nyquist = upper - lower, 0.5 * (upper + lower), 0.5 / sample_time
     return {
@@ -76,19 +60,7 @@ def library(
 
 
 def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    """Choose the excitation of largest worst-pair distance between what is still possible.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-
-    Returns
-    -------
-    dict of str or None
-        Its part of the gap report; None where nothing is ambiguous.
-
-    """
+    """Choose the excitation of largest worst-pair distance between what is still possible."""
     part = next((part for part in diagnosis.parts if part.decision.verdict is Verdict.AMBIGUOUS), None)
     if part is None:
         return None

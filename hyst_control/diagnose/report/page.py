@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -73,26 +73,7 @@ class Traces:
 def write_page(
     path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
 ) -> None:
-    """Write the page of a diagnosis.
-
-    Parameters
-    ----------
-    path
-        HTML file to write.
-    document
-        The diagnosis' gap report.
-    diagnosis
-        The diagnosis itself, for the figures.
-    better
-        The augmented model; None where nothing was added.
-    origins
-        Where the diagnosis comes from: bags, model, command.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
-    """
+    """Write the page of a diagnosis."""
     pieces, unit = _traces(diagnosis, better), document["gap"]["unit"]
     signals = [
         figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 620)
@@ -180,25 +161,8 @@ def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
     return ", ".join(parts)
 
 
-def envelope(time: Array, values: Array, bins: int = BINS) -> tuple[Array, Array]:
-    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole.
-
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        Time, s.
-    values : ndarray, shape (N,)
-        Signal, any unit.
-    bins : int
-        Number of bins.
-
-    Returns
-    -------
-    time
-        Times (2 bins,) of the kept samples, s, as float32.
-    values
-        Kept samples (2 bins,), as float32.
-    """
+def envelope(time: Annotated[Array, "N"], values: Annotated[Array, "N"], bins: int = BINS) -> tuple[Array, Array]:
+    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole."""
     if len(values) <= 2 * bins:
         return time.astype(np.float32), values.astype(np.float32)
     edges = np.linspace(0, len(values), bins + 1).astype(int)
@@ -270,18 +234,7 @@ def _waterfall(document: Mapping[str, Any]) -> go.Figure:
 
 
 def taken_off(document: Mapping[str, Any]) -> list[tuple[str, float]]:
-    """Shares of the gap's energy that the named effects and the coefficients take off, as the chain's picture has them.
-
-    Parameters
-    ----------
-    document
-        Gap report.
-
-    Returns
-    -------
-    list of tuple
-        Name and share, the effects first.
-    """
+    """Shares of the gap's energy that the named effects and the coefficients take off, as the chain's picture has them."""
     stage = {row["name"]: row["share"] for row in document["where"]["stage"]}
     effects = [effect for effect in document["effects"] if effect["shrink"] is not None]
     whole = sum(share for name, share in stage.items() if name not in ("coefficients", "noise", "unexplained"))

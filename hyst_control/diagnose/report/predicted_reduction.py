@@ -10,6 +10,7 @@ a line of the augmented model would add its energy once more (`augmented_model.w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -33,36 +34,12 @@ class Foreseen:
         return float(np.clip(1.0 - (self.rms_after / self.rms_before) ** 2, -10.0, 1.0)) if self.rms_before > 0 else 0.0
 
     def document(self) -> dict[str, float]:
-        """Make its part of a gap report.
-
-        Returns
-        -------
-        dict of str to float
-
-        """
+        """Make its part of a gap report."""
         return {"rms_before": self.rms_before, "rms_after": self.rms_after, "shrink": self.shrink}
 
 
-def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
-    """Foresee the gap on a command that has not been played yet.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Of records of the same plant.
-    command : ndarray, shape (N, A)
-        V, sampled as the records were.
-
-    Returns
-    -------
-    Foreseen
-
-    Raises
-    ------
-    InputError
-        Where the command has another shape.
-
-    """
+def foresee(diagnosis: Diagnosis, command: Annotated[Array, "N A"]) -> Foreseen:
+    """Foresee the gap on a command that has not been played yet."""
     count = len(diagnosis.model.axes)
     if command.ndim != 2 or command.shape[1] != count or len(command) < 2 or not np.isfinite(command).all():
         raise InputError(f"command: must be finite rows of {count} axes, got shape {command.shape}")
@@ -80,23 +57,11 @@ def foresee(diagnosis: Diagnosis, command: Array) -> Foreseen:
     return Foreseen(float(np.sqrt(before / count)), float(np.sqrt(after / count)))
 
 
-def own_error_energy(part: AxisDiagnosis, command: Array) -> float:
+def own_error_energy(part: AxisDiagnosis, command: Annotated[Array, "N A"]) -> float:
     """Compute the energy that the model's own error adds to every gap on a command.
 
     It is what the model leaves on clean records: as learned on other commands, or carried over from the same one, or stated. Where
     the best explanation leaves more than that, beyond the noise, it is this remainder.
-
-    Parameters
-    ----------
-    part : AxisDiagnosis
-        Diagnosis of one problem.
-    command : ndarray, shape (N, A)
-        V.
-
-    Returns
-    -------
-    float
-        Sum over the axes of the mean square, measurement unit squared.
     """
     problem = part.problem
     left = problem.rows(part.chosen.solution.residual)

@@ -13,49 +13,18 @@ from hyst_control.effects import EFFECTS
 
 @dataclass(frozen=True)
 class Rejected:
-    """Hypothesis that was weighed and not named.
+    """Hypothesis that was weighed and not named."""
 
-    Parameters
-    ----------
-    name : str
-        Effects joined by "and", or "coefficients alone".
-    axes : str
-        Names of the axes of its problem.
-    score : float
-        Evidence over "no effect", nats.
-    behind : float
-        Evidence that it lacks to the best explanation, nats.
-    left : float
-        Share of the gap's energy that it leaves, noise included.
-    why : str
-        Reason that counted against it, one line.
-
-    """
-
-    name: str
-    axes: str
-    score: float
-    behind: float
-    left: float
-    why: str
+    name: str  # Effects joined by "and", or "coefficients alone"
+    axes: str  # Names of the axes of its problem
+    score: float  # Evidence over "no effect", nats
+    behind: float  # Evidence that it lacks to the best explanation, nats
+    left: float  # Share of the gap's energy that it leaves, noise included
+    why: str  # Reason that counted against it, one line
 
 
 def rejected(diagnosis: Diagnosis, most: int) -> list[Rejected]:
-    """List the rivals of the best explanation, the closest first.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-    most : int
-        Rows at most.
-
-    Returns
-    -------
-    list of Rejected
-        One row per axis and combination of effects.
-
-    """
+    """List the rivals of the best explanation, the closest first."""
     rows = [row for part in diagnosis.parts for row in _of_axis(diagnosis, part)]
     return sorted(rows, key=lambda row: row.behind)[:most]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from hyst_control.chain.stage import Array
@@ -11,22 +13,8 @@ LEAST_HEIGHT = 0.3
 """Least height of a loop, in the command's range."""
 
 
-def slow_loops(command: Array, most: int = 2) -> list[slice]:
-    """Find the slowest loops of a command: up and down again, or down and up; steps are the fastest.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N,)
-        Command of one axis, V.
-    most : int
-        Loops at most; they do not overlap.
-
-    Returns
-    -------
-    list of slice
-        Rows of each loop in the order of the record; the whole record where it holds no loop.
-
-    """
+def slow_loops(command: Annotated[Array, "N"], most: int = 2) -> list[slice]:
+    """Find the slowest loops of a command: up and down again, or down and up; steps are the fastest."""
     turns = np.append(_large_turns(command, LEAST_HEIGHT * float(np.ptp(command))), len(command) - 1)
     speed = np.abs(np.diff(command, append=command[-1]))
     found = [

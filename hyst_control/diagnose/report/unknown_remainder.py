@@ -22,52 +22,23 @@ from hyst_control.records.session_zero import without_zero
 
 @dataclass(frozen=True)
 class Remainder:
-    """Remainder of the axes whose gap no known effect explains.
+    """Remainder of the axes whose gap no known effect explains."""
 
-    Parameters
-    ----------
-    predictable : Predictability
-        Of the axis on which most is left.
-    stages : mapping of int to LearnedResidual
-        By the index of an axis: what adds the predictable part to its model. Axes that the model mixes have none.
-    shrink : float or None
-        Of the gap beside the effects that are named, with these stages, on blocks not used for the fit; None without a stage.
-    """
-
-    predictable: Predictability
+    predictable: Predictability  # Of the axis on which most is left
+    # By the index of an axis: what adds the predictable part to its model. Axes that the model mixes have none
     stages: Mapping[int, LearnedResidual]
+    # Of the gap beside the effects that are named, with these stages, on blocks not used for the fit; None without a stage
     shrink: float | None
 
     def document(self, added: bool) -> dict[str, Any]:
-        """Make its part of a gap report.
-
-        Parameters
-        ----------
-        added : bool
-            Whether the stages were added to the augmented model.
-
-        Returns
-        -------
-        dict of str
-        """
+        """Make its part of a gap report."""
         parts = {name: [asdict(row) for row in getattr(self.predictable, name)] for name in ("band", "level", "branch")}
         learned = None if self.shrink is None else {"shrink": self.shrink, "added": added}
         return {"share": self.predictable.share, **parts, "learned": learned}
 
 
 def remainder_of(diagnosis: Diagnosis) -> Remainder | None:
-    """Measure what is left where no known effect explains the gap.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        All axes.
-
-    Returns
-    -------
-    Remainder or None
-        None where every axis is explained.
-    """
+    """Measure what is left where no known effect explains the gap."""
     unknown = [part for part in diagnosis.parts if part.decision.verdict is Verdict.UNKNOWN]
     if not unknown:
         return None
@@ -85,19 +56,7 @@ def remainder_of(diagnosis: Diagnosis) -> Remainder | None:
 
 
 def with_learned_residual(model: Model, remainder: Remainder) -> Model:
-    """Add what follows the command to a model.
-
-    Parameters
-    ----------
-    model : Model
-        With the effects that are named.
-    remainder : Remainder
-        With a stage for an axis at least.
-
-    Returns
-    -------
-    Model
-    """
+    """Add what follows the command to a model."""
     first = next(iter(remainder.stages.values()))
     absent = replace(first, weights=(0.0,) * FEATURES, constant=0.0)
     axes = [remainder.stages.get(axis, absent) for axis in range(len(model.axes))]

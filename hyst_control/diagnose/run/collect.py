@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.fft import dct
@@ -39,54 +40,22 @@ from hyst_control.model_file import Model
 
 @dataclass(frozen=True)
 class Collected:
-    """Hypotheses of a search, in the order of the evidence on them.
+    """Hypotheses of a search, in the order of the evidence on them."""
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Without residuals.
-    hypotheses : tuple of Scored
-        "No effect", single effects, combinations, coefficients alone.
-
-    """
-
-    evidence: Evidence
-    hypotheses: tuple[Scored, ...]
+    evidence: Evidence  # Without residuals
+    hypotheses: tuple[Scored, ...]  # "No effect", single effects, combinations, coefficients alone
 
 
 def collect(
     found: Found,
     null: float,
     floor: float,
-    stated: Array,
+    stated: Annotated[Array, "A"],
     record: Sequence[RecordEvidence],
     checks: frozenset[RecordCheck],
     configuration: Configuration = CONFIGURATION,
 ) -> Collected:
-    """Collect the evidence of a search.
-
-    Parameters
-    ----------
-    found : Found
-        Fits of all hypotheses.
-    null : float
-        Threshold of the simulated null, nats.
-    floor : float
-        Practical size (rms), in units of the noise.
-    stated : ndarray, shape (A,)
-        Noise (rms, measurement unit) that the model states, 0 where it states none.
-    record : sequence of RecordEvidence
-        By axis.
-    checks : frozenset of RecordCheck
-        Checks whose effect is in the catalogue.
-    configuration : Configuration
-        All values.
-
-    Returns
-    -------
-    Collected
-
-    """
+    """Collect the evidence of a search."""
     problem = found.linearised.problem
     hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
     size = len(found.linearised.measured)
@@ -144,32 +113,7 @@ def residual_evidence(
     distorted: tuple[DistortionEvidence, ...] = (),
     passed: float = 1.0,
 ) -> ResidualEvidence:
-    """Measure what a hypothesis leaves.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    scored : Scored
-        Fit of the hypothesis.
-    findings : sequence of Finding
-        Of the record: what a lattice leaves is none of the hypothesis' fault.
-    checks : frozenset of RecordCheck
-        Checks whose effect is in the catalogue.
-    configuration : Configuration
-        All values.
-    beside : tuple of CompanionEvidence
-        Companions, as the hypothesis has them.
-    distorted : tuple of DistortionEvidence
-        Distortion tests of its effects.
-    passed : float
-        Energy with which its effects pass on the model's own error, as a factor.
-
-    Returns
-    -------
-    ResidualEvidence
-
-    """
+    """Measure what a hypothesis leaves."""
     steps = np.zeros(len(problem.model.axes))
     for finding in findings:
         if finding.check is RecordCheck.VALUE_LATTICE:
@@ -194,26 +138,10 @@ def residual_evidence(
     )
 
 
-def companions(linearised: Linearised, scored: Scored, usual: Array, temper: float) -> tuple[CompanionEvidence, ...]:
-    """Measure the zero and the drift of a session as a hypothesis has them.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem.
-    scored : Scored
-        Fit of the hypothesis.
-    usual : ndarray, shape (A, 3)
-        Departure from the known zero up to which one is usual, measurement unit; NaN where nothing says what is.
-    temper : float
-        Weight of a sample.
-
-    Returns
-    -------
-    tuple of CompanionEvidence
-        By record, axis and effect.
-
-    """
+def companions(
+    linearised: Linearised, scored: Scored, usual: Annotated[Array, "A 3"], temper: float
+) -> tuple[CompanionEvidence, ...]:
+    """Measure the zero and the drift of a session as a hypothesis has them."""
     variances = np.diag(scored.solution.covariance) / temper
     effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
     found = []
@@ -246,83 +174,28 @@ def _predictable(problem: Problem, rows: Array, blocks: int) -> float:
     return predictable_share(commands, [rows[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)], blocks)
 
 
-def stated_noise(model: Model) -> Array:
-    """Noise that a model file states.
-
-    Parameters
-    ----------
-    model : Model
-        Nominal model.
-
-    Returns
-    -------
-    ndarray, shape (A,)
-        Rms, measurement unit; 0 where none is stated.
-
-    """
+def stated_noise(model: Model) -> Annotated[Array, "A"]:
+    """Noise that a model file states."""
     stated = np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))
     return np.broadcast_to(stated, (len(model.axes),)).copy()
 
 
-def known_error(problem: Problem, stated: Array) -> Array:
-    """Choose what a model is known to leave beside the whitened error: its stated noise, or its own error.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    stated : ndarray, shape (A,)
-        Noise (rms) that the model states, measurement unit.
-
-    Returns
-    -------
-    ndarray, shape (A,)
-        Rms, measurement unit.
-    """
+def known_error(problem: Problem, stated: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
+    """Choose what a model is known to leave beside the whitened error: its stated noise, or its own error."""
     if problem.own_spectrum is not None:
         return np.zeros_like(stated)  # fits have it in their weights
     return stated if problem.own_error is None else np.maximum(stated, problem.own_error)
 
 
-def stated_energy(stated: Array, noise: Array) -> float:
-    """Energy that a model itself says it leaves.
-
-    Parameters
-    ----------
-    stated, noise : ndarray, shape (A,)
-        Noise (rms, measurement unit) that it states, and that was measured.
-
-    Returns
-    -------
-    float
-        In noise energies, at least 1.
-
-    """
+def stated_energy(stated: Annotated[Array, "A"], noise: Annotated[Array, "A"]) -> float:
+    """Energy that a model itself says it leaves."""
     return max(float(np.mean((stated / noise) ** 2)), 1.0)
 
 
-def white_noise(problem: Problem, residuals: Array, axis: int, settings: NoiseSettings, rests: bool = True) -> float:
-    """White noise of an axis in the residuals of all pieces.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    residuals : ndarray, shape (M, A)
-        Measurement unit.
-    axis : int
-        Index in the problem.
-    settings : NoiseSettings
-        Values of the configuration.
-    rests : bool
-        Whether stretches at rest count, and differences between periods of the command.
-
-    Returns
-    -------
-    float
-        Rms, measurement unit.
-
-    """
+def white_noise(
+    problem: Problem, residuals: Annotated[Array, "M A"], axis: int, settings: NoiseSettings, rests: bool = True
+) -> float:
+    """White noise of an axis in the residuals of all pieces."""
     edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     left = [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)]
     commands = [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None

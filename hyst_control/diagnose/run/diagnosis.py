@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -49,37 +50,16 @@ does on blocks that they were not fitted to."""
 
 @dataclass(frozen=True)
 class AxisDiagnosis:
-    """Diagnosis of one problem: an axis, or all axes of a model that mixes them.
+    """Diagnosis of one problem: an axis, or all axes of a model that mixes them."""
 
-    Parameters
-    ----------
-    axes : tuple of int
-        Indices in the model.
-    problem : Problem
-        Records and model of these axes.
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    found : Found
-        Result of the search, with the fits of all hypotheses.
-    hypotheses : tuple of Scored
-        Hypotheses in the order of the evidence.
-    evidence : Evidence
-        Numbers that the decision is based on.
-    decision : Decision
-        Verdict, its reasons, and the effects that are named.
-    baseline : Baseline, optional
-        Clean records or stated discrepancy that were used.
-
-    """
-
-    axes: tuple[int, ...]
-    problem: Problem
-    linearised: Linearised
-    found: Found
-    hypotheses: tuple[Scored, ...]
-    evidence: Evidence
-    decision: Decision
-    baseline: Baseline | None = None
+    axes: tuple[int, ...]  # Indices in the model
+    problem: Problem  # Records and model of these axes
+    linearised: Linearised  # The problem with the columns of its coefficients
+    found: Found  # Result of the search, with the fits of all hypotheses
+    hypotheses: tuple[Scored, ...]  # Hypotheses in the order of the evidence
+    evidence: Evidence  # Numbers that the decision is based on
+    decision: Decision  # Verdict, its reasons, and the effects that are named
+    baseline: Baseline | None = None  # Clean records or stated discrepancy that were used
 
     @property
     def chosen(self) -> Scored:
@@ -96,15 +76,8 @@ class AxisDiagnosis:
         """Deviations (K,) of the best explanation's coefficients from the nominal ones, in tolerances."""
         return self.chosen.solution.z * self.chosen.tolerances
 
-    def gap(self) -> Array:
-        """Compute the gap of the nominal model.
-
-        Returns
-        -------
-        ndarray, shape (M, A)
-            Measured minus simulated from the command as it was recorded, measurement unit.
-
-        """
+    def gap(self) -> Annotated[Array, "M A"]:
+        """Compute the gap of the nominal model."""
         recorded = as_recorded(self.problem)
         if recorded is not self.problem:
             return recorded.rows(recorded.measured() - recorded.simulate(recorded.model.chain.stages))
@@ -113,31 +86,14 @@ class AxisDiagnosis:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Diagnosis of all axes together.
+    """Diagnosis of all axes together."""
 
-    Parameters
-    ----------
-    model : Model
-        Nominal model.
-    problem : Problem
-        Problem of all axes.
-    parts : tuple of AxisDiagnosis
-        One per axis, or a single one if the model mixes the axes.
-    notes : tuple of str
-        Remarks on the records, one sentence each.
-    seed : int
-        Seed of all random numbers.
-    configuration : Configuration
-        Settings of the diagnosis.
-
-    """
-
-    model: Model
-    problem: Problem
-    parts: tuple[AxisDiagnosis, ...]
-    notes: tuple[str, ...]
-    seed: int
-    configuration: Configuration = CONFIGURATION
+    model: Model  # Nominal model
+    problem: Problem  # Problem of all axes
+    parts: tuple[AxisDiagnosis, ...]  # One per axis, or a single one if the model mixes the axes
+    notes: tuple[str, ...]  # Remarks on the records, one sentence each
+    seed: int  # Seed of all random numbers
+    configuration: Configuration = CONFIGURATION  # Settings of the diagnosis
 
 
 def diagnose(
@@ -151,39 +107,9 @@ def diagnose(
     configuration: Configuration = CONFIGURATION,
     baseline: Sequence[Record] = (),
 ) -> Diagnosis:
-    """Diagnose records against a model.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records with command and measurement.
-    model : Model or None
-        Nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are tried.
-    seed : int
-        Seed of all random numbers.
-    without : sequence of str
-        Names of effects that are not tried.
-    cache : bool
-        True to keep the threshold of the null distribution between runs.
-    progress : callable
-        Called with the name of each step.
-    warm_up : float
-        Beginning of each record that is simulated but not counted, s; see `problem_of`.
-    configuration : Configuration
-        Settings of the diagnosis.
-    baseline : sequence of Record
-        Clean records of the same plant, or of plants of the same type.
-
-    Returns
-    -------
-    Diagnosis
-
-    Raises
-    ------
-    InputError
-        If the records cannot be used.
-
-    """
+    """Diagnose records against a model."""
+    # model: nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are
+    # tried
     model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
     parts = []
     axis = 0
@@ -212,30 +138,7 @@ def with_clean(
     baseline: Sequence[Record],
     without: Sequence[str] = (),
 ) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
-    """Make the problems of records beside clean ones.
-
-    Parameters
-    ----------
-    records, model, warm_up, configuration, baseline, without
-        As in `diagnose`.
-
-    Returns
-    -------
-    model : Model
-        Nominal model; one whose output is 0 where there is none.
-    problem : Problem
-        Of all axes.
-    notes : list of str
-        Remarks on the records.
-    parts : list of tuple
-        By axis, or a single one if the model mixes the axes: its problem, its baseline, and whether there is no model.
-
-    Raises
-    ------
-    InputError
-        If the records cannot be used.
-
-    """
+    """Make the problems of records beside clean ones."""
     bare = model is None
     if model is None:
         if not baseline:
@@ -265,32 +168,7 @@ def with_clean(
 def problem_of(
     records: Sequence[Record], model: Model, warm_up: float = 0.0, configuration: Configuration = CONFIGURATION
 ) -> tuple[Problem, list[str]]:
-    """Make one problem from records, cut into gapless pieces, and estimate its noise.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Records with command and measurement.
-    model : Model
-        Nominal model.
-    warm_up : float
-        Beginning of each record that is simulated but not counted, s; needed for records that do not begin at rest.
-    configuration : Configuration
-        Settings of the diagnosis.
-
-    Returns
-    -------
-    problem : Problem
-        All pieces, with the noise of each axis.
-    notes : list of str
-        Remarks on the records, one sentence each.
-
-    Raises
-    ------
-    InputError
-        If the records cannot be used.
-
-    """
+    """Make one problem from records, cut into gapless pieces, and estimate its noise."""
     least_rows = configuration.record.least_rows
     if not 0.0 <= warm_up < np.inf:
         raise InputError(f"warm-up: must be >= 0 s, got {warm_up!r}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -32,41 +33,13 @@ from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 
 
-def nominal_residuals(problem: Problem) -> Array:
-    """Subtract the simulation of the nominal model from the measurement.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-
-    Returns
-    -------
-    ndarray, shape (M, A)
-        Of the rows that count, measurement unit.
-
-    """
+def nominal_residuals(problem: Problem) -> Annotated[Array, "M A"]:
+    """Subtract the simulation of the nominal model from the measurement."""
     return problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages))
 
 
-def with_noise(problem: Problem, residuals: Array, configuration: Configuration) -> Problem:
-    """Estimate the noise from the upper end of the residuals' spectrum.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    residuals : ndarray, shape (M, A)
-        Of the rows that count, measurement unit.
-    configuration : Configuration
-        Settings of the diagnosis.
-
-    Returns
-    -------
-    Problem
-        The same problem with that noise.
-
-    """
+def with_noise(problem: Problem, residuals: Annotated[Array, "M A"], configuration: Configuration) -> Problem:
+    """Estimate the noise from the upper end of the residuals' spectrum."""
     measured = np.concatenate([piece.measurement for piece in problem.pieces])
     stated, sigma = stated_noise(problem.model), []
     for axis in range(residuals.shape[1]):
@@ -81,57 +54,22 @@ def with_noise(problem: Problem, residuals: Array, configuration: Configuration)
 
 @dataclass(frozen=True)
 class Prepared:
-    """Problem of an axis before any effect is tried.
+    """Problem of an axis before any effect is tried."""
 
-    Parameters
-    ----------
-    problem : Problem
-        With its noise, and without rows that hold no measurement of their own.
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    without : tuple of str
-        Effects that are not tried.
-    checks : frozenset of RecordCheck
-        Checks whose effect is in the catalogue.
-    record : tuple of RecordEvidence
-        By axis.
-    findings : tuple of Finding
-        Repeated samples and lattices.
-    suggested : callable
-        Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them.
-    stated : ndarray, shape (A,)
-        Noise that the model states, rms, measurement unit.
-    floor : float
-        Rms that an effect must take off to be worth naming, in units of the noise.
-    leaves : float
-        Energy that the model itself says it leaves, in noise energies.
-
-    """
-
-    problem: Problem
-    linearised: Linearised
-    without: tuple[str, ...]
-    checks: frozenset[RecordCheck]
-    record: tuple[RecordEvidence, ...]
-    findings: tuple[Finding, ...]
+    problem: Problem  # With its noise, and without rows that hold no measurement of their own
+    linearised: Linearised  # The problem with the columns of its coefficients
+    without: tuple[str, ...]  # Effects that are not tried
+    checks: frozenset[RecordCheck]  # Checks whose effect is in the catalogue
+    record: tuple[RecordEvidence, ...]  # By axis
+    findings: tuple[Finding, ...]  # Repeated samples and lattices
+    # Finds the lines in the spectrum: by the effect that they suggest their frequencies, Hz. Only a search needs them
     suggested: Callable[[], Mapping[str, Sequence[float]]]
-    stated: Array
-    floor: float
-    leaves: float
+    stated: Annotated[Array, "A"]  # Noise that the model states, rms, measurement unit
+    floor: float  # Rms that an effect must take off to be worth naming, in units of the noise
+    leaves: float  # Energy that the model itself says it leaves, in noise energies
 
     def members(self, sensor_side: bool) -> list[Member]:
-        """List the effects to try.
-
-        Parameters
-        ----------
-        sensor_side : bool
-            True for those behind the mechanics only.
-
-        Returns
-        -------
-        list of Member
-
-        """
+        """List the effects to try."""
         members = catalogue(self.problem, self.suggested(), self.without)
         return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
 
@@ -143,31 +81,7 @@ def prepare(
     configuration: Configuration,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Prepared:
-    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of an axis, or of all axes of a model that mixes them.
-    baseline : Baseline or None
-        Clean records or stated discrepancy.
-    without : sequence of str
-        Names of effects that are not tried.
-    configuration : Configuration
-        Settings of the diagnosis.
-    progress : callable
-        Called with the name of each step.
-
-    Returns
-    -------
-    Prepared
-
-    Raises
-    ------
-    InputError
-        If the model cannot be simulated on the record.
-
-    """
+    """Fit the coefficients alone, check the record, and estimate its noise: all that comes before effects are tried."""
     thresholds = configuration.policy
     if baseline is not None:
         problem = with_noise(baseline.problem, nominal_residuals(baseline.problem), configuration)
@@ -206,20 +120,7 @@ def prepare(
 
 
 def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
-    """The clean records' rows on which the model's own error was measured, with its spectrum.
-
-    Parameters
-    ----------
-    baseline : Baseline
-        Of the problem.
-    problem : Problem
-        The new records, with the spectrum of the model's own error.
-
-    Returns
-    -------
-    Problem or None
-        None where the error is carried over, or stated by a model file.
-    """
+    """The clean records' rows on which the model's own error was measured, with its spectrum."""
     if baseline.error_rows is None or problem.own_spectrum is None:
         return None
     return replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise)
@@ -271,21 +172,7 @@ def _repeats(values: Array) -> float:
 
 
 def is_used(check: RecordCheck, without: Sequence[str]) -> bool:
-    """Tell whether the effect that a check finds is in the catalogue.
-
-    Parameters
-    ----------
-    check : RecordCheck
-        The check.
-    without : sequence of str
-        Names of effects that are not tried.
-
-    Returns
-    -------
-    bool
-        True if so.
-
-    """
+    """Tell whether the effect that a check finds is in the catalogue."""
     effect = effect_found_by(check)
     return effect is not None and effect.name not in without
 
@@ -303,21 +190,6 @@ def without_truncation(linearised: Linearised, findings: Sequence[Finding], conf
     """Take back the half step by which a converter rounded down or up.
 
     Only where the constant that fits best beside the coefficients is that half step: any other one is an offset.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    findings : sequence of Finding
-        Lattices of the axes among them.
-    configuration : Configuration
-        Settings of the diagnosis.
-
-    Returns
-    -------
-    Problem
-        The problem, with other measurements where a converter truncates.
-
     """
     problem = linearised.problem
     shift = np.zeros(len(problem.model.axes))

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor
@@ -35,28 +36,13 @@ from hyst_control.records.correlation import correlation_length
 
 @dataclass(frozen=True)
 class Scored:
-    """Hypothesis with its fit and its score.
+    """Hypothesis with its fit and its score."""
 
-    Parameters
-    ----------
-    candidate : Candidate or None
-        Effects; None for "no effect" and for coefficients alone.
-    solution : Solution
-        The fit.
-    score : float
-        Evidence over "no effect", nats.
-    inflated : bool
-        Whether it is coefficients alone, beyond their tolerance.
-    tolerances : float
-        Size of the fit's unit of the coefficients, in tolerances.
-
-    """
-
-    candidate: Candidate | None
-    solution: Solution
-    score: float
-    inflated: bool = False
-    tolerances: float = 1.0
+    candidate: Candidate | None  # Effects; None for "no effect" and for coefficients alone
+    solution: Solution  # The fit
+    score: float  # Evidence over "no effect", nats
+    inflated: bool = False  # Whether it is coefficients alone, beyond their tolerance
+    tolerances: float = 1.0  # Size of the fit's unit of the coefficients, in tolerances
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,46 +52,19 @@ class Scored:
 
 @dataclass(frozen=True)
 class Found:
-    """Hypotheses that a search fitted on one problem.
+    """Hypotheses that a search fitted on one problem."""
 
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    none : Scored
-        No effect.
-    parameters : Scored
-        Coefficients alone.
-    singles, combinations : tuple of Scored
-        Single effects and combinations, best first.
-    temper : float
-        Weight of a sample.
-
-    """
-
-    linearised: Linearised
-    none: Scored
-    parameters: Scored
+    linearised: Linearised  # Problem with the columns of its coefficients
+    none: Scored  # No effect
+    parameters: Scored  # Coefficients alone
+    # singles, combinations: Single effects and combinations, best first
     singles: tuple[Scored, ...]
     combinations: tuple[Scored, ...]
-    temper: float
+    temper: float  # Weight of a sample
 
 
 def inflated(linearised: Linearised, factor: float) -> Linearised:
-    """The same columns with every tolerance multiplied; companions stay as they are.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    factor : float
-        Of the tolerances.
-
-    Returns
-    -------
-    Linearised
-
-    """
+    """The same columns with every tolerance multiplied; companions stay as they are."""
     wide = copy(linearised)
     factors = np.where(linearised.scatter.companions > 0, 1.0, factor)
     wide.scatter = replace(
@@ -128,30 +87,7 @@ def search(
     progress: Callable[[str], None] = lambda _: None,
     configuration: Configuration = CONFIGURATION,
 ) -> Found:
-    """Fit and weigh all candidates.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Catalogue as it is used.
-    threshold : float
-        Score (nats) by which a further effect must be better.
-    floor : float
-        Rms, in units of the noise, that it must take off.
-    leaves : float
-        Energy, in noise energies, that the model itself says it leaves.
-    progress : callable
-        Is told the names of what was fitted.
-    configuration : Configuration
-        All values.
-
-    Returns
-    -------
-    Found
-
-    """
+    """Fit and weigh all candidates."""
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
     whitened = linearised.problem.own_spectrum is not None
@@ -319,19 +255,7 @@ def _strained(solution: Solution, thresholds: Thresholds) -> bool:
 
 
 def strain(solution: Solution) -> float:
-    """Misfit that is the coefficients' distance from the nominal ones.
-
-    Parameters
-    ----------
-    solution : Solution
-        Of a fit.
-
-    Returns
-    -------
-    float
-        Nats.
-
-    """
+    """Misfit that is the coefficients' distance from the nominal ones."""
     return 0.5 * float(solution.z @ solution.z)
 
 
@@ -390,7 +314,7 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
     return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
 
 
-def temper_of(problem: Problem, residual: Array) -> float:
+def temper_of(problem: Problem, residual: Annotated[Array, "M"]) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
     Where the spectrum of the model's own error is known, its size and correlation together count, which are its density at low
@@ -398,18 +322,6 @@ def temper_of(problem: Problem, residual: Array) -> float:
 
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    residual : ndarray, shape (M,)
-        In units of the noise.
-
-    Returns
-    -------
-    float
-        At most 1.
     """
     size = float(np.mean(residual**2))
     length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
@@ -418,20 +330,7 @@ def temper_of(problem: Problem, residual: Array) -> float:
 
 
 def settled(linearised: Linearised, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, gone on with columns taken where it ended.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    z : ndarray, shape (K,), optional
-        Where to begin, in tolerances; 0 unless given.
-
-    Returns
-    -------
-    Solution
-
-    """
+    """The fit of the coefficients alone, gone on with columns taken where it ended."""
     return refined(linearised, None, fit(linearised, z=z))
 
 

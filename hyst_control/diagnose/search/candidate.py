@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from scipy.signal import lfilter
@@ -83,17 +83,7 @@ class Member:
         return self.name, self.axis, round(self.frequency)
 
     def excludes(self, other: Member) -> bool:
-        """True when two members cannot be combined: the same effect twice, or on all axes and again on one of them.
-
-        Parameters
-        ----------
-        other : Member
-            The other member.
-
-        Returns
-        -------
-        bool
-        """
+        """True when two members cannot be combined: the same effect twice, or on all axes and again on one of them."""
         everywhere = len(self.problem.model.axes) > 1 and None in (self.axis, other.axis)
         return self.variant == other.variant or self.name == other.name and everywhere
 
@@ -131,20 +121,11 @@ class Member:
             return np.full(self.size, STEP)
         return np.array([min(STEP, p.smooth / p.scale) if p.smooth else STEP for p in self.parameters])
 
-    def is_at_bound(self, x: Array) -> bool:
+    def is_at_bound(self, x: Annotated[Array, "P"]) -> bool:
         """True where the effect's size is at an end of its range that only the catalogue sets.
 
         Its first parameter is a size, and so are those that say so. The end next to where it is absent is none of these: an effect as
         small as that is no larger one than the catalogue has. Nor are those of a voltage that begins where the command ends.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        bool
         """
         if self.is_line:
             return False
@@ -154,18 +135,8 @@ class Member:
             if i == 0 or parameter.is_size
         )
 
-    def values(self, x: Array) -> dict[str, float]:
-        """Convert scaled parameters to values, under the names of the gap report.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        dict of str to float
-        """
+    def values(self, x: Annotated[Array, "P"]) -> dict[str, float]:
+        """Convert scaled parameters to values, under the names of the gap report."""
         if self.is_line:
             swells = self.line.swells
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
@@ -205,19 +176,8 @@ class Member:
         """Names of parameters that the gap report does not have."""
         return {p.name for p in (*self.parameters, *self.effect.parameters(self.problem.surroundings)) if not p.told}
 
-    def stage(self, x: Array) -> Stage:
-        """Build the effect's stage for scaled parameters.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        Stage
-            Stage for all axes; other axes than the member's have the effect absent.
-        """
+    def stage(self, x: Annotated[Array, "P"]) -> Stage:
+        """Build the effect's stage for scaled parameters."""
         if self.apart:
             names = [p.name for p in self.parameters[: len(self.parameters) // len(self.problem.model.axes)]]
             columns = np.transpose(self._by_axis(x)).tolist()
@@ -231,54 +191,19 @@ class Member:
             }
         return self.effect.stage(values, self.problem.surroundings)
 
-    def inserted(self, stages: tuple[Stage, ...], x: Array) -> tuple[Stage, ...]:
-        """Insert the effect's stage at its place.
-
-        Parameters
-        ----------
-        stages : tuple of Stage
-            In signal order.
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        tuple of Stage
-            With one more.
-        """
+    def inserted(self, stages: tuple[Stage, ...], x: Annotated[Array, "P"]) -> tuple[Stage, ...]:
+        """Insert the effect's stage at its place."""
         stage = self.stage(x)
         if isinstance(stage, Delay) and self.place == "sensor":
             return with_sensor_delay(stages, stage, self.problem.sample_time, len(self.problem.model.axes))
         return insert(stages, self.place, stage)
 
-    def extra(self, x: Array) -> Array:
-        """Compute the part that is added to the output.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        ndarray, shape (M,)
-            All pieces and axes, in units of the noise.
-        """
+    def extra(self, x: Annotated[Array, "P"]) -> Annotated[Array, "M"]:
+        """Compute the part that is added to the output."""
         return self._lines(x) if self.is_line else self._coupled(x)
 
-    def extra_columns(self, x: Array) -> Array:
-        """Derivatives ∂extra/∂x of the part that is added to the output.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters.
-
-        Returns
-        -------
-        ndarray, shape (M, P)
-            In units of the noise.
-        """
+    def extra_columns(self, x: Annotated[Array, "P"]) -> Annotated[Array, "M P"]:
+        """Derivatives ∂extra/∂x of the part that is added to the output."""
         if self.is_line:
             return self._line_columns(x)
         base, (_, upper, _) = self.extra(x), self.bounds()
@@ -290,22 +215,10 @@ class Member:
         """True where the mechanics' output is linear in some of the parameters."""
         return not self.is_extra and any(parameter.sensor is not None for parameter in self.parameters)
 
-    def linear_columns(self, x: Array) -> tuple[list[int], Array]:
+    def linear_columns(self, x: Annotated[Array, "P"]) -> tuple[list[int], Array]:
         """Derivatives by the parameters in which the mechanics' output is linear, about the nominal model.
 
         One simulation for all that differ in their sensor only, of the added response alone.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters; only the others of them matter.
-
-        Returns
-        -------
-        indices : list of int
-            Of these parameters.
-        columns : ndarray, shape (M, P')
-            In units of the noise.
         """
         linear = [p for p, parameter in enumerate(self.parameters) if parameter.sensor is not None]
         start = np.array(x, dtype=float)
@@ -438,18 +351,8 @@ class Candidate:
         edges = np.cumsum([0, *(member.size for member in self.members)])
         return [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
-    def is_at_bound(self, x: Array) -> bool:
-        """True where the size of one of the effects is at the end of its range.
-
-        Parameters
-        ----------
-        x : ndarray, shape (P,)
-            Scaled parameters of all effects.
-
-        Returns
-        -------
-        bool
-        """
+    def is_at_bound(self, x: Annotated[Array, "P"]) -> bool:
+        """True where the size of one of the effects is at the end of its range."""
         return any(member.is_at_bound(x[part]) for member, part in zip(self.members, self.slices(), strict=True))
 
     def unknowns(self) -> Unknowns:
@@ -493,34 +396,12 @@ class Candidate:
         )
 
     def with_member(self, member: Member) -> Candidate:
-        """Add an effect, in signal order.
-
-        Parameters
-        ----------
-        member : Member
-            The effect to add.
-
-        Returns
-        -------
-        Candidate
-            New candidate; this one does not change.
-        """
+        """Add an effect, in signal order."""
         order = list(EFFECTS)
         return Candidate(tuple(sorted((*self.members, member), key=lambda found: order.index(found.name))))
 
     def without(self, index: int) -> Candidate:
-        """Remove one effect.
-
-        Parameters
-        ----------
-        index : int
-            Index of the effect among the members.
-
-        Returns
-        -------
-        Candidate
-            New candidate; this one does not change.
-        """
+        """Remove one effect."""
         return Candidate(tuple(member for i, member in enumerate(self.members) if i != index))
 
 

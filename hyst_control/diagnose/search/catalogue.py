@@ -13,21 +13,9 @@ from hyst_control.effects.effect import Parameter
 
 
 def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], without: Sequence[str] = ()) -> list[Member]:
-    """Every realization of every effect that the record could show, on all axes of the problem alike and on every single one.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and model.
-    suggested : mapping of str to sequence of float
-        By the name of an effect: frequencies (Hz) of lines in the residual's spectrum, or starts of its suggested parameter.
-    without : sequence of str
-        Names of effects that are left out.
-
-    Returns
-    -------
-    list of Member
-    """
+    """Every realization of every effect that the record could show, on all axes of the problem alike and on every single one."""
+    # suggested: by the name of an effect: frequencies (Hz) of lines in the residual's spectrum, or starts of its suggested
+    # parameter
     count = len(problem.model.axes)
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
     surroundings = replace(problem.surroundings, axes=count + others)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -124,36 +125,15 @@ class Linearised:
             return np.zeros(0)
         return np.asarray(cho_solve(self.factor, self.problem.weight * (self.columns.T @ residual)), dtype=np.float64)
 
-    def unexplained(self, vectors: Array) -> Array:
-        """Remove from vectors what the scattered coefficients explain, shrunk by their prior.
-
-        Parameters
-        ----------
-        vectors : ndarray, shape (M,) or (M, P)
-            In units of the noise.
-
-        Returns
-        -------
-        ndarray
-            The rest, of the same shape.
-        """
+    def unexplained(self, vectors: Annotated[Array, "M"]) -> Array:
+        """Remove from vectors what the scattered coefficients explain, shrunk by their prior."""
         if not self.count:
             return vectors
         explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
         return np.asarray(vectors - explained, dtype=np.float64)
 
-    def unexplained_products(self, vectors: Array) -> Array:
-        """Inner products of vectors and what `unexplained` leaves of them, without computing that.
-
-        Parameters
-        ----------
-        vectors : ndarray, shape (M, P)
-            In units of the noise.
-
-        Returns
-        -------
-        ndarray, shape (P, P)
-        """
+    def unexplained_products(self, vectors: Annotated[Array, "M P"]) -> Annotated[Array, "P P"]:
+        """Inner products of vectors and what `unexplained` leaves of them, without computing that."""
         products = vectors.T @ vectors
         if self.count:
             along = self.columns.T @ vectors
@@ -164,28 +144,8 @@ class Linearised:
         """The companions' values of z (K,), the coefficients at the nominal ones."""
         return z * self.scatter.companions if self.count else z
 
-    def simulate(self, z: Array, unknowns: Unknowns | None = None, x: Array | None = None) -> Array:
-        """Simulate all records.
-
-        Parameters
-        ----------
-        z : ndarray, shape (K,)
-            Nuisance coefficients, in standard deviations.
-        unknowns : Unknowns or None
-            Parameters to fit besides z; None: z alone.
-        x : ndarray of shape (P,) or None
-            Scaled parameters of the unknowns; unused without them.
-
-        Returns
-        -------
-        ndarray, shape (M,)
-            Output with the unknowns' effects, in units of the noise.
-
-        Raises
-        ------
-        InputError
-            Where a stage refuses the values.
-        """
+    def simulate(self, z: Annotated[Array, "K"], unknowns: Unknowns | None = None, x: Array | None = None) -> Annotated[Array, "M"]:
+        """Simulate all records."""
         try:
             stages = self.scatter.at(z)
             if unknowns is None:
@@ -214,34 +174,10 @@ def fit(
 
     A step that does not lower Φ is shortened a few times; the fit then ends at the last point. So it does where it is far behind
     another and comes no nearer.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem and columns of its coefficients.
-    unknowns : Unknowns or None
-        Parameters to fit besides z; None: z alone.
-    start : ndarray of shape (P,) or None
-        Start of x, clipped to its bounds.
-    z : ndarray of shape (K,) or None
-        Start of z; None: 0.
-    rounds : int
-        Largest number of steps.
-    measured : ndarray of shape (M,) or None
-        Replaces the record's own measurement, in units of the noise.
-    weight : ndarray of shape (M,) or None
-        1 for values that count, 0 for others; None: all count.
-    rival : float
-        Φ of the best other fit.
-    linear : bool
-        Whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients that it
-        has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this output.
-
-    Returns
-    -------
-    Solution
-        Point with the least Φ that was reached.
     """
+    # linear: whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients
+    # that it has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this
+    # output
     y = linearised.measured if measured is None else measured
     x = np.zeros(0)
     if start is not None and len(start):
@@ -327,41 +263,13 @@ def fit(
 def effect_columns(
     linearised: Linearised,
     unknowns: Unknowns,
-    z: Array,
-    x: Array,
-    base: Array,
+    z: Annotated[Array, "K"],
+    x: Annotated[Array, "P"],
+    base: Annotated[Array, "M"],
     weight: Array | None = None,
     chosen: Sequence[int] | None = None,
-) -> Array:
-    """Derivatives ∂ŷ/∂x of the effects' parameters: known ones, else difference quotients, taken inwards at a bound.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem and columns of its coefficients.
-    unknowns : Unknowns
-        Parameters of the effects.
-    z : ndarray, shape (K,)
-        Nuisance coefficients.
-    x : ndarray, shape (P,)
-        Scaled parameters.
-    base : ndarray, shape (M,)
-        Output there, in units of the noise; known where the weight is not 0.
-    weight : ndarray of shape (M,) or None
-        1 for values that count, 0 for others; None: all count.
-    chosen : sequence of int, optional
-        Indices of the parameters; all unless given.
-
-    Returns
-    -------
-    ndarray, shape (M, P')
-        A column for every chosen parameter.
-
-    Raises
-    ------
-    InputError
-        Where the chain cannot be simulated next to these values.
-    """
+) -> Annotated[Array, "M P'"]:
+    """Derivatives ∂ŷ/∂x of the effects' parameters: known ones, else difference quotients, taken inwards at a bound."""
     chosen = range(len(x)) if chosen is None else chosen
     found = np.zeros((len(base), len(chosen)))
     place = {p: column for column, p in enumerate(chosen)}
@@ -384,17 +292,7 @@ def effect_columns(
 
 
 def is_bounded(values: Array) -> bool:
-    """False for what an unstable chain gives.
-
-    Parameters
-    ----------
-    values : ndarray
-        In units of the noise.
-
-    Returns
-    -------
-    bool
-    """
+    """False for what an unstable chain gives."""
     return bool(np.max(np.abs(values), initial=0.0) < RAN_AWAY)
 
 
@@ -436,24 +334,7 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
 
 
 def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
-    """Continue a fit with columns taken at its end, until that gains nothing more.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with columns at the nominal coefficients.
-    unknowns : Unknowns or None
-        Parameters to fit besides z; None: z alone.
-    solution : Solution
-        Fit to continue.
-    rounds : int
-        Largest number of new linearizations.
-
-    Returns
-    -------
-    Solution
-        The better of the old and the new fit.
-    """
+    """Continue a fit with columns taken at its end, until that gains nothing more."""
     for _ in range(rounds):
         try:
             here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)

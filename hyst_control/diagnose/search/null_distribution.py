@@ -51,29 +51,7 @@ def threshold(
     cache: bool = True,
     configuration: Configuration = CONFIGURATION,
 ) -> float:
-    """Score that the best candidate stays under in nearly all simulated records without a gap.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Catalogue as it is used.
-    seed : int
-        Of everything drawn at random.
-    progress : callable
-        Is told how many records are done, every few records.
-    cache : bool
-        Whether the threshold is kept between runs.
-    configuration : Configuration
-        All values.
-
-    Returns
-    -------
-    float
-        Nats.
-
-    """
+    """Score that the best candidate stays under in nearly all simulated records without a gap."""
     file = _cache_file(cache_key(linearised, members, seed, configuration)) if cache else None
     if file is not None and (known := _read(file)) is not None:
         return known
@@ -94,27 +72,7 @@ def null_scores(
     settings: NullSettings = CONFIGURATION.null_distribution,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Array:
-    """Gain of the best candidate on every record that is drawn without a gap.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Catalogue as it is used.
-    seed : int
-        Of everything drawn at random.
-    settings : NullSettings
-        Values of the configuration.
-    progress : callable
-        Is told how many records are done, every few records.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Nats; of fewer records where some coefficients make no model.
-
-    """
+    """Gain of the best candidate on every record that is drawn without a gap."""
     designs = tangents(linearised, members, settings.starts)
     if not designs:
         return np.zeros(settings.records)
@@ -180,23 +138,7 @@ def _rounded(problem: Problem, simulated: Array, noise: Array) -> Array:
 
 
 def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> list[Array]:
-    """Derivatives ∂ŷ/∂x of every candidate at its starts, at the nominal model.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Catalogue as it is used.
-    count : int
-        About how many starts where there are many.
-
-    Returns
-    -------
-    list of ndarray, shape (M, P)
-        One a candidate and start.
-
-    """
+    """Derivatives ∂ŷ/∂x of every candidate at its starts, at the nominal model."""
     found = []
     z = np.zeros(linearised.count)
     for member in members:
@@ -218,23 +160,6 @@ def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, conf
 
     The ranges and priors of an effect are those that it has around the simulated record, not the measured one: so records of one
     command share a threshold, though each measurement has another range.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Catalogue as it is used.
-    seed : int
-        Of everything drawn at random.
-    configuration : Configuration
-        All values.
-
-    Returns
-    -------
-    str
-        SHA-256, hexadecimal.
-
     """
     problem = linearised.problem
     digest = hashlib.sha256()

@@ -31,24 +31,7 @@ class Tangent:
 
 
 def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
-    """Find the pairs of effects that together come closest to the records, to first order.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    members : sequence of Member
-        Effects.
-    count : int
-        Most pairs.
-    starts : int
-        Most starts of an effect that are looked at.
-
-    Returns
-    -------
-    list of (Candidate, ndarray)
-        Pairs, the best first, and where a step in all of their parameters leads.
-    """
+    """Find the pairs of effects that together come closest to the records, to first order."""
     fitted = [member for member in members if member.size]
     found = map_forked(lambda i: _tangents(linearised, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
     tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -20,18 +21,10 @@ FEW = 2
 
 @dataclass(frozen=True)
 class Begun:
-    """A candidate fitted beside linear coefficients.
+    """A candidate fitted beside linear coefficients."""
 
-    Parameters
-    ----------
-    candidate : Candidate
-        Effects that are fitted together.
-    ends : tuple of Solution
-        Where its best starts lead, best first; at least one.
-    """
-
-    candidate: Candidate
-    ends: tuple[Solution, ...]
+    candidate: Candidate  # Effects that are fitted together
+    ends: tuple[Solution, ...]  # Where its best starts lead, best first; at least one
 
     @property
     def misfit(self) -> float:
@@ -40,46 +33,14 @@ class Begun:
 
 
 def begin(linearised: Linearised, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
-    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    candidates : sequence of (Candidate, sequence of ndarray of shape (P,))
-        Effects that are fitted together, and scaled parameters to begin at.
-    settings : SearchSettings
-        Numbers of starts and steps.
-
-    Returns
-    -------
-    list of Begun
-        Best first; without those of which no start can be simulated.
-
-    """
+    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter."""
     ends = map_forked(lambda i: _begun(linearised, *candidates[i], settings), len(candidates))
     found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
     return sorted(found, key=lambda one: one.misfit)
 
 
 def finish(linearised: Linearised, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
-    """Fit candidates from where they were begun, the chain with all its coefficients as it is.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    begun : sequence of Begun
-        Candidates.
-    rival : float
-        Misfit of the best fit so far.
-
-    Returns
-    -------
-    list of (Candidate, Solution)
-        The best fit of each.
-
-    """
+    """Fit candidates from where they were begun, the chain with all its coefficients as it is."""
     found = map_forked(lambda i: _gone_on(linearised, begun[i], rival), len(begun))
     return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
 
@@ -207,29 +168,7 @@ def promising_pairs(
     least: float,
     settings: SearchSettings,
 ) -> list[tuple[int, Array]]:
-    """Find the effects that a linear step on top of a candidate makes most of.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    candidate : Candidate
-        What is fitted already.
-    solution : Solution
-        Its fit.
-    members : sequence of Member
-        Effects that may be added.
-    least : float
-        Misfit that one of them must take off.
-    settings : SearchSettings
-        Number of effects that are kept.
-
-    Returns
-    -------
-    list of (int, ndarray)
-        Index of each effect and the start to begin at, the most promising first.
-
-    """
+    """Find the effects that a linear step on top of a candidate makes most of."""
     found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
     nominal = np.zeros(linearised.count)
     before = misfit_of(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
@@ -278,46 +217,16 @@ def _after_step(
     return 0.5 * weight * (energy - float(right @ step)), there
 
 
-def misfit_of(linearised: Linearised, residual: Array) -> float:
-    """Half the squared size of a residual, coefficients marginalized.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        The problem with the columns of its coefficients.
-    residual : ndarray, shape (N,)
-        Whitened.
-
-    Returns
-    -------
-    float
-        The misfit; infinite where a chain ran away.
-
-    """
+def misfit_of(linearised: Linearised, residual: Annotated[Array, "N"]) -> float:
+    """Half the squared size of a residual, coefficients marginalized."""
     if not is_bounded(residual):
         return np.inf
     return 0.5 * linearised.problem.weight * float(linearised.unexplained_products(residual[:, None])[0, 0])
 
 
-def merged_start(pair: Candidate, candidate: Candidate, x: Array, member: Member, start: Array) -> Array:
-    """Join the parameters of a candidate and the start of the effect that is added to it.
-
-    Parameters
-    ----------
-    pair, candidate : Candidate
-        With and without the new effect.
-    x : ndarray, shape (P,)
-        Scaled parameters of the candidate.
-    member : Member
-        The new effect.
-    start : ndarray, shape (Q,)
-        Its scaled parameters.
-
-    Returns
-    -------
-    ndarray, shape (P + Q,)
-        Scaled parameters of the pair.
-
-    """
+def merged_start(
+    pair: Candidate, candidate: Candidate, x: Annotated[Array, "P"], member: Member, start: Annotated[Array, "Q"]
+) -> Array:
+    """Join the parameters of a candidate and the start of the effect that is added to it."""
     parts = iter(zip(candidate.members, candidate.slices(), strict=True))
     return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])

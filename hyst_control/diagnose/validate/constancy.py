@@ -30,22 +30,7 @@ STRETCHES = 5
 
 
 def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[DistortionEvidence, ...]:
-    """Test the effects of an explanation for distortion.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        Explanation.
-    temper : float
-        Least weight of a sample beside the fits' own.
-
-    Returns
-    -------
-    tuple of DistortionEvidence
-        By effect and variable; empty of explanations without effects, and of effects that are lines.
-    """
+    """Test the effects of an explanation for distortion."""
     candidate, solution, problem = scored.candidate, scored.solution, linearised.problem
     if candidate is None:
         return ()

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations
 from math import factorial
+from typing import Annotated
 
 import numpy as np
 
@@ -24,44 +25,20 @@ from hyst_control.errors import InputError
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors on samples that did not fit, in noise energies.
+    """Squared errors on samples that did not fit, in noise energies."""
 
-    Parameters
-    ----------
-    before, after : ndarray, shape (M,)
-        Of the nominal model, and with the effects.
-    before_fitted, after_fitted : ndarray, shape (M,)
-        The same with coefficients fitted.
-
-    """
-
-    before: Array
-    after: Array
-    before_fitted: Array
-    after_fitted: Array
+    # before, after: Of the nominal model, and with the effects
+    before: Annotated[Array, "M"]
+    after: Annotated[Array, "M"]
+    # before_fitted, after_fitted: The same with coefficients fitted
+    before_fitted: Annotated[Array, "M"]
+    after_fitted: Annotated[Array, "M"]
 
 
 def held_out(
     linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> HeldOut:
-    """Squared errors of an explanation by two-fold blocked cross-validation.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        The explanation.
-    none : Scored
-        No effect.
-    settings : ReductionSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    HeldOut
-
-    """
+    """Squared errors of an explanation by two-fold blocked cross-validation."""
     count = len(linearised.measured)
     fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
@@ -102,24 +79,7 @@ def _beside_companions(columns: Array, residual: Array) -> Array:
 
 
 def holds(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
-    """Check that effects leave less than no effect does on blocks that they were not fitted to.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        Explanation by effects.
-    none : Scored
-        No effect.
-    settings : ReductionSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    bool
-        In units of noise and own error together.
-    """
+    """Check that effects leave less than no effect does on blocks that they were not fitted to."""
     assert scored.candidate is not None
     unknowns = scored.candidate.unknowns()
     fold = (np.arange(len(linearised.measured)) * settings.blocks // len(linearised.measured)) % 2
@@ -141,19 +101,6 @@ def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
     Beside clean records, which leave the coefficients little to make up for, such effects are not there: together with the
     coefficients they follow the model's own error. Without clean records a true effect may happen to hide a part of what the
     coefficients do.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        Explanation by effects.
-    none : Scored
-        No effect.
-
-    Returns
-    -------
-    bool
     """
     assert scored.candidate is not None
     in_noise = linearised.problem.in_noise
@@ -169,27 +116,9 @@ def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
 
 
 def shrink(
-    before: Array, after: Array, seed: int, settings: ReductionSettings = CONFIGURATION.reduction
+    before: Annotated[Array, "M"], after: Annotated[Array, "M"], seed: int, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> tuple[float, tuple[float, float]]:
-    """Shrink and its interval by a moving-block bootstrap.
-
-    Parameters
-    ----------
-    before, after : ndarray, shape (M,)
-        Squared errors in noise energies.
-    seed : int
-        Of the bootstrap.
-    settings : ReductionSettings
-        Values of the configuration.
-
-    Returns
-    -------
-    value : float
-        At most 1.
-    ci90 : tuple of float
-        90 % interval.
-
-    """
+    """Shrink and its interval by a moving-block bootstrap."""
 
     def ratio(b: float, a: float) -> float:
         return float(np.clip(1.0 - (a - 1.0) / max(b - 1.0, 1e-12), -10.0, 1.0))
@@ -206,21 +135,7 @@ def shrink(
 
 
 def shares(linearised: Linearised, scored: Scored) -> list[float]:
-    """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        An explanation by effects.
-
-    Returns
-    -------
-    list of float
-        By effect; they add up to 1.
-
-    """
+    """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted."""
     candidate, solution = scored.candidate, scored.solution
     assert candidate is not None
     count = len(candidate.members)

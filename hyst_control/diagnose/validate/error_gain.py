@@ -24,20 +24,7 @@ PERIODS = 40
 
 
 def passed_error(linearised: Linearised, scored: Scored) -> float:
-    """Measure the energy with which a small slow error of the model passes the effects of an explanation.
-
-    Parameters
-    ----------
-    linearised : Linearised
-        Problem with the columns of its coefficients.
-    scored : Scored
-        Explanation.
-
-    Returns
-    -------
-    float
-        As a factor of the error's own energy; 1 of explanations without effects, and where it cannot be simulated.
-    """
+    """Measure the energy with which a small slow error of the model passes the effects of an explanation."""
     candidate, solution, problem = scored.candidate, scored.solution, linearised.problem
     if candidate is None:
         return 1.0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -29,82 +30,34 @@ LEAST_EXCESS = 0.02
 
 @dataclass(frozen=True)
 class PartOfResidual:
-    """Part of a residual: a band, a level or a branch.
+    """Part of a residual: a band, a level or a branch."""
 
-    Parameters
-    ----------
-    name : str
-        What it is.
-    share : float
-        Its share of the residual's energy beyond the noise.
-    predictable : float
-        Part of this that follows the command, on blocks not used for the fit.
-    """
-
-    name: str
-    share: float
-    predictable: float
+    name: str  # What it is
+    share: float  # Its share of the residual's energy beyond the noise
+    predictable: float  # Part of this that follows the command, on blocks not used for the fit
 
 
 @dataclass(frozen=True)
 class Predictability:
-    """Part of a residual that follows the command.
+    """Part of a residual that follows the command."""
 
-    Parameters
-    ----------
-    share : float
-        Of its energy beyond the noise, on blocks not used for the fit; 0 to 1.
-    band, level, branch : tuple of PartOfResidual
-        The same by frequency, by level of the command and by its direction.
-    """
-
-    share: float
+    share: float  # Of its energy beyond the noise, on blocks not used for the fit; 0 to 1
+    # band, level, branch: The same by frequency, by level of the command and by its direction
     band: tuple[PartOfResidual, ...]
     level: tuple[PartOfResidual, ...]
     branch: tuple[PartOfResidual, ...]
 
 
 def predictable_share(commands: Sequence[Array], residuals: Sequence[Array], blocks: int) -> float:
-    """Compute the share of a residual's energy that features of the command predict on blocks not used for the fit.
-
-    Parameters
-    ----------
-    commands : sequence of ndarray, shape (N, A)
-        Commands of all records, V.
-    residuals : sequence of ndarray, shape (N, A)
-        Residuals of the same records, any unit.
-    blocks : int
-        Number of blocks that the records are divided into; each is predicted from all others.
-
-    Returns
-    -------
-    float
-        0 to 1; 0 if the features predict the residual no better than its mean does.
-    """
+    """Compute the share of a residual's energy that features of the command predict on blocks not used for the fit."""
     target = np.concatenate(residuals)
     left = _held_out(np.concatenate(_designs(commands, 1.0)), target, blocks)
     total = float(np.sum((target - target.mean(axis=0)) ** 2))
     return float(np.clip(1.0 - np.sum(left**2) / total, 0.0, 1.0)) if total > 0 else 0.0
 
 
-def predictability(problem: Problem, residual: Array, bands: Sequence[float], blocks: int) -> Predictability:
-    """Find which part of a residual follows the command, and where.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records, their noise, and the model.
-    residual : ndarray, shape (M, A)
-        What an explanation leaves at the rows that count, measurement unit.
-    bands : sequence of float
-        Upper edges of the frequency bands but the last, Hz.
-    blocks : int
-        Number of blocks that the records are divided into; each is predicted from all others.
-
-    Returns
-    -------
-    Predictability
-    """
+def predictability(problem: Problem, residual: Annotated[Array, "M A"], bands: Sequence[float], blocks: int) -> Predictability:
+    """Find which part of a residual follows the command, and where."""
     commands = [piece.command for piece in problem.pieces]
     counted = [np.flatnonzero(np.ones(len(piece.command)) if piece.keep is None else piece.keep) for piece in problem.pieces]
     designs = _designs(commands, problem.sample_time)
@@ -130,25 +83,8 @@ def predictability(problem: Problem, residual: Array, bands: Sequence[float], bl
     )
 
 
-def learn_residual(problem: Problem, residual: Array, blocks: int) -> tuple[LearnedResidual, float]:
-    """Learn the part of a residual that follows the command, as a stage of a model of one axis.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records of one axis and their noise.
-    residual : ndarray, shape (M, 1)
-        What the model leaves at the rows that count, measurement unit.
-    blocks : int
-        Number of blocks that the records are divided into; each is predicted from all others.
-
-    Returns
-    -------
-    stage : LearnedResidual
-        Learned from all blocks.
-    shrink : float
-        1 - (energy left / energy before), both beyond the noise, on blocks that were not learned from.
-    """
+def learn_residual(problem: Problem, residual: Annotated[Array, "M 1"], blocks: int) -> tuple[LearnedResidual, float]:
+    """Learn the part of a residual that follows the command, as a stage of a model of one axis."""
     commands = [np.ascontiguousarray(piece.command[:, 0]) for piece in problem.pieces]
     features = CommandFeatures.of(commands, problem.sample_time)
     designs = []

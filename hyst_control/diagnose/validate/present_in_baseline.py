@@ -33,20 +33,7 @@ class CleanRecords:
         self.nominal = self._misfit(self.linearised.nominal)
 
     def show(self, scored: Scored, least: float) -> frozenset[str]:
-        """Find the effects of an explanation that the clean records ask for, too.
-
-        Parameters
-        ----------
-        scored : Scored
-            Explanation of the new records.
-        least : float
-            Misfit (nats) that an effect must take off the clean records.
-
-        Returns
-        -------
-        frozenset of str
-            Names of the effects; lines in the spectrum, whose phase is that of a record, are none of them.
-        """
+        """Find the effects of an explanation that the clean records ask for, too."""
         assert scored.candidate is not None, "no effect"
         stages, found = self.problem.model.chain.stages, set()
         for member, part in zip(scored.candidate.members, scored.candidate.slices(), strict=True):

@@ -6,6 +6,8 @@ polynomials cannot remove, about its frequency and about the overtones that what
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from hyst_control.chain.parameter import Array
@@ -13,23 +15,8 @@ from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import Scored
 
 
-def leftover(problem: Problem, scored: Scored, lattice: Array) -> Array:
-    """Remove from an explanation's residual what its own effects leave by nature.
-
-    Parameters
-    ----------
-    problem : Problem
-        Records and noise of the axes.
-    scored : Scored
-        The fitted explanation.
-    lattice : ndarray, shape (A,)
-        Quantization step of the measurement by axis, measurement unit; 0 without one.
-
-    Returns
-    -------
-    ndarray, shape (M,)
-        In units of the noise.
-    """
+def leftover(problem: Problem, scored: Scored, lattice: Annotated[Array, "A"]) -> Annotated[Array, "M"]:
+    """Remove from an explanation's residual what its own effects leave by nature."""
     rows = scored.solution.residual.reshape(-1, len(problem.model.axes))
     if scored.candidate is not None:
         for member, where in zip(scored.candidate.members, scored.candidate.slices(), strict=True):

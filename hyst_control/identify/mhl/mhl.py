@@ -19,6 +19,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
+from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
 from hyst_control.identify.mhl.madelung import (
     curve_ends,
@@ -27,7 +28,6 @@ from hyst_control.identify.mhl.madelung import (
     response_sign,
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
-from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.mhl.mhl_model import assemble, chain_model
 from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator

@@ -34,27 +34,13 @@ KEYS = ("name", "axis", "from", "at")
 
 @dataclass(frozen=True)
 class Present:
-    """An effect that is present.
+    """An effect that is present."""
 
-    Parameters
-    ----------
-    name
-        Its name.
-    values
-        Its parameters.
-    place
-        One of `PLACES`.
-    axis
-        Index of the axis; None: all axes.
-    start
-        Time from which it acts, s.
-    """
-
-    name: str
-    values: Mapping[str, float]
-    place: str
-    axis: int | None
-    start: float
+    name: str  # Its name
+    values: Mapping[str, float]  # Its parameters
+    place: str  # One of `PLACES`
+    axis: int | None  # Index of the axis; None: all axes
+    start: float  # Time from which it acts, s
 
     @property
     def kind(self) -> str:
@@ -64,25 +50,7 @@ class Present:
 
 
 def read_effects(given: Any, frame: Frame) -> list[Present]:
-    """Read a list of effects, without those that are absent by their parameters.
-
-    Parameters
-    ----------
-    given
-        Mappings of effects.
-    frame
-        Common data of the plant.
-
-    Returns
-    -------
-    list[Present]
-        The effects, in signal order.
-
-    Raises
-    ------
-    PlantError
-        An effect is unusable; the message names effect, field and remedy.
-    """
+    """Read a list of effects, without those that are absent by their parameters."""
     if not isinstance(given, Sequence) or isinstance(given, str) or not all(isinstance(item, Mapping) for item in given):
         raise PlantError("effects: must be a list of {name: …, parameters}")
     found = [_read(item, frame) for item in given]
@@ -131,21 +99,7 @@ def _read(item: Mapping[str, Any], frame: Frame) -> Present | None:
 
 
 def insert_effects(line: Line, axis: int | None, parts: Any, present: Sequence[Present], frame: Frame) -> None:
-    """Insert the effects of one axis into the line, or those that mix axes.
-
-    Parameters
-    ----------
-    line
-        Parts by place, changed in place.
-    axis
-        Index of the axis; None: the effects that mix axes.
-    parts
-        Constructor of the axis' own parts by place, from changes of the hysteresis and of the mechanics.
-    present
-        The effects.
-    frame
-        Common data of the plant.
-    """
+    """Insert the effects of one axis into the line, or those that mix axes."""
     for item in present:
         effect = EFFECTS[item.name]
         if (item.kind == "mixing") != (axis is None) or axis is not None and item.axis not in (None, axis):

@@ -17,19 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Hold(Part):
-    """Every n-th command is taken and held.
-
-    Parameters
-    ----------
-    samples
-        n.
-    step
-        Step to whose multiples commands are rounded, V; 0: not rounded.
-    phase
-        Index of the first command that is taken; before, the one at which the record settled is held.
-    rounding
-        0 to the nearest multiple, 1 down, 2 toward zero, 3 down and half a step up again.
-    """
+    """Every n-th command is taken and held."""
 
     def __init__(self, samples: int, step: float, phase: int = 0, rounding: int = 0) -> None:
         self._samples, self._step, self._phase, self._rounding = samples, step, phase % samples, rounding
@@ -60,17 +48,7 @@ class Hold(Part):
 
 
 class Slew(Part):
-    """Limit of the voltage's rate; the output is the mean over a step.
-
-    Parameters
-    ----------
-    rate
-        The limit, V/s.
-    step
-        The step, s.
-    direction
-        1: only a rising voltage is limited, -1: only a falling one, 0: both.
-    """
+    """Limit of the voltage's rate; the output is the mean over a step."""
 
     def __init__(self, rate: float, step: float, direction: float = 0.0) -> None:
         self._up = rate * step if direction >= 0.0 else np.inf
@@ -89,15 +67,7 @@ class Slew(Part):
 
 
 class SlowClock(Part):
-    """Slow clock of the drive: a command is late by a fraction of the time since the start.
-
-    Parameters
-    ----------
-    share
-        The fraction.
-    context
-        Location of the effect.
-    """
+    """Slow clock of the drive: a command is late by a fraction of the time since the start."""
 
     def __init__(self, share: float, context: Context) -> None:
         self._share, self._context = share, context
@@ -168,20 +138,7 @@ def _clip(values: Mapping[str, float], context: Context) -> Clip | Pointwise:
 
 
 def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
-    """Construct equal first-order low-passes in series, or one of second order with a damping ratio of its own.
-
-    Parameters
-    ----------
-    values
-        "cutoff" in Hz, "order", their number, and "damping", that of a pair.
-    context
-        Location of the effect.
-
-    Returns
-    -------
-    Held | Straight
-        The part.
-    """
+    """Construct equal first-order low-passes in series, or one of second order with a damping ratio of its own."""
     system = single = exact_discretization.lag(2 * np.pi * values["cutoff"])
     if values["damping"] != 1.0:
         rate = 2 * np.pi * values["cutoff"]
@@ -194,20 +151,7 @@ def low_pass(values: Mapping[str, float], context: Context) -> Held | Straight:
 
 
 def gain_factor(values: Mapping[str, float], context: Context) -> Pointwise:
-    """Construct the factor 1 + gain.
-
-    Parameters
-    ----------
-    values
-        "gain".
-    context
-        Location of the effect.
-
-    Returns
-    -------
-    Pointwise
-        The part.
-    """
+    """Construct the factor 1 + gain."""
     return Pointwise(lambda block: (1.0 + values["gain"]) * block)
 
 

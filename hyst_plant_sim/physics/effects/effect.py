@@ -19,24 +19,12 @@ SETTLED = ("motion", "sensor", "adc", "transport")
 
 @dataclass(frozen=True)
 class Context:
-    """Location of an effect.
+    """Location of an effect."""
 
-    Parameters
-    ----------
-    frame
-        Common data of the plant.
-    place
-        One of `PLACES`.
-    axis
-        Index of the axis; None: all axes.
-    start
-        Time from which it acts, s.
-    """
-
-    frame: Frame
-    place: str
-    axis: int | None
-    start: float
+    frame: Frame  # Common data of the plant
+    place: str  # One of `PLACES`
+    axis: int | None  # Index of the axis; None: all axes
+    start: float  # Time from which it acts, s
 
     @property
     def period(self) -> float:
@@ -49,68 +37,27 @@ class Context:
         return max(int(np.ceil(self.start / self.period - 1e-9)) - (self.place in SETTLED), 0)
 
     def times(self, count: int, length: int) -> Array:
-        """Times of the next values of `process`.
-
-        Parameters
-        ----------
-        count
-            Number of values that `process` has seen.
-        length
-            Number of the next values.
-
-        Returns
-        -------
-        Array
-            Times (length,), s.
-        """
+        """Times of the next values of `process`."""
         return np.asarray((count + (self.place in SETTLED) + np.arange(length)) * self.period, dtype=np.float64)
 
     def stream(self, name: str) -> np.random.Generator:
-        """Return the random numbers of this effect on this axis.
-
-        Parameters
-        ----------
-        name
-            Name of the effect.
-
-        Returns
-        -------
-        np.random.Generator
-            The generator.
-        """
+        """Return the random numbers of this effect on this axis."""
         return self.frame.stream(name, self.axis)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect by name.
+    """An effect by name."""
 
-    Parameters
-    ----------
-    kind
-        "insert" (an additional part at `place`), "mixing" (a part of all axes), "hysteresis" or "mechanics" (that part of the plant
-        is built with other parameters, which `make` returns), "delay" (as those, but of two parts: see `Delay`).
-    place
-        One of `PLACES`.
-    absent
-        Parameters that set its strength, at the values where it is absent.
-    make
-        Constructor from parameters and location.
-    meaning
-        One sentence.
-    units
-        Units of the parameters.
-    others
-        The other parameters with their defaults.
-    """
-
+    # "insert" (an additional part at `place`), "mixing" (a part of all axes), "hysteresis" or "mechanics" (that part of the plant
+    # is built with other parameters, which `make` returns), "delay" (as those, but of two parts: see `Delay`)
     kind: str
-    place: str
-    absent: Mapping[str, float]
-    make: Callable[[Mapping[str, float], Context], Any]
-    meaning: str
-    units: Mapping[str, str]
-    others: Mapping[str, float] = field(default_factory=dict)
+    place: str  # One of `PLACES`
+    absent: Mapping[str, float]  # Parameters that set its strength, at the values where it is absent
+    make: Callable[[Mapping[str, float], Context], Any]  # Constructor from parameters and location
+    meaning: str  # One sentence
+    units: Mapping[str, str]  # Units of the parameters
+    others: Mapping[str, float] = field(default_factory=dict)  # The other parameters with their defaults
 
 
 class PassThrough(Part):
@@ -126,13 +73,7 @@ class PassThrough(Part):
 
 
 class Switch(Part):
-    """Parts that run alike, of which one at a time is the output.
-
-    Parameters
-    ----------
-    parts
-        First value from which a part is the output, and the part.
-    """
+    """Parts that run alike, of which one at a time is the output."""
 
     def __init__(self, parts: Sequence[tuple[int, Part]]) -> None:
         self._first = [first for first, _ in parts]
@@ -158,13 +99,7 @@ class Switch(Part):
 
 
 class Pointwise(Part):
-    """A function of the value alone.
-
-    Parameters
-    ----------
-    function
-        Function of values (M,).
-    """
+    """A function of the value alone."""
 
     def __init__(self, function: Callable[[Array], Array]) -> None:
         self._function = function
@@ -179,15 +114,7 @@ class Pointwise(Part):
 
 
 class Timed(Part):
-    """A function of values and of the times since the effect began, 0 before it.
-
-    Parameters
-    ----------
-    function
-        Function of values (M,) and times (M,) in s.
-    context
-        Location of the effect.
-    """
+    """A function of values and of the times since the effect began, 0 before it."""
 
     def __init__(self, function: Callable[[Array, Array], Array], context: Context) -> None:
         self._function, self._context, self._count = function, context, 0

@@ -17,15 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Backlash(Part):
-    """Play between input and output.
-
-    Parameters
-    ----------
-    half_width
-        Half of the play, measurement unit.
-    side
-        -1, 1: the output begins at the lower or upper end of the play; 0: where a way from 0 has pushed it.
-    """
+    """Play between input and output."""
 
     def __init__(self, half_width: float, side: float = 0.0) -> None:
         self._half_width, self._side, self._place = half_width, side, np.zeros(1)
@@ -44,21 +36,7 @@ class Backlash(Part):
 
 
 class AxisCoupling(Part):
-    """Coupling from the next axis through a first-order low-pass; (A, M) in and out.
-
-    Parameters
-    ----------
-    coupling
-        Fraction of the next axis' motion.
-    corner
-        Cutoff of the low-pass, Hz.
-    axis
-        Index of the axis that is moved; None: each.
-    axes
-        Number of axes.
-    period
-        Time between values, s.
-    """
+    """Coupling from the next axis through a first-order low-pass; (A, M) in and out."""
 
     def __init__(self, coupling: float, corner: float, axis: int | None, axes: int, period: float) -> None:
         self._coupling, self._onto = coupling, range(axes) if axis is None else (axis,)
@@ -81,21 +59,7 @@ class AxisCoupling(Part):
 
 
 class Vibration(Part):
-    """A tone whose amplitude and phase wander over some hundred periods.
-
-    Parameters
-    ----------
-    amplitude
-        Amplitude of the sine of equal rms, measurement unit.
-    frequency
-        Frequency, Hz.
-    second
-        Amplitude of the second harmonic, as a share.
-    steadiness
-        Frequency over the width of the band.
-    context
-        Location of the effect.
-    """
+    """A tone whose amplitude and phase wander over some hundred periods."""
 
     def __init__(self, amplitude: float, frequency: float, second: float, steadiness: float, context: Context) -> None:
         self._amplitude, self._frequency, self._second, self._context = amplitude, frequency, second, context

@@ -19,19 +19,7 @@ CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
 
 
 class Shape(Part):
-    """A part plus a curve of the voltage, by default a parabola that is 0 at both ends of the rating.
-
-    Parameters
-    ----------
-    part
-        The part.
-    amount
-        Greatest height of the curve / settled stroke.
-    curve
-        0 the parabola, 1 a whole sine, which is odd about the middle, 2 a straight line through the middle, 3 half a sine.
-    frame
-        Common data of the plant.
-    """
+    """A part plus a curve of the voltage, by default a parabola that is 0 at both ends of the rating."""
 
     def __init__(self, part: Part, amount: float, curve: int, frame: Frame) -> None:
         self._part, self._lower, self._span = part, frame.rating[0], frame.rating[1] - frame.rating[0]
@@ -58,21 +46,7 @@ class Shape(Part):
 
 
 class Scheduled(Part):
-    """A part whose memory grows with the averaged voltage: times 1 + amount · (voltage's place in the rating, 0 to 1).
-
-    Parameters
-    ----------
-    part
-        The part.
-    mean
-        The same part without memory.
-    amount
-        Relative growth over the rating.
-    tau
-        Time constant of the average, s.
-    frame
-        Common data of the plant.
-    """
+    """A part whose memory grows with the averaged voltage: times 1 + amount · (voltage's place in the rating, 0 to 1)."""
 
     def __init__(self, part: Part, mean: Part, amount: float, tau: float, frame: Frame) -> None:
         self._part, self._mean, self._amount = part, mean, amount
@@ -93,22 +67,7 @@ class Scheduled(Part):
 
 
 def hysteresis(parts: Any, changes: Mapping[str, float], frame: Frame) -> Part:
-    """Construct an axis' hysteresis with changes.
-
-    Parameters
-    ----------
-    parts
-        Constructor of the axis' parts by place, from changes of the hysteresis and of the mechanics.
-    changes
-        Changes by name.
-    frame
-        Common data of the plant.
-
-    Returns
-    -------
-    Part
-        The part.
-    """
+    """Construct an axis' hysteresis with changes."""
     inner = {name: value for name, value in changes.items() if name in ("width", "rate")}
     part = parts(inner, {})["hysteresis"][0]
     if changes.get("schedule", 0.0):

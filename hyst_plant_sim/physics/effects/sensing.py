@@ -18,15 +18,7 @@ FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
 
 
 class White(Part):
-    """White noise that is independent of the sensor's.
-
-    Parameters
-    ----------
-    rms
-        Noise, rms in the measurement unit.
-    context
-        Location of the effect.
-    """
+    """White noise that is independent of the sensor's."""
 
     def __init__(self, rms: float, context: Context) -> None:
         self._rms, self._context = rms, context
@@ -42,15 +34,7 @@ class White(Part):
 
 
 class Flicker(Part):
-    """Noise that falls as 1/f: first-order low-passed noises, two per decade from 0.03 Hz to half the sampling rate.
-
-    Parameters
-    ----------
-    rms
-        Noise, rms in the measurement unit.
-    context
-        Location of the effect.
-    """
+    """Noise that falls as 1/f: first-order low-passed noises, two per decade from 0.03 Hz to half the sampling rate."""
 
     def __init__(self, rms: float, context: Context, exponent: float = 1.0) -> None:
         self._context = context
@@ -76,17 +60,7 @@ class Flicker(Part):
 
 
 class Outliers(Part):
-    """Random samples that deviate, up or down, by half to all of a size.
-
-    Parameters
-    ----------
-    fraction
-        Fraction of the samples.
-    size
-        The size, measurement unit.
-    context
-        Location of the effect.
-    """
+    """Random samples that deviate, up or down, by half to all of a size."""
 
     def __init__(self, fraction: float, size: float, context: Context) -> None:
         self._fraction, self._size, self._context = fraction, size, context
@@ -104,17 +78,7 @@ class Outliers(Part):
 
 
 class Held(Part):
-    """Random samples that repeat the one before.
-
-    Parameters
-    ----------
-    fraction
-        Fraction of the samples.
-    run
-        Number of samples that repeat one after the other.
-    context
-        Location of the effect.
-    """
+    """Random samples that repeat the one before."""
 
     def __init__(self, fraction: float, run: int, context: Context) -> None:
         self._fraction, self._run, self._context = fraction, run, context
