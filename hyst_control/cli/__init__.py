@@ -22,6 +22,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
+from types import ModuleType
+from typing import cast
 
 from hyst_control import plugins, progress
 from hyst_control.errors import InputError
@@ -60,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"hyst_control {installed_version()}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND")
     found = {module.NAME: module for module in (import_module(f"{__name__}.{each.name}") for each in iter_modules(__path__))}
-    plugins.load("commands", found.setdefault)
+    plugins.load("commands", lambda name, module: found.setdefault(name, cast(ModuleType, module)))
     for _, command in sorted(found.items()):
         sub = commands.add_parser(
             command.NAME, help=command.HELP, description=command.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
