@@ -40,7 +40,8 @@ class CommandWatchdog:
     def reset(self) -> None:
         """Return to the start."""
         self.applied = self._rest.copy()
-        """Voltage on the actuator (A,), V."""
+        """Voltage on the actuator (A,), V: what was written last."""
+        self._wanted = self.applied  # what `wanted` returned last
         self._met = np.zeros(len(self._rest), bool)  # axes whose commands pass unchanged
         self.armed = False
         """True once there was a command: until then there is nothing to bring to safety."""
@@ -48,11 +49,11 @@ class CommandWatchdog:
 
     @property
     def following(self) -> bool:
-        """True while commands pass unchanged."""
-        return bool(self._met.all())
+        """True while commands pass unchanged, and are written."""
+        return self._wanted is self.applied and bool(self._met.all())
 
     def apply(self, command: Array | None, trusted: bool = True) -> Array:
-        """Voltage of the next tick.
+        """Voltage of the next tick, where nothing can keep it from being written.
 
         Parameters
         ----------
@@ -66,11 +67,24 @@ class CommandWatchdog:
         ndarray, shape (A,)
             The voltage, V.
         """
+        self.applied = self.wanted(command, trusted)
+        return self.applied
+
+    def wanted(self, command: Array | None, trusted: bool = True) -> Array:
+        """Voltage (A,) to be written next, V; what is not told to `written` has not reached the actuator."""
+        if self._wanted is not self.applied:  # it does not follow: it is to approach the command from where it is
+            self._met[:], self._below = False, None
+        self._wanted = self._next(command, trusted)
+        return self._wanted
+
+    def written(self, voltage: Array) -> None:
+        """Take note that the `voltage` (A,), as `wanted` returned it, is on the actuator."""
+        self.applied = voltage
+
+    def _next(self, command: Array | None, trusted: bool) -> Array:
         if command is None or not trusted or not _is_finite(command):
             self._met[:], self._below = False, None
-            if self.armed:
-                self.applied = self.applied + np.clip(self._safe - self.applied, -self._step, self._step)
-            return self.applied
+            return self._towards(self._safe) if self.armed else self.applied
         self.armed = True
         if not self._met.all():
             way = command - self.applied
@@ -78,9 +92,13 @@ class CommandWatchdog:
             crossed = below != self._below if self._below is not None else False  # by no more than the command moves itself
             self._met |= (np.abs(way) <= self._step) | crossed
             self._below = below
-            command = np.where(self._met, command, self.applied + np.clip(way, -self._step, self._step))
-        self.applied = command
+            command = np.where(self._met, command, self._towards(command))
         return command
+
+    def _towards(self, target: Array) -> Array:
+        """A step from what is applied, which ends exactly at the target: a sum might pass it, and a limit, by its rounding."""
+        step: Array = np.clip(target, self.applied - self._step, self.applied + self._step)
+        return step
 
 
 def _is_finite(command: Array) -> bool:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.errors import InputError
+from hyst_control.hardware.driver_thread import Call, DriverThread
+from hyst_control.nodes import interrupts
 from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
 from hyst_control.nodes.common_parameters import TIMER
 from hyst_control.nodes.duration_histogram import Durations
@@ -26,6 +29,16 @@ Array = NDArray[np.float64]
 
 READ_PHASE = 0.1
 """Share of a tick after its beginning at which the sensor is read; the feedback computes at 0.5."""
+LONGEST_ANSWER = 0.5
+"""s, for which a tick waits for the driver at most, unless two ticks are longer."""
+LONGEST_CONNECT = 30.0
+"""s, for which a device may take to connect, and to go to its safe value and disconnect before."""
+LONGEST_SILENCE = 2.0
+"""s; a driver that does not answer for longer keeps the node from ending no more."""
+LONGEST_LEAVE = 8.0
+"""s, for which a node that is closed goes to its safe value at most; as an interrupted one does, see `run.LONGEST_WIND_DOWN`."""
+ROUNDING = 0.01
+"""Share of the range by which `initial_command` may lie outside it: the converter's steps, and the error of what reads it back."""
 
 
 class StageNode(ManagedNode):
@@ -33,13 +46,14 @@ class StageNode(ManagedNode):
 
     At every tick, floor(CLOCK_MONOTONIC / period), it reads the sensor, publishes that as `measurement` of the tick, and writes the
     newest command. The command that follows from a measurement is so written one tick after it, which identification finds as a
-    delay. What `write` gets is always finite, within `lower` and `upper`, and never further from the last than `slew_limit` allows;
-    without a trusted command for `timeout`, after `~/stop`, in every state but active and at the node's end it goes to
-    `safe_command` at `safe_rate`. Before the first command nothing is written.
+    delay. What `write` gets is always finite, within `lower` and `upper`, and never further from what was written last than
+    `slew_limit` allows; without a trusted command for `timeout`, after `~/stop`, in every state but active and at the node's end it
+    goes to `safe_command` at `safe_rate`. Before the first command nothing is written.
 
-    A `read` or `write` that raises is counted and logged; the feedback goes to its safe value when measurements stay away. After
-    `failures` in a row the node disconnects and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
-    With `failures` 0 it never does.
+    All methods for the device run in a thread of their own, one after another. A `read` or `write` that raises is counted and logged;
+    the feedback goes to its safe value when measurements stay away. After `failures` in a row the node goes to `safe_command` itself,
+    as long as `write` works, disconnects, and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
+    With `failures` 0 it never does. While one does not return, the node says so and calls nothing else of the device.
 
     Parameters
     ----------
@@ -76,7 +90,11 @@ class StageNode(ManagedNode):
         self._durations = {"read": Durations(), "write": Durations()}
         self._latency = LoopLatency()
         self._failed: Counter[str] = Counter()  # in a row
+        self._late: dict[str, Call] = {}  # calls that have not ended in time
+        self._driver = DriverThread()
+        self._opened = False  # told by the driver's thread
         self._connected = self._ending = False
+        self._cut = threading.Event()  # ends the way to the safe value
         self.begin()
         self.start_timer(READ_PHASE)
 
@@ -116,38 +134,48 @@ class StageNode(ManagedNode):
         Raises
         ------
         InputError
-            When the device gives a voltage or a measurement of another form.
+            When the device does not answer, or gives a voltage or a measurement that cannot be one.
         """
+        if not self._driver.ended(LONGEST_ANSWER):
+            raise InputError(self._silence or "is still on the way to its safe command: try again")
+        self._driver = DriverThread()
+        self._cut.clear()
         try:
-            self.connect()
-            self._connected = True
-            self._actuator.start_from(self._checked("initial_command", self.initial_command()))
-            found = self.read()
+            rest, found = self._waited_for(self._driver.call(self._open))
+            self._actuator.start_from(self._rest(rest))
             if found is not None:
                 self._checked("read", found)
         except BaseException:
-            self.clean_up()
+            self._driver.end(self._leave)
+            self._driver.ended(LONGEST_SILENCE)
             raise
         self._failed.clear()
+        self._late.clear()
+        self._connected = True
 
     def clean_up(self) -> None:
-        if self._connected:
-            self._connected = False
-            try:
-                self.disconnect()
-            except Exception as error:  # a driver may raise anything; it must not hide why the node disconnects
-                self.get_logger().warning(f"disconnect: {str(error) or type(error).__name__}")
+        self._connected = False
+        self._driver.end(self._leave)
 
     def tick(self, tick: int) -> None:
+        if not self._connected or not all(call.ended() for call in self._late.values()):
+            self._wait(tick)
+            return
+        late, self._late = self._late, {}
+        for what, call in late.items():
+            self._succeeded(what, call)  # too old to be used, but what was raised counts
         if not self._connected:
             return
-        measured = self._attempt("read", self._measured)
-        if measured is not None:
-            self._latency.sent(tick)
-            self.measurement.send(tick, measured[None])
-        voltage = self._actuator.voltage(tick, self.working and not self._ending)
-        if self._actuator.watchdog.armed and self._connected:
-            self._attempt("write", lambda: self.write(voltage.copy()))
+        voltage = self._actuator.wanted(tick, self.working and not self._ending)
+        reading = self._driver.call(self._read)  # both at once: the thread is woken once
+        writing = self._driver.call(partial(self._write, voltage)) if self._actuator.watchdog.armed else None
+        if self._succeeded("read", reading):
+            self._publish(tick, reading.result)
+        if writing is not None:
+            if "read" in self._late:
+                writing.cancel()  # it would come late
+            else:
+                self._succeeded("write", writing)
         self._actuator.report(tick)
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
@@ -161,12 +189,25 @@ class StageNode(ManagedNode):
 
     @property
     def wound_down(self) -> bool:
-        return self._actuator.safe or not self._connected
+        if self._driver.silent_for > LONGEST_SILENCE:
+            return True
+        return self._actuator.safe if self._connected else self._driver.ended()
 
     def close(self) -> None:
+        if self._ending:  # it had the time to go to its safe value, or shall not take it
+            self._cut.set()
         self.clean_up()
+        end = time.monotonic() + LONGEST_LEAVE
+        while not self._driver.ended(0.01):
+            if self._driver.silent_for > LONGEST_SILENCE:
+                self.get_logger().error(f"{self._silence}: ended without disconnecting; the actuator keeps what it has")
+                return
+            if time.monotonic() > end:
+                self._cut.set()
 
     def trouble(self) -> str:
+        if self._silence:
+            return self._silence
         if self.state == UNCONFIGURED and self.ever_active:
             return "the device has failed: call ~/reset to connect again"
         for what, count in self._failed.items():
@@ -182,17 +223,67 @@ class StageNode(ManagedNode):
             **self._latency.entries(),
         }
 
-    def _measured(self) -> Array | None:
-        """The sensor's values (A,); None when there is no new or no usable one."""
+    def _open(self) -> tuple[ArrayLike, ArrayLike | None]:
+        """Connect: the voltage and the measurement that are there; in the driver's thread, as what follows."""
+        self.connect()
+        self._opened = True
+        return self.initial_command(), self.read()
+
+    def _read(self) -> Array | None:
         found = self.read()
-        if found is None:
+        return None if found is None else self._checked("read", found)
+
+    def _write(self, voltage: Array) -> None:
+        self.write(voltage.copy())
+        self._actuator.watchdog.written(voltage)
+
+    def _leave(self) -> None:
+        """Take the actuator to its safe command while `write` works, and disconnect: the only way to do so."""
+        if not self._opened:
+            return
+        try:
+            while not self._actuator.safe and not self._cut.wait(self.period):
+                self._write(self._actuator.watchdog.wanted(None))
+                self._driver.answers()
+        except Exception as error:  # a driver may raise anything
+            self.get_logger().error(f"on the way to the safe command, write: {_reason(error)}: the actuator keeps what it has")
+        self._opened = False
+        try:
+            self.disconnect()
+        except Exception as error:  # it must not hide why the node disconnects
+            self.get_logger().warning(f"disconnect: {_reason(error)}")
+
+    def _waited_for(self, call: Call) -> Any:
+        """Result of a call that may take long, unless the node is interrupted meanwhile."""
+        end, before = time.monotonic() + LONGEST_CONNECT, interrupts.received()
+        while not call.ended(0.1):
+            if interrupts.received() and not before:
+                raise InputError("interrupted")
+            if time.monotonic() > end:
+                raise InputError(self._silence)
+        if call.error is not None:
+            raise call.error
+        return call.result
+
+    def _rest(self, found: ArrayLike) -> Array:
+        """The voltage (A,) that the actuator has, V; refused when it cannot be one that this node has written."""
+        values, limits = self._checked("initial_command", found), self._actuator.limits
+        slack = ROUNDING * (limits.upper - limits.lower)
+        if not np.all((limits.lower - slack <= values) & (values <= limits.upper + slack)):
+            raise InputError(
+                f"initial_command() must return what is on the actuator, within lower and upper, {limits.lower:g} to {limits.upper:g} V, "
+                f"got {values.tolist()}: convert the readback to V, or bring the actuator there"
+            )
+        return np.clip(values, limits.lower, limits.upper)
+
+    def _publish(self, tick: int, measured: Array | None) -> None:
+        if measured is None:
             self.counts["measurement: none new"] += 1
-            return None
-        values = self._checked("read", found)
-        if not np.all(np.abs(values) <= LARGEST_VALUE):
-            self.drop("measurement", "not finite", f"read() returned {values.tolist()}")
-            return None
-        return values
+        elif np.all(np.abs(measured) <= LARGEST_VALUE):
+            self._latency.sent(tick)
+            self.measurement.send(tick, measured[None])
+        else:
+            self.drop("measurement", "not finite", f"read() returned {measured.tolist()}")
 
     def _checked(self, what: str, found: ArrayLike) -> Array:
         values = np.asarray(found, dtype=np.float64).reshape(-1)
@@ -200,21 +291,44 @@ class StageNode(ManagedNode):
             raise InputError(f"{what}() must return {len(self.axes)} values, one per axis ({', '.join(self.axes)}), got {found!r}")
         return values
 
-    def _attempt(self, what: str, call: Callable[[], Array | None]) -> Array | None:
-        """Result of a call of the device; None when it fails, which is counted."""
-        begin = time.monotonic()
-        try:
-            result = call()
-        except Exception as error:  # a driver may raise anything
-            self._failed[what] += 1
-            self.counts[f"{what}: failed"] += 1
-            reason = f"{what}: {str(error) or type(error).__name__}"
-            self.warn(f"{what}: failed", reason)
-            if isinstance(error, ConnectionError) and self.settings.failures:
-                self.fail(f"the connection is lost, {reason}")
-            elif 0 < self.settings.failures <= self._failed[what]:
-                self.fail(f"{self._failed[what]} failures in a row, {reason}")
-            return None
-        self._durations[what].add(time.monotonic() - begin)
-        self._failed[what] = 0
-        return result
+    def _succeeded(self, what: str, call: Call) -> bool:
+        """True when a call of the driver has ended without an exception, which is counted, as its lateness is."""
+        if not call.ended(self._patience):
+            self._late[what] = call
+            self.counts[f"{what}: no answer"] += 1
+            return False
+        if call.error is None:
+            self._durations[what].add(call.seconds)
+            self._failed[what] = 0
+            return True
+        self._failed[what] += 1
+        self.counts[f"{what}: failed"] += 1
+        reason = f"{what}: {_reason(call.error)}"
+        self.warn(f"{what}: failed", reason)
+        if self._connected and isinstance(call.error, ConnectionError) and self.settings.failures:
+            self.fail(f"the connection is lost, {reason}")
+        elif self._connected and 0 < self.settings.failures <= self._failed[what]:
+            self.fail(f"{self._failed[what]} failures in a row, {reason}")
+        return False
+
+    def _wait(self, tick: int) -> None:
+        """Say what is on the actuator while the driver does not answer, or goes to the safe command to disconnect."""
+        if self._connected:
+            self._actuator.wanted(tick, allowed=False)  # is not written, so the command is approached again afterwards
+        if not self._driver.ended():
+            self._actuator.tell(tick)
+
+    @property
+    def _patience(self) -> float:
+        """Time in s for which a tick waits for the driver."""
+        return float(max(2.0 * self.tick_timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
+
+    @property
+    def _silence(self) -> str:
+        """Says that the driver does not answer; "" when it does."""
+        seconds = self._driver.silent_for
+        return f"driver does not answer since {seconds:.1f} s" if seconds > self._patience else ""
+
+
+def _reason(error: BaseException) -> str:
+    return str(error) or type(error).__name__

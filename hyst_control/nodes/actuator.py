@@ -80,7 +80,7 @@ class Actuator:
         return not self.watchdog.armed or bool(np.all(np.abs(self.watchdog.applied - self._safe) <= CLOSE))
 
     def voltage(self, tick: int, allowed: bool = True) -> Array:
-        """Voltage of a tick.
+        """Voltage of a tick, where nothing can keep it from being written.
 
         Parameters
         ----------
@@ -94,6 +94,12 @@ class Actuator:
         ndarray, shape (A,)
             The voltage, V.
         """
+        voltage = self.wanted(tick, allowed)
+        self.watchdog.written(voltage)
+        return voltage
+
+    def wanted(self, tick: int, allowed: bool = True) -> Array:
+        """Voltage (A,) to be written in a tick, V; once it is, the watchdog is to be told."""
         rows, node = self.command.rows, self.node
         command = rows.newest(tick)
         trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.longest_age
@@ -102,7 +108,7 @@ class Actuator:
             if within is not command:
                 self.limited += bool(np.abs(within - command).max() > CLOSE)
                 command = within
-        return self.watchdog.apply(command, trusted)
+        return self.watchdog.wanted(command, trusted)
 
     def report(self, tick: int) -> None:
         """Publish what is on the actuator, unless that is the command, and warn when the watchdog has taken over.
@@ -119,9 +125,13 @@ class Actuator:
             node.warn("stale", f"no command for {node.longest_age:g} s: the actuator goes to its safe value")
         elif self._contradicted:
             node.warn("contradicted", "two sources of command: the actuator goes to its safe value")
-        if tick - self._said >= INTERVAL / node.period:
+        self.tell(tick)
+
+    def tell(self, tick: int) -> None:
+        """Publish what is on the actuator, every `INTERVAL`."""
+        if tick - self._said >= INTERVAL / self.node.period:
             self._said = tick
-            self.output.send(tick, watchdog.applied[None])
+            self.output.send(tick, self.watchdog.applied[None])
 
     def trouble(self) -> str:
         """Reason for a warning; "" when the actuator follows the command or never had one."""

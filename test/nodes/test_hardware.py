@@ -7,103 +7,20 @@ import time
 import numpy as np
 import pytest
 from gcs_controller import GAIN, RANGE, GcsController
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import GetState
 from loop_case import MODEL
+from stage_bed import LOWER, PERIOD, RATE, SAFE, SETTINGS, UPPER, Bed, Drive, change, failed_calls
 from std_srvs.srv import Trigger
 
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.errors import InputError
-from hyst_control.hardware import StageNode, physik_instrumente
+from hyst_control.hardware import physik_instrumente
 from hyst_control.hardware import simulated_converter as simulated
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.managed import UNCONFIGURED
 from hyst_control.nodes.pi_feedback import PiFeedback
-
-RATE = 200.0
-PERIOD = 1 / RATE
-LOWER, UPPER, SLEW, SAFE, SAFE_RATE, TIMEOUT = -5.0, 60.0, 2000.0, 3.0, 1000.0, 0.25
-SETTINGS = dict(
-    rate_hz=RATE,
-    lower=LOWER,
-    upper=UPPER,
-    slew_limit=SLEW,
-    safe_command=[SAFE],
-    safe_rate=SAFE_RATE,
-    timeout=TIMEOUT,
-    failures=5,
-)
-
-
-class Drive(StageNode):
-    """A stage of 0.1 um/V that remembers what was written."""
-
-    def __init__(self, **options):
-        self.written: list[float] = []
-        self.connections = self.open = 0
-        self.fault = ""
-        self.answer = None
-        super().__init__(**options)
-
-    def connect(self):
-        if self.fault == "connect":
-            raise OSError("no such device")
-        self.connections += 1
-        self.open += 1
-
-    def disconnect(self):
-        self.open -= 1
-        if self.fault in ("disconnect", "read and disconnect"):
-            raise OSError("already closed")
-
-    def initial_command(self):
-        return [20.0]
-
-    def read(self):
-        if self.fault in ("read", "read and disconnect"):
-            raise OSError("sensor error")
-        if self.fault == "connection":
-            raise ConnectionResetError("the device has gone")
-        return self.answer if self.answer is not None else [0.1 * (self.written[-1] if self.written else 20.0)]
-
-    def write(self, command):
-        if self.fault == "write":
-            raise OSError("converter error")
-        assert command.shape == (1,)
-        self.written.append(float(command[0]))
-
-
-def failed_calls(node):
-    """Number of calls of the device that have failed."""
-    return node.counts["read: failed"] + node.counts["write: failed"]
-
-
-class Bed:
-    """A stage, and a source of commands on the clock of this machine."""
-
-    def __init__(self, bench, make=Drive, label="t[s],x[V]", **changes):
-        self.bench, self.value, self.sending = bench, 40.0, True
-        bench.listen("measurement", "applied")
-        bench.listen_to_diagnostics()
-        self.node = bench.add(make, **{**SETTINGS, **changes})
-        self.sender = bench.sender("command", label)
-        self.timer = bench.probe.create_timer(PERIOD, self.feed)
-
-    def feed(self):
-        if self.sending:
-            tick = int(time.monotonic() / PERIOD)
-            self.sender.send(np.array([[tick * PERIOD, *np.atleast_1d(self.value)]]))
-
-    @property
-    def last(self):
-        return self.node.written[-1] if self.node.written else None
-
-    def assert_sound(self, begin=20.0):
-        """Every written value is in range, and none is further from the one before than the slope allows."""
-        written = np.array([begin, *self.node.written])
-        assert np.isfinite(written).all() and written.min() >= LOWER and written.max() <= UPPER
-        assert np.abs(np.diff(written)).max() <= SLEW * PERIOD * (1 + 1e-9)
 
 
 def test_limits_are_kept_from_where_the_actuator_is():
@@ -149,70 +66,6 @@ def test_measurements_have_the_tick_of_the_machines_clock_once_and_nothing_is_wr
     assert abs(float(bench.said["/stage: loop"]["offset to ROS time [s]"]) - (time.time() - time.monotonic())) < 1.0
 
 
-def test_failed_reads_are_counted_and_end_in_a_device_that_can_be_connected_again(bench):
-    bed = Bed(bench, failures=40)
-    bench.until(lambda: bed.last == 40.0)
-    bed.node.fault = "read"
-    bench.until(lambda: bed.node.counts["read: failed"] >= 3)
-    assert bed.node.state == "active" and bed.node.trouble() == "read fails"
-    bench.until(lambda: bed.node.state == "unconfigured")
-    assert bed.node.open == 0 and "call ~/reset" in bed.node.trouble()
-    count = len(bed.node.written)
-    answer = bench.call(Trigger, "stage/reset", Trigger.Request())
-    assert not answer.success and "sensor error" in answer.message
-    bed.node.fault = ""
-    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
-    bench.until(lambda: len(bed.node.written) > count and bed.last == 40.0)
-    assert bed.node.connections == 3 and bed.node.open == 1
-    bed.assert_sound(begin=20.0) if count == 0 else None
-
-
-def test_lost_connection_disconnects_at_once(bench):
-    bed = Bed(bench, failures=10**6)
-    bench.until(lambda: bed.last == 40.0)
-    bed.node.fault = "connection"
-    bench.until(lambda: bed.node.state == UNCONFIGURED)
-    assert failed_calls(bed.node) == 1 and bed.node.open == 0
-    bed.node.fault = ""
-    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
-    assert bed.node.connections == 2 and bed.node.open == 1
-
-
-def test_lost_connection_is_kept_where_failures_never_disconnect(bench):
-    bed = Bed(bench, failures=0)
-    bench.until(lambda: bed.last == 40.0)
-    bed.node.fault = "connection"
-    bench.until(lambda: failed_calls(bed.node) > 3)
-    assert bed.node.state == "active" and bed.node.open == 1
-
-
-def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
-    bed = Bed(bench, failures=3)
-    bench.until(lambda: bed.last == 40.0)
-    bed.node.fault = "read and disconnect"
-    bench.until(lambda: bed.node.state == "unconfigured")
-    answer = bench.call(Trigger, "stage/reset", Trigger.Request())
-    assert not answer.success and "sensor error" in answer.message
-    bed.node.fault = "disconnect"
-    assert bench.call(Trigger, "stage/reset", Trigger.Request()).success
-    bed.node.close()
-    assert bed.node.open == 0
-
-
-def test_failed_writes_and_useless_readings_are_counted(bench):
-    bed = Bed(bench, failures=0)
-    bench.until(lambda: bed.last == 40.0)
-    bed.node.fault = "write"
-    bench.until(lambda: bed.node.counts["write: failed"] > 10)
-    bed.node.fault, count = "", len(bench.rows("measurement"))
-    for answer, key in (([np.nan], "measurement: not finite"), ([1.0, 2.0], "read: failed")):
-        bed.node.answer = answer
-        bench.until(lambda key=key: bed.node.counts[key] > 3)
-    bed.node.answer = None
-    bench.until(lambda: len(bench.rows("measurement")) > count + 5)
-    assert bed.node.state == "active" and np.isfinite(bench.rows("measurement")).all()
-
-
 WRONG = [
     (dict(upper=-10.0), "parameter upper: must be above lower"),
     (dict(safe_command=[90.0]), "parameter safe_command: must be within lower and upper"),
@@ -228,12 +81,6 @@ def test_what_a_stage_cannot_be_is_one_line(bench, changes, reason):
     with pytest.raises(InputError, match=reason) as error:
         bench.add(Drive, **{**SETTINGS, **changes})
     assert "\n" not in str(error.value) and str(error.value).startswith("stage: ")
-
-
-def change(bench, node, label):
-    request = ChangeState.Request()
-    request.transition.label = label
-    return bench.call(ChangeState, f"{node}/change_state", request).success
 
 
 def state(bench, node):
