@@ -6,6 +6,7 @@ needs two exchanges over the network, about a millisecond each: 100 to 300 Hz ar
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -25,12 +26,12 @@ ERROR_CHECK_INTERVAL = 1.0
 """s, between two questions for the controller's error, which would cost a third exchange at every tick."""
 
 ANSWER_TIMEOUT = 1.0
-"""s. The node waits this long for an answer and does nothing else meanwhile. Then it gives the connection up, because an answer that
-comes later would be taken for that of the next question."""
+"""s. The driver waits this long for an answer. Then it gives the connection up, because an answer that comes later would be taken for
+that of the next question; voltages, which have no answer, can still be set."""
 
 
 class GcsController:
-    """Connection with one controller; all that is used of `pipython` is here. Every question raises `ConnectionError` without an answer.
+    """Connection with one controller; all that is used of `pipython` is here. A question without an answer raises `ConnectionError`.
 
     Parameters
     ----------
@@ -114,6 +115,7 @@ class GcsController:
             return question(*arguments)
         except self._errors.GCSError as error:
             if error == self._errors.E_7_COM_TIMEOUT:
+                self._checked = math.inf  # nothing is asked any more
                 raise ConnectionError(f"no answer for {ANSWER_TIMEOUT:g} s") from None
             raise
 

@@ -91,6 +91,10 @@ class SimulatedStage(StageNode):
             )
         self.converter = Converter(Simulator(model, self.period), len(self.axes), self.period, given.output_step, given.input_step)
 
+    def initial_command(self) -> Array:
+        """Voltage (A,) that the converter holds, V."""
+        return self.converter.voltage
+
     def read(self) -> Array:
         """Measurement (A,), um or mrad."""
         return self.converter.sample()

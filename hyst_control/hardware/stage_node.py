@@ -22,6 +22,7 @@ from hyst_control.nodes.duration_histogram import Durations
 from hyst_control.nodes.loop_latency import LoopLatency
 from hyst_control.nodes.managed import AUTOSTART, UNCONFIGURED, ManagedNode
 from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.run import LONGEST_WIND_DOWN
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 
@@ -32,11 +33,9 @@ READ_PHASE = 0.1
 LONGEST_ANSWER = 0.5
 """s, for which a tick waits for the driver at most, unless two ticks are longer."""
 LONGEST_CONNECT = 30.0
-"""s, for which a device may take to connect, and to go to its safe value and disconnect before."""
+"""s, for which connecting may take, with the first questions."""
 LONGEST_SILENCE = 2.0
 """s; a driver that does not answer for longer keeps the node from ending no more."""
-LONGEST_LEAVE = 8.0
-"""s, for which a node that is closed goes to its safe value at most; as an interrupted one does, see `run.LONGEST_WIND_DOWN`."""
 ROUNDING = 0.01
 """Share of the range by which `initial_command` may lie outside it: the converter's steps, and the error of what reads it back."""
 
@@ -102,11 +101,14 @@ class StageNode(ManagedNode):
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
 
     def disconnect(self) -> None:
-        """Close the device; called however the node ends, and also when the device has failed. An exception is logged and ignored."""
+        """Close the device; called however the node ends, and also when the device has failed. An exception is logged and ignored.
+
+        The actuator is at `safe_command` by then, as far as `write` works.
+        """
 
     def initial_command(self) -> ArrayLike:
-        """Voltage (A,) that is on the actuator when the node starts, V; 0 V unless a subclass knows better."""
-        return np.zeros(len(self.axes))
+        """Voltage (A,) that is on the actuator once the device is connected, V; what was written last, at first 0 V, by default."""
+        return self._actuator.watchdog.applied
 
     def read(self) -> ArrayLike | None:
         """Read the sensor.
@@ -140,6 +142,7 @@ class StageNode(ManagedNode):
             raise InputError(self._silence or "is still on the way to its safe command: try again")
         self._driver = DriverThread()
         self._cut.clear()
+        self._actuator.start_from(self._actuator.watchdog.applied)  # nothing is written unless there is a command
         try:
             rest, found = self._waited_for(self._driver.call(self._open))
             self._actuator.start_from(self._rest(rest))
@@ -189,17 +192,15 @@ class StageNode(ManagedNode):
 
     @property
     def wound_down(self) -> bool:
-        if self._driver.silent_for > LONGEST_SILENCE:
-            return True
-        return self._actuator.safe if self._connected else self._driver.ended()
+        return self._gone or (self._actuator.safe if self._connected else self._driver.ended())
 
     def close(self) -> None:
         if self._ending:  # it had the time to go to its safe value, or shall not take it
             self._cut.set()
         self.clean_up()
-        end = time.monotonic() + LONGEST_LEAVE
+        end = time.monotonic() + LONGEST_WIND_DOWN
         while not self._driver.ended(0.01):
-            if self._driver.silent_for > LONGEST_SILENCE:
+            if self._gone:
                 self.get_logger().error(f"{self._silence}: ended without disconnecting; the actuator keeps what it has")
                 return
             if time.monotonic() > end:
@@ -322,6 +323,11 @@ class StageNode(ManagedNode):
     def _patience(self) -> float:
         """Time in s for which a tick waits for the driver."""
         return float(max(2.0 * self.tick_timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
+
+    @property
+    def _gone(self) -> bool:
+        """True when the driver has not answered for so long that the node ends without it."""
+        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.tick_timer.interval)
 
     @property
     def _silence(self) -> str:

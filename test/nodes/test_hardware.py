@@ -247,6 +247,7 @@ def test_controller_of_physik_instrumente_through_its_own_package(bench):
 def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(bench, monkeypatch):
     pytest.importorskip("pipython", reason="PI's package: pip install PIPython")
     monkeypatch.setattr(physik_instrumente, "ANSWER_TIMEOUT", 0.2)
+    monkeypatch.setattr(physik_instrumente, "ERROR_CHECK_INTERVAL", 0.1)
     with GcsController() as controller:
         settings = {"host": "127.0.0.1", "port": controller.port, "controller_axes": ["2"]}
         bed = Bed(bench, PhysikInstrumenteStage, **settings)
@@ -255,6 +256,7 @@ def test_controller_of_physik_instrumente_that_falls_silent_is_connected_again(b
         bench.until(lambda: bed.node.state == UNCONFIGURED)
         assert failed_calls(bed.node) == 1
         bench.until(lambda: controller.connections == 0)
+        assert controller.voltage["2"] == SAFE
         with pytest.raises(InputError, match=r"Timeout.*is this a controller of Physik Instrumente\?"):
             bench.add(PhysikInstrumenteStage, **{**SETTINGS, **settings})
         controller.silent = False

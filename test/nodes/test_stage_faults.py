@@ -15,7 +15,7 @@ from stage_bed import LOWER, PERIOD, SAFE, SAFE_RATE, SETTINGS, UPPER, Bed, Driv
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
-from hyst_control.hardware import stage_node
+from hyst_control.hardware import StageNode, stage_node
 from hyst_control.nodes.managed import UNCONFIGURED
 
 
@@ -74,6 +74,31 @@ def test_connection_is_kept_where_failures_never_disconnect(bench, fault):
     assert bed.node.state == "active" and bed.node.open == 1 and bed.last == 40.0
 
 
+def test_nothing_is_written_where_the_voltage_is_not_known_after_another_connection(bench):
+    bed = moving(bench)
+    bed.node.fault = "connection, deaf"
+    bench.until(lambda: bed.node.left)
+    bed.node.fault, count = "", len(bed.node.written)
+    bed.node.initial_command = lambda: [498.0]
+    assert WRONG in reset(bench).message
+    assert len(bed.node.written) == count and bed.node.left == [40.0, 40.0]
+    del bed.node.initial_command
+    bed.node.PRESENT = [40.0]
+    assert reset(bench).success
+
+
+def test_stage_that_cannot_be_asked_for_its_voltage_begins_where_it_was_left(bench, monkeypatch):
+    monkeypatch.setattr(Drive, "initial_command", StageNode.initial_command)
+    bed = moving(bench, safe_rate=100.0)
+    assert bed.node.written[0] == 100.0 * PERIOD  # from 0 V
+    bed.node.fault = "connection"
+    bench.until(lambda: bed.node.left)
+    bed.node.fault, count = "", len(bed.node.written)
+    assert reset(bench).success
+    bench.until(lambda: len(bed.node.written) > count)
+    assert bed.node.written[count] == pytest.approx(SAFE + 100.0 * PERIOD)
+
+
 def test_cleanup_after_deactivate_takes_the_actuator_to_its_safe_command_first(bench):
     bed = moving(bench)
     for transition in ("deactivate", "cleanup", "configure", "activate"):
@@ -85,7 +110,7 @@ def test_cleanup_after_deactivate_takes_the_actuator_to_its_safe_command_first(b
 
 
 def test_way_to_a_safe_command_that_takes_long_ends_with_the_node(bench, monkeypatch):
-    monkeypatch.setattr(stage_node, "LONGEST_LEAVE", 0.2)
+    monkeypatch.setattr(stage_node, "LONGEST_WIND_DOWN", 0.2)
     beds = [moving(bench, safe_rate=100.0) for _ in range(2)]
     bench.nodes.clear()
     beds[0].node.close()
@@ -238,6 +263,35 @@ def test_device_that_does_not_connect_is_one_line_and_is_disconnected_when_it_do
     bench.until(lambda: bed.node.left)
     assert bed.node.open == 0 and bed.node.left == [None]
     assert change(bench, "stage", "configure") and bed.node.open == 1
+
+
+def test_interrupt_ends_the_waiting_for_a_device_that_does_not_connect(bench, monkeypatch):
+    monkeypatch.setattr(stage_node, "LONGEST_SILENCE", 0.1)
+    asked = iter([False, False, True])
+    monkeypatch.setattr(stage_node.interrupts, "received", lambda: next(asked))
+    bed = Bed(bench, autostart=False)
+    bed.node.fault = "hanging connect"
+    assert not change(bench, "stage", "configure") and bed.node._refusal == "interrupted"
+    bed.node.answering.set()
+
+
+def test_stage_whose_sensor_has_nothing_yet_can_be_configured(bench, monkeypatch):
+    monkeypatch.setattr(Drive, "read", lambda self: None)
+    bed = moving(bench)
+    assert bed.node.state == "active" and bed.node.counts["measurement: none new"] > 0
+
+
+@pytest.mark.parametrize("method", ["read", "write"])
+def test_method_that_a_stage_lacks_is_named(bench, monkeypatch, method):
+    monkeypatch.setattr(Drive, method, getattr(StageNode, method))
+    bed = Bed(bench, autostart=False)
+    assert change(bench, "stage", "configure") == (method == "write")
+    if method == "read":
+        assert bed.node._refusal == "Drive has no read()"
+        return
+    assert change(bench, "stage", "activate")
+    bench.until(lambda: bed.node.left)
+    assert bed.node.counts["write: failed"] == SETTINGS["failures"]
 
 
 PROGRAM = """
