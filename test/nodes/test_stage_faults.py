@@ -255,9 +255,9 @@ def test_device_that_does_not_connect_is_one_line_and_is_disconnected_when_it_do
         monkeypatch.setattr(stage_node, name, 0.3)
     bed = Bed(bench, autostart=False)
     bed.node.fault = "hanging connect"
-    for line in ("driver does not answer since 0.3 s", "driver does not answer since "):
+    for _ in range(2):
         assert not change(bench, "stage", "configure")
-        assert line in bed.node._refusal
+        assert bed.node._refusal.startswith("driver does not answer since ")
     assert bed.node.connections == 0
     bed.node.answering.set()
     bench.until(lambda: bed.node.left)
