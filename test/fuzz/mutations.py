@@ -181,6 +181,7 @@ def put_in(path: Path, name: str, tree: ast.Module) -> None:
         The new text.
     """
     importlib.import_module(name)
+    gc.unfreeze()  # what is frozen is not among the objects that the collector lists
     new = dict(_codes(compile(tree, str(path), "exec", dont_inherit=True)))
     for function in [each for each in gc.get_objects() if isinstance(each, FunctionType)]:
         code = function.__code__
