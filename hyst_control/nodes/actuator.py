@@ -99,7 +99,7 @@ class Actuator:
         return voltage
 
     def wanted(self, tick: int, allowed: bool = True) -> Array:
-        """Voltage (A,) to be written in a tick, V; once it is, the watchdog is to be told."""
+        """Voltage (A,) to be written in a `tick`, V, the way to the safe value unless `allowed`; the watchdog is to be told once it is."""
         rows, node = self.command.rows, self.node
         command = rows.newest(tick)
         trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.longest_age

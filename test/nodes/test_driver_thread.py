@@ -52,7 +52,11 @@ def test_call_that_hangs_is_waited_for_no_longer_than_wanted_and_cancels_what_is
     thread, go, seen = DriverThread(), threading.Event(), []
     assert thread.call(lambda: None).ended(10.0)
     until(lambda: thread.silent_for == 0.0)
-    hanging, behind, last = thread.call(go.wait), thread.call(lambda: seen.append("behind")), thread.call(lambda: seen.append("last"))
+    hanging, behind, last = (
+        thread.call(go.wait),
+        thread.call(lambda: seen.append("behind")),
+        thread.call(lambda: seen.append("last")),
+    )
     assert not hanging.ended(0.05) and not hanging.ended()
     assert 0.04 < thread.silent_for < 10.0
     thread.answers()

@@ -66,6 +66,18 @@ def test_device_that_has_failed_can_be_connected_again(bench):
     assert abs(bed.node.written[count] - 20.0) <= SAFE_RATE * PERIOD * (1 + 1e-9)  # from what the actuator was said to have
 
 
+def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
+    bed = moving(bench)
+    bed.node.fault = "read and disconnect"
+    bench.until(lambda: bed.node.left)
+    answer = reset(bench)
+    assert not answer.success and "sensor error" in answer.message
+    bed.node.fault = "disconnect"
+    assert reset(bench).success
+    bed.node.close()
+    assert bed.node.open == 0
+
+
 @pytest.mark.parametrize("fault", ["read", "connection"])
 def test_connection_is_kept_where_failures_never_disconnect(bench, fault):
     bed = moving(bench, failures=0)
