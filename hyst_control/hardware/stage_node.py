@@ -164,10 +164,10 @@ class StageNode(ManagedNode):
         if not self._connected or not all(call.ended() for call in self._late.values()):
             self._wait(tick)
             return
-        late, self._late = self._late, {}
-        for what, call in late.items():
-            self._succeeded(what, call)  # too old to be used, but what was raised counts
-        if not self._connected:
+        if self._late:
+            late, self._late = self._late, {}
+            for what, call in late.items():
+                self._succeeded(what, call)  # too old to be used, but what was raised counts
             return
         voltage = self._actuator.wanted(tick, self.working and not self._ending)
         reading = self._driver.call(self._read)  # both at once: the thread is woken once

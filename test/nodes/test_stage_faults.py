@@ -66,7 +66,7 @@ def test_device_that_has_failed_can_be_connected_again(bench):
     assert abs(bed.node.written[count] - 20.0) <= SAFE_RATE * PERIOD * (1 + 1e-9)  # from what the actuator was said to have
 
 
-def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench):
+def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_from_its_end(bench, capfd):
     bed = moving(bench)
     bed.node.fault = "read and disconnect"
     bench.until(lambda: bed.node.left)
@@ -75,7 +75,7 @@ def test_device_that_cannot_be_disconnected_hides_no_reason_and_keeps_no_node_fr
     bed.node.fault = "disconnect"
     assert reset(bench).success
     bed.node.close()
-    assert bed.node.open == 0
+    assert bed.node.open == 0 and capfd.readouterr().err.count("disconnect: already closed") == 3
 
 
 @pytest.mark.parametrize("fault", ["read", "connection"])
@@ -232,14 +232,23 @@ def test_driver_that_hangs_is_reported_and_the_command_is_approached_when_it_ans
     bed.node.fault = ""
     bed.node.answering.set()
     bench.until(lambda: bed.last == 10.0)
-    assert bed.node.counts[f"{fault.split()[1]}: no answer"] == 1 and bed.node.state == "active"
+    late = {name for name, count in bed.node.counts.items() if name.endswith("no answer") and count}
+    assert late == {f"{fault.split()[1]}: no answer"} and bed.node.state == "active"
     assert np.abs(np.diff([40.0, *bed.node.written[count:]])).max() <= SAFE_RATE * PERIOD * (1 + 1e-9)
     bench.until(lambda: not bench.says("stage", "driver does not answer"))
 
 
 def test_driver_that_fails_after_it_hung_is_a_lost_connection(bench):
     bed = moving(bench)
-    bed.node.fault = "hanging read, connection"
+    answers = iter([ConnectionResetError("the device has gone")])
+
+    def read():
+        bed.node.answering.wait()
+        for error in answers:
+            raise error
+        return [1.0]
+
+    bed.node.read = read
     bench.until(lambda: bed.node.trouble().startswith("driver does not answer"))
     bed.node.answering.set()
     bench.until(lambda: bed.node.left)
@@ -285,6 +294,13 @@ def test_interrupt_ends_the_waiting_for_a_device_that_does_not_connect(bench, mo
     bed.node.fault = "hanging connect"
     assert not change(bench, "stage", "configure") and bed.node._refusal == "interrupted"
     bed.node.answering.set()
+
+
+def test_measurement_of_another_form_is_refused_when_a_stage_is_configured(bench):
+    bed = Bed(bench, autostart=False)
+    bed.node.answer = [1.0, 2.0]
+    assert not change(bench, "stage", "configure")
+    assert bed.node._refusal.startswith("read() must return 1 values") and bed.node.open == 0
 
 
 def test_stage_whose_sensor_has_nothing_yet_can_be_configured(bench, monkeypatch):
