@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
 from stage_bed import LOWER, PERIOD, SAFE, SAFE_RATE, SETTINGS, UPPER, Bed, Drive, change, failed_calls
 from std_srvs.srv import Trigger
 
@@ -277,13 +278,14 @@ def test_device_that_does_not_connect_is_one_line_and_is_disconnected_when_it_do
     bed = Bed(bench, autostart=False)
     bed.node.fault = "hanging connect"
     for _ in range(2):
-        assert not change(bench, "stage", "configure")
+        assert bed.node.trigger_configure() == TransitionCallbackReturn.FAILURE
         assert bed.node._refusal.startswith("driver does not answer since ")
     assert bed.node.connections == 0
     bed.node.answering.set()
     bench.until(lambda: bed.node.left)
     assert bed.node.open == 0 and bed.node.left == [None]
-    assert change(bench, "stage", "configure") and bed.node.open == 1
+    bench.until(bed.node._driver.ended)
+    assert bed.node.trigger_configure() == TransitionCallbackReturn.SUCCESS and bed.node.open == 1
 
 
 def test_interrupt_ends_the_waiting_for_a_device_that_does_not_connect(bench, monkeypatch):
@@ -292,7 +294,7 @@ def test_interrupt_ends_the_waiting_for_a_device_that_does_not_connect(bench, mo
     monkeypatch.setattr(stage_node.interrupts, "received", lambda: next(asked))
     bed = Bed(bench, autostart=False)
     bed.node.fault = "hanging connect"
-    assert not change(bench, "stage", "configure") and bed.node._refusal == "interrupted"
+    assert bed.node.trigger_configure() == TransitionCallbackReturn.FAILURE and bed.node._refusal == "interrupted"
     bed.node.answering.set()
 
 
