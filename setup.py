@@ -64,7 +64,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "hyst = hyst_control.cli:main",
+            "hyst = hyst_control.processes.executables:hyst",
             *(f"{name} = hyst_control.processes.executables:{name}" for name, node in NODES.items() if node.installed),
         ]
     },

@@ -34,11 +34,11 @@ def load(group: str, add: Callable[[str, object], object] = lambda name, value: 
     for point in sorted(entry_points(group=f"hyst_control.{group}"), key=lambda point: point.name):
         try:
             add(point.name, point.load())
-        except Exception as error:  # of any kind: it is foreign code
+        except (Exception, SystemExit) as error:  # of any kind: it is foreign code
             logging.getLogger("hyst_control").warning("%s", _line(group, point, error))
 
 
-def _line(group: str, point: EntryPoint, error: Exception) -> str:
+def _line(group: str, point: EntryPoint, error: BaseException) -> str:
     where = "an unknown distribution" if point.dist is None else f"{point.dist.name} {point.dist.version}"
     reason = " ".join(f"{type(error).__name__}: {error}".split())
     return f"plugin {point.name} (hyst_control.{group}) of {where}: cannot be used ({reason}): update or uninstall {where}"

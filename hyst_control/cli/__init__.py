@@ -4,8 +4,9 @@ Other distributions add theirs by the entry points `hyst_control.commands`, as `
 
 A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and where it has
 such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people,
-`document()` for programs and, where it is not 0, an `exit_status`; or an exit status when it has printed everything itself. Imports
-of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are added here for every subcommand.
+`document()` for programs and, where it is not 0, an `exit_status`, with a line `refusal` where nothing came out; or an exit status when
+it has printed everything itself. Imports of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are
+added here for every subcommand.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import cast
 
 from hyst_control import plugins, progress
@@ -91,6 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit status: 0 when the subcommand finished, 2 on unusable input (one line names fault, place and remedy), 130 when interrupted.
     """
+    _interrupted_by(signal.SIG_DFL, argv)  # while commands are loaded, which a traceback would tell nothing about
     _open_what_is_closed()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -107,6 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that was started, as Ctrl-C does
     try:
+        _interrupted_by(signal.default_int_handler, argv)
         return run(arguments)
     except InputError as error:
         print(f"hyst {arguments.command}: {error}", file=sys.stderr)
@@ -130,6 +133,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
         return 130
+    finally:
+        _interrupted_by(signal.SIG_DFL, argv)  # while the interpreter ends
+
+
+def _interrupted_by(handler: signal.Handlers | Callable[[int, FrameType | None], object], argv: Sequence[str] | None) -> None:
+    """Set what Ctrl-C does to the process of a command, unless it was started with interrupts ignored, as by `nohup`."""
+    if argv is None and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, handler)
 
 
 def _open_what_is_closed() -> None:
@@ -183,4 +194,6 @@ def _run_and_print(arguments: argparse.Namespace) -> int:
     print(result.text())
     if arguments.json is not None:
         write_json(arguments.json, result.document())
+    if refusal := getattr(result, "refusal", ""):
+        print(f"hyst {arguments.command}: {refusal}", file=sys.stderr)
     return int(getattr(result, "exit_status", 0))

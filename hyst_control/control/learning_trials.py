@@ -20,6 +20,8 @@ from hyst_control.reporting.tables import Table
 
 KINDS = ("mhl_inverse", "hampi", "none")
 """Compensators of `best_compensator`, the best first."""
+MOST_ROWS = 20_000_000
+"""Samples of all trials together: their signals are kept."""
 LEARNED = "learned"
 TOPICS = ("reference", "feedback", "measurement")
 
@@ -44,6 +46,11 @@ def run_trials(
     """
     learner = description.start()
     periods = description.trials * (description.settling + description.averaged)
+    if periods * len(reference) > MOST_ROWS:
+        raise InputError(
+            f"trials: {description.trials} of {description.trial_rows} samples are too many to keep, "
+            f"{MOST_ROWS // description.trial_rows} are possible: take fewer, or fewer periods in each"
+        )
     return learner, run_learning_loop(np.tile(reference, (periods, 1)), compensator, controller, plant, learner)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import schur
 
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
@@ -115,10 +116,16 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
     back = (1.0 / z)[:, None, None]
     for s in range(systems):
         late = z[:, None, None] ** -running.whole[s * width : (s + 1) * width].astype(float)
-        state = np.linalg.solve(
-            np.eye(n) - running.a[s] * back, running.b[s, 0] + running.b[s, 1] * back + running.b[s, 2] * back**2
-        )
-        block = running.c[s] @ state + running.d[s, 0] + running.d[s, 1] * back
+        entering = running.b[s, 0] + running.b[s, 1] * back + running.b[s, 2] * back**2
+        # In the triangular form the states follow one from the other, at all frequencies at once.
+        triangle, turn = schur(running.a[s], output="complex")
+        entering = turn.conj().T @ entering
+        state = np.empty_like(entering)
+        for i in reversed(range(n)):
+            state[:, i] = (entering[:, i] + back[:, 0] * (triangle[i, i + 1 :] @ state[:, i + 1 :])) / (
+                1.0 - triangle[i, i] * back[:, 0]
+            )
+        block = (running.c[s] @ turn) @ state + running.d[s, 0] + running.d[s, 1] * back
         total[:, s * width : (s + 1) * width, s * width : (s + 1) * width] = block * late
     return total
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -289,9 +288,10 @@ def spread_responses(
     _, greatest = hysteresis_slopes(model)
     stages = linearised(model, greatest)
     responses = []
-    for mode, gain in product((1.0, 1.0 - mode_spread, 1.0 + mode_spread), (1.0, 1.0 - gain_spread, 1.0 + gain_spread)):
-        response = gain * sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
-        responses.append(response[:, np.arange(axes), np.arange(axes)].T * z**-loop_delay)
+    for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
+        response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
+        response = response[:, np.arange(axes), np.arange(axes)].T * z**-loop_delay
+        responses += [gain * response for gain in (1.0, 1.0 - gain_spread, 1.0 + gain_spread)]
     return np.concatenate(responses)
 
 

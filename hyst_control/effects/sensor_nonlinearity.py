@@ -27,16 +27,16 @@ static real bent_value(real u, real lower, real upper, real second, real third, 
 
 
 HIGHER = """
-static real higher_bend(real bend, real u, real lower, real upper, real fourth, real fifth)
+static real higher_bend(real bend, real u, real lower, real upper, real fourth, real fifth, real first)
 {
     const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
     const real square = minimum_of(maximum_of(x * x, R(0.0)), R(2.25));
     const real even = (fourth * ((((R(35.0) * square) - R(30.0)) * square) + R(3.0))) / R(8.0);
     const real odd = ((fifth * ((((R(63.0) * square) - R(70.0)) * square) + R(15.0))) * x) / R(8.0);
-    return (bend + even) + odd;
+    return ((bend + even) + odd) + (first * x);
 }
 """
-"""The bend with the fourth and fifth polynomial added."""
+"""The bend with the fourth, the fifth and the first polynomial added."""
 
 
 @register
@@ -82,8 +82,8 @@ class SensorNonlinearity(Stage):
         bend = "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i], p->zero[i])"
         functions: tuple[str, ...] = (BENT,)
         if higher:
-            constants |= {"fourth": fourth, "fifth": fifth}
-            bend = f"higher_bend({bend}, u, p->lower[i], p->upper[i], p->fourth[i], p->fifth[i])"
+            constants |= {"fourth": fourth, "fifth": fifth, "first": first}
+            bend = f"higher_bend({bend}, u, p->lower[i], p->upper[i], p->fourth[i], p->fifth[i], p->first[i])"
             functions = (BENT, MAXIMUM, MINIMUM, HIGHER)
         code = each_axis(
             f"u + {bend}", "sensor nonlinearity", {name: (value, unit) for name, value in constants.items()}, functions

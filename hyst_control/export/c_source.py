@@ -15,6 +15,7 @@ import numpy as np
 
 from hyst_control.chain.c_code.c_code import CCode, Member
 from hyst_control.errors import InputError
+from hyst_control.export.c_text import c_comment, c_identifier, c_identifiers
 
 REALS = ("double", "float")
 
@@ -56,7 +57,7 @@ class Program:
     Parameters
     ----------
     name
-        Prefix of everything in C.
+        From which the prefix of everything in C is made.
     code
         C of the filter.
     axes
@@ -83,6 +84,9 @@ class Program:
     def __post_init__(self) -> None:
         if self.real not in REALS:
             raise InputError(f"real: {self.real!r} is not one of {', '.join(REALS)}")
+        object.__setattr__(self, "name", c_identifier(self.name))
+        for unit in _units(self):
+            _check_numbers(unit.code, self.real)
 
     @property
     def exact(self) -> bool:
@@ -106,18 +110,6 @@ class Unit:
         return bool(self.code.state) or any(part.has_state for part in self.parts)
 
 
-def c_identifier(text: str) -> str:
-    """A text as a name of C.
-
-    Parameters
-    ----------
-    text
-        Such as a model's name.
-    """
-    name = re.sub(r"\W+", "_", text.strip(), flags=re.ASCII).strip("_").lower()
-    return name if name and not name[0].isdigit() else f"m_{name}"
-
-
 def header(program: Program) -> str:
     """Text of the header.
 
@@ -129,7 +121,7 @@ def header(program: Program) -> str:
     name, upper = program.name, program.name.upper()
     lines = [
         "/*",
-        *(f" * {line}".rstrip() for line in program.facts),
+        *(f" * {c_comment(fact)}".rstrip() for fact in program.facts),
         " *",
         f" * {name}_init(state)                    at rest with inputs of 0",
         f" * {name}_settle(state, in, out)         at rest with these inputs, for which all has settled",
@@ -198,7 +190,7 @@ def source(program: Program) -> str:
     units = _units(program)
     functions = list(dict.fromkeys(text.strip() for unit in units for text in unit.code.functions))
     texts = "\n".join([*functions, *(text for unit in units for text in (unit.code.step, unit.code.settle))])
-    lines = ["/*", *(f" * {line}".rstrip() for line in program.facts), " */", f'#include "{name}.h"', ""]
+    lines = ["/*", *(f" * {c_comment(fact)}".rstrip() for fact in program.facts), " */", f'#include "{name}.h"', ""]
     if MATH.search(texts) or re.search(r"\b(isnan|isfinite|INFINITY|NAN)\b", texts + _numbers(units)):
         lines += ["#include <math.h>", ""]
     lines += [f"typedef {name}_real real;", "", "#define R(value) ((real)(value))"]
@@ -255,7 +247,11 @@ def source(program: Program) -> str:
 
 
 def _slots(prefix: str, count: str, slots: tuple[Slot, ...]) -> list[str]:
-    rows = [f"    {prefix}_{slot.name.upper()} = {i}, /* {slot.text} */" for i, slot in enumerate(slots)]
+    names = c_identifiers([slot.name for slot in slots])
+    rows = [
+        f"    {prefix}_{name.upper()} = {i}, /* {c_comment(slot.text)} */"
+        for i, (name, slot) in enumerate(zip(names, slots, strict=True))
+    ]
     return ["enum {", *rows, f"    {count} = {len(slots)}", "};"]
 
 
@@ -293,7 +289,8 @@ def _dimensions(member: Member) -> str:
 
 def _state(program: Program, unit: Unit) -> list[str]:
     rows = [
-        f"    {_type(program, member)} {name}{_dimensions(member)}; /* {member.text} */" for name, member in unit.code.state.items()
+        f"    {_type(program, member)} {name}{_dimensions(member)}; /* {c_comment(member.text)} */"
+        for name, member in unit.code.state.items()
     ]
     rows += [f"    {part.name}_state part{i};" for i, part in enumerate(unit.parts) if part.has_state]
     return ["typedef struct {", *rows, f"}} {unit.name}_state;"]
@@ -306,7 +303,7 @@ def _constants(program: Program, unit: Unit) -> list[str]:
     rows, values = [], []
     for name, member in unit.code.constants.items():
         kind = _type(program, member)
-        rows.append(f"    {short.get(kind, kind)} {name}{_dimensions(member)}; /* {member.text} */")
+        rows.append(f"    {short.get(kind, kind)} {name}{_dimensions(member)}; /* {c_comment(member.text)} */")
         values.append(f"    {_initializer(member)}, /* {name} */")
     return [
         "typedef struct {",
@@ -348,6 +345,20 @@ def _hexadecimal(number: float) -> str:
     if number == int(number) and abs(number) < 2**53:
         return f"{number:.1f}"
     return re.sub(r"\.?0*p", "p", number.hex()) if ".0p" not in number.hex() else number.hex().replace(".0p", "p")
+
+
+def _check_numbers(code: CCode, real: str) -> None:
+    """Refuse what the types in C cannot hold."""
+    for name, size in code.sizes.items():
+        if abs(size) >= 2**31:
+            raise InputError(f"{code.title}: {name.lower()} = {size} is beyond an int of C: take a smaller one")
+    for name, member in code.constants.items():
+        size = float(np.abs(member.value[np.isfinite(member.value)]).max(initial=0))
+        if member.value.dtype.kind in "iub":
+            if size >= 2**31:
+                raise InputError(f"{code.title}: {name} = {size:.15g} is beyond an int of C: take a smaller one")
+        elif real == "float" and not member.wide and size > float(np.finfo(np.float32).max):
+            raise InputError(f"{code.title}: {name} = {size:g} is beyond float: export with --real double, or take other units")
 
 
 def _numbers(units: list[Unit]) -> str:

@@ -74,6 +74,12 @@ def write_folder(
     folder = Path(folder)
     values: dict[str, object] = {"name": program.name, "upper": program.name.upper(), "exact": int(program.exact)}
     values["plant"] = plant.program.name if plant else ""
+    _check_outputs(exported, program.real)
+    values["reals"] = _reals(exported)
+    values["limits"] = ()
+    if isinstance(exported.python, Controller):
+        law = exported.python.pi
+        values["limits"] = program.axes, float(law.lower).hex(), float(law.upper).hex()
     texts = {
         f"{program.name}.h": header(program),
         f"{program.name}.c": source(program),
@@ -122,9 +128,7 @@ def golden(exported: Exported) -> str:
     exported
         Program, and the same in Python.
     """
-    rows = golden_inputs(exported.spans)
-    start = np.atleast_2d(exported.python.settle(rows[0].copy()))
-    outputs = np.concatenate([start, exported.python.process(rows[1:])])
+    rows, outputs = _golden_rows(exported)
 
     def table(name: str, values: Array) -> list[str]:
         lines = [f"    {{{', '.join(float(value).hex() for value in row)}}}," for row in values]
@@ -136,6 +140,35 @@ def golden(exported: Exported) -> str:
         "",
     ]
     return "\n".join([*head, *table("golden_in", rows), *table("golden_out", outputs)])
+
+
+def _golden_rows(exported: Exported) -> tuple[Array, Array]:
+    """Inputs, and what Python makes of them."""
+    rows = golden_inputs(exported.spans)
+    with np.errstate(all="ignore"):  # what comes of it is looked at
+        start = np.atleast_2d(exported.python.settle(rows[0].copy()))
+        return rows, np.concatenate([start, exported.python.process(rows[1:])])
+
+
+def _check_outputs(exported: Exported, real: str) -> None:
+    """Refuse a program whose outputs are not finite, or too large or small for the type."""
+    program, largest = exported.program, float(np.abs(_golden_rows(exported)[1]).max())
+    held = np.finfo("float32" if real == "float" else "float64")
+    if not largest <= float(held.max) or 0 < largest < float(held.tiny / held.eps):
+        raise InputError(
+            f"{program.name}: its output reaches {largest:g} within its own range, which {real} cannot hold: "
+            "check the model's parameters and units"
+        )
+
+
+def _reals(exported: Exported) -> str:
+    """Types that the tests go through, as in the header: double, and float where it can hold all numbers."""
+    try:
+        replace(exported.program, real="float")
+        _check_outputs(exported, "float")
+    except InputError:
+        return "0"
+    return "0 1"
 
 
 def golden_inputs(spans: Array) -> Array:

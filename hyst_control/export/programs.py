@@ -18,7 +18,7 @@ from hyst_control.control.feedforward import RATE_FILTER, Compensator, build_com
 from hyst_control.control.pi import PI
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
-from hyst_control.export.c_source import Program, Slot, c_identifier
+from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
@@ -166,7 +166,7 @@ def simulator(model: Model, sample_time: float | None = None, real: str = "doubl
     inputs = tuple(Slot(f"command_{axis}", "V, held for the tick") for axis in model.axes)
     outputs = tuple(Slot(f"measurement_{axis}", f"{unit}, at the tick that follows") for axis in model.axes)
     facts = _facts(model, "simulator", [])
-    program = Program(c_identifier(name or model.name), running.c_code(), len(model.axes), inputs, outputs, time, facts, real)
+    program = Program(name or model.name, running.c_code(), len(model.axes), inputs, outputs, time, facts, real)
     return Exported(program, running, _command_span(model))
 
 
@@ -192,7 +192,7 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
     simulated = plant.step(np.linspace(command[:, 0], command[:, 1], 400))
     spans = np.concatenate([command, np.stack([simulated.min(axis=0), simulated.max(axis=0)], axis=1)])
     facts = _facts(model, "twin", extra)
-    named = c_identifier(name or f"{model.name}_twin")
+    named = name or f"{model.name}_twin"
     return Exported(Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real), running, spans)
 
 
@@ -224,7 +224,7 @@ def stated_error(model: Model, sample_time: float | None = None, real: str = "do
             "Zero, drift and curvature of a record are not part of it: the mean counts from where the program has settled.",
         ],
     )
-    named = c_identifier(name or f"{model.name}_error")
+    named = name or f"{model.name}_error"
     program = Program(named, running.c_code(), len(model.axes), inputs, tuple(outputs), time, facts, real)
     return Exported(program, running, _command_span(model))
 
@@ -261,7 +261,7 @@ def feedforward(
     late = [f"The command is {running.residual_delay_ticks} ticks late."] if running.residual_delay_ticks else []
     chosen = ", ".join(f"{item.name} {getattr(options, item.name)!r}" for item in fields(options))
     program = Program(
-        c_identifier(name or f"{model.name}_{options.kind}"),
+        name or f"{model.name}_{options.kind}",
         running.c_code(),
         len(axes),
         tuple(Slot(f"reference_{axis}", unit + early) for axis in axes),
@@ -356,7 +356,7 @@ def _controller(document: Any, path: Path, real: str, name: str, reference_ahead
     if fed.model is not None and isinstance(fed.filter, Compensator):
         reach = _reference_span(fed.model, fed.filter)
     spans = np.concatenate([reach, reach, [[0.0, 1.2]]])
-    program = Program(c_identifier(name or path.stem), running.c_code(), len(axes), inputs, outputs, time, facts, real)
+    program = Program(name or path.stem, running.c_code(), len(axes), inputs, outputs, time, facts, real)
     return Exported(program, running, spans)
 
 

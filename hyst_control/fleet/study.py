@@ -22,7 +22,7 @@ from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import Overview, overview
 from hyst_control.fleet.overview_page import write_overview
 from hyst_control.fleet.record_jobs import GAPS, KINDS, ONSETS, OPEN, RecordJob, compute, mark
-from hyst_control.fleet.results import DONE, FAILED, Results
+from hyst_control.fleet.results import DONE, FAILED, Results, schema
 from hyst_control.fleet.split_axes import split_axes
 from hyst_control.parallel import Outcome, Workers, outcomes
 
@@ -59,6 +59,11 @@ class Study:
             "seconds": self.seconds,
             "verdicts": dict(self.verdicts),
         }
+
+    @property
+    def refusal(self) -> str:
+        """The first reason where every record failed; "" otherwise."""
+        return next((f"{bag}: {reason}" for bag, reason in self.failed.items()), "") if self.exit_status else ""
 
     @property
     def exit_status(self) -> int:
@@ -101,6 +106,7 @@ def run_study(
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
     version = _version()
+    entries = _columns_apart(entries, schema(kind, ()).names)
     columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
     results = Results(folder, kind, columns)
     known = results.marks()
@@ -206,6 +212,14 @@ def _clarity(row: Mapping[str, Any]) -> tuple[bool, float]:
 def _computed(jobs: Sequence[RecordJob], workers: Workers) -> Iterator[Outcome[RecordJob, dict[str, Any]]]:
     if jobs:
         yield from outcomes(compute, jobs, workers)
+
+
+def _columns_apart(entries: Sequence[Entry], own: Sequence[str]) -> list[Entry]:
+    """Entries whose columns are none of the study's own: `status` of a manifest is `manifest.status`."""
+    return [
+        replace(each, columns={f"manifest.{name}" if name in own else name: value for name, value in each.columns.items()})
+        for each in entries
+    ]
 
 
 def _row(job: RecordJob, found: str, version: str, result: Mapping[str, Any] | None, reason: str) -> dict[str, Any]:

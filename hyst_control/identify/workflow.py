@@ -64,6 +64,11 @@ class Result:
             return 3
         return 0 if self.output is not None else 2
 
+    @property
+    def refusal(self) -> str:
+        """Why no model was written; "" where one was."""
+        return "" if self.output is not None else f"{self.fit.report['notes'][0]}: no model is written (--force writes it)"
+
     def written(self) -> Path:
         """The model file. Raises `InputError` where there is none."""
         if self.output is None:

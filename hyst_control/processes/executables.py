@@ -1,6 +1,6 @@
-"""Executables of the nodes: `executables:NAME` is the function that runs the node NAME of `NODES`.
+"""Executables: `executables:NAME` is the function that runs the node NAME of `NODES`, `executables:hyst` the command line.
 
-Loading a node takes a second or more, in which a Ctrl-C would print a traceback of whatever is being loaded. Until the node listens for
+Loading takes a second or more, in which a Ctrl-C would print a traceback of whatever is being loaded. Until node or command listens for
 interrupts itself, one ends the process at once, as it does a program in C.
 """
 
@@ -22,6 +22,18 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 def run(name: str) -> int:
     """Load a node and run its executable."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _end_at_once_by_interrupts()
     status: int = importlib.import_module(NODES[name].module).main()
     return status
+
+
+def hyst() -> int:
+    """Load and run the command line; its exit status."""
+    _end_at_once_by_interrupts()
+    status: int = importlib.import_module("hyst_control.cli").main()
+    return status
+
+
+def _end_at_once_by_interrupts() -> None:
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as `nohup` and a shell's background jobs have it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)

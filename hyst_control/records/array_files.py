@@ -18,6 +18,8 @@ from hyst_control.records.row_store import IN_MEMORY, blocks, empty_rows
 Array = NDArray[np.float64]
 
 KINDS = (".npy", ".npz", ".mat")
+CRASHING = (".mat",)
+"""Kinds whose readers are machine code that a damaged file can crash: read in a child process."""
 PIECE = 2**20
 MAT_HEADER, MAT_COMPRESSED = 128, 15
 
@@ -30,7 +32,7 @@ def read_array(path: str | Path) -> Array:
     return found[""]
 
 
-def read_arrays(path: str | Path, kind: str) -> dict[str, Array]:
+def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str, Array]:
     """All arrays of real numbers in a file, by name.
 
     Parameters
@@ -39,6 +41,8 @@ def read_arrays(path: str | Path, kind: str) -> dict[str, Array]:
         The file.
     kind
         ".npy" (its one array has the name ""), ".npz" or ".mat".
+    in_child
+        Whether this process may end by a damaged file.
 
     Returns
     -------
@@ -51,6 +55,10 @@ def read_arrays(path: str | Path, kind: str) -> dict[str, Array]:
         Where the file is damaged, announces more than it can hold, or is of another format.
     """
     path = Path(path)
+    if kind in CRASHING and not in_child and path.exists():
+        from hyst_control.records.child_reader import arrays_from_child
+
+        return arrays_from_child(path, kind)
     remedy = "check how it was written, or save it as CSV"
     try:
         with foreign_reader(path, f"a {kind} file", remedy):

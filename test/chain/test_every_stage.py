@@ -277,6 +277,7 @@ VARIANTS = {
             "zero": 0.1,
             "fourth": 0.3,
             "fifth": spread(n, 0.1, 0.2),
+            "first": 0.04,
         },
     ),
     "madelung, bipolar": (

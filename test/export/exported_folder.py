@@ -21,8 +21,13 @@ def make(folder: Path, target: str, *words: str) -> str:
     return done.stdout
 
 
-def compared(folder: Path, *words: str) -> None:
+def fuzzed(folder: Path, steps: int = 1_000_000) -> None:
+    """Compared after so many odd steps, with sanitizers."""
+    compared(folder, f"STEPS={steps}", target="fuzz")
+
+
+def compared(folder: Path, *words: str, target: str = "test") -> None:
     """By every compiler that is here, unless `words` for make say otherwise."""
-    told = make(folder, "test", *words)
+    told = make(folder, target, *words)
     lines = [line for line in told.splitlines() if "rows" in line]
     assert lines and all(" 0 wrong" in line for line in lines), told

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from exported_folder import compared, export, make
+from exported_folder import compared, export, fuzzed, make
 
 from hyst_control.cli import main
 from hyst_control.config_files import config_path
@@ -71,6 +71,7 @@ def test_a_controller_a_twin_and_float_too(tmp_path):
     np.save(tmp_path / "learned.npy", np.sin(np.arange(50.0))[:, None])
     assert main(["export", str(tmp_path / "tracking.yaml"), "--reference-ahead", "--output", str(tmp_path / "controller")]) == 0
     compared(tmp_path / "controller")
+    fuzzed(tmp_path / "controller")
     assert "SHA-256" in (tmp_path / "controller" / "tracking.h").read_text()
     loop = ["export", str(tmp_path / "tracking.yaml"), "--plant", str(config_path("models/pea_hampi.yaml"))]
     assert main([*loop, "--reference-ahead", "--output", str(tmp_path / "loop")]) == 0

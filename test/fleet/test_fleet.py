@@ -175,3 +175,18 @@ def test_a_manifest_that_is_none(tmp_path, text, said):
     (tmp_path / "m.csv").write_text(text)
     with pytest.raises(InputError, match=said):
         read_manifest([str(tmp_path / "m.csv")])
+
+
+def test_columns_of_the_manifest_have_any_name(fleet):
+    """Those that a study has itself stand beside its own."""
+    path = fleet / "manifest.csv"
+    names = ("status", "reason", "records", "moment", "errors", "seconds", "")
+    first, *lines = path.read_text().splitlines()
+    more = [f"{line},{','.join(f'{name}{number}' for name in names)}" for number, line in enumerate(lines)]
+    path.write_text("\n".join([f"{first},{','.join(names)}", *more]))
+    for _ in range(2):  # the second time all is there
+        assert main(["fleet", "validate", str(path), "--output", str(fleet / "study"), "--workers", "1"]) == 0
+        found = rows(fleet / "study")
+        assert [row["status"] for row in found] == ["done"] * 6 and found[1]["reason"] == "" and found[1]["moment"] == 1.0
+        given = [f"manifest.{name}" if name in ("status", "reason", "moment", "errors", "seconds") else name for name in names]
+        assert [found[4][name] for name in given] == [f"{name}4" for name in names]

@@ -45,7 +45,7 @@ for (int axis = 0; axis < AXES; axis++) {
     real u = s->last[axis][0];
     real y = s->last[axis][1];
     const real before = (INVERSE != 0) ? y : u;
-    if (x != before) {
+    if ((x != before) && !isnan(x)) {
         const real onward = (x > before) ? R(1.0) : R(-1.0);
         int depth = s->depth[axis];
         int kept = s->kept[axis];

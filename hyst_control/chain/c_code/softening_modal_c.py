@@ -89,7 +89,7 @@ for (int o = 0; o < AXES; o++) {
 for (int i = 0; i < MODES; i++) {"""
     + POLE
     + """
-    const complex_number carry = complex_exp(complex_times(pole, complex_of(p->time, R(0.0))));
+    const complex_number carry = complex_exp(complex_of(pole.re * p->time, pole.im * p->time));
     const complex_number gain = complex_over(complex_minus(carry, complex_of(R(1.0), R(0.0))), pole);
     complex_number by_command = complex_of(R(0.0), R(0.0));
     complex_number by_force = complex_of(R(0.0), R(0.0));

@@ -77,7 +77,7 @@ def madelung_branches(
         raw = source[row]
         x = 0.0 if raw < 0.0 else (top_of_range if raw > top_of_range else raw)
         before = y if inverse else u
-        if x != before:
+        if x != before and x == x:  # NaN comes out again and leaves no turning point
             onward = 1.0 if x > before else -1.0
             if onward != direction:
                 if stack[depth_now - 1, key] != before:

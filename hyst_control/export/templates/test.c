@@ -1,9 +1,11 @@
-/* Replays the golden vectors of {{ name }}, saves and restores its state, and times a step. Exit status 0 where all is as in Python. */
+/* Replays the golden vectors of {{ name }}, saves and restores its state, and times a step. Exit status 0 where all is as in Python.
+   With STEPS, as many steps come first whose inputs nobody should send: nothing of them may be left afterwards. */
 #define _POSIX_C_SOURCE 199309L
 #include "{{ name }}.h"
 
 #include "{{ name }}_golden.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,8 +14,14 @@
 #ifndef EXACT
 #define EXACT 1 /* 0: another library's exp, sin or pow may differ in the last digit */
 #endif
+#ifndef STEPS
+#define STEPS 0
+#endif
+#ifndef TURNS
+#define TURNS 20000 /* that are timed */
+#endif
 
-enum { INPUTS = {{ upper }}_INPUTS, OUTPUTS = {{ upper }}_OUTPUTS, TURNS = 20000 };
+enum { INPUTS = {{ upper }}_INPUTS, OUTPUTS = {{ upper }}_OUTPUTS };
 
 static {{ name }}_real given[ROWS][INPUTS];
 static {{ name }}_real found[ROWS][OUTPUTS];
@@ -66,6 +74,49 @@ static int wrong_values(int exact)
     return wrong;
 }
 
+static unsigned int drawn(unsigned int below)
+{
+    static unsigned long long last = 25ULL;
+    last = (last * 6364136223846793005ULL) + 1442695040888963407ULL;
+    return (unsigned int)(last >> 33) % below;
+}
+
+/* NaN, infinities, denormal and absurd numbers, and any in between. */
+static {{ name }}_real odd_number(void)
+{
+    const double largest = {{ upper }}_FLOAT ? (double)FLT_MAX : DBL_MAX, least = {{ upper }}_FLOAT ? 1e-45 : 5e-324;
+    const double numbers[] = {0.0, -0.0, (double)NAN, (double)INFINITY, -(double)INFINITY, least, -least, largest, -largest};
+    const unsigned int count = (unsigned int)(sizeof numbers / sizeof numbers[0]), which = drawn(2 * count);
+    const int widest = {{ upper }}_FLOAT ? 127 : 1023;
+    const double other = ldexp((double)drawn(2000001) / 1e6 - 1.0, (int)drawn(2U * (unsigned int)widest) - widest);
+    return ({{ name }}_real)(which < count ? numbers[which] : other);
+}
+
+/* Steps whose inputs are golden ones in any order, one odd number among such, or odd numbers only; each kind for a while. */
+static int wrong_steps({{ name }}_state *state, int steps)
+{
+    {{ name }}_real in[INPUTS], out[OUTPUTS];
+    int wrong = 0;
+    unsigned int kind = 0;
+    for (int step = 0; step < steps; step++) {
+        const unsigned int row = drawn(ROWS), odd = drawn(INPUTS);
+        kind = drawn(50) == 0 ? drawn(3) : kind;
+        for (unsigned int i = 0; i < (unsigned int)INPUTS; i++) {
+            in[i] = kind == 2 || (kind == 1 && i == odd) ? odd_number() : given[row][i];
+        }
+        {{ name }}_step(state, in, out);
+{% if limits %}
+        for (int i = 0; i < {{ limits[0] }}; i++) {
+            wrong += !(out[i] >= ({{ name }}_real){{ limits[1] }} && out[i] <= ({{ name }}_real){{ limits[2] }});
+        }
+{% endif %}
+    }
+    if (steps > 0) {
+        printf("%d odd steps{% if limits %}, %d commands beyond the limits{% endif %}; ", steps{% if limits %}, wrong{% endif %});
+    }
+    return wrong;
+}
+
 int main(void)
 {
     static {{ name }}_state state, saved;
@@ -78,6 +129,7 @@ int main(void)
         }
     }
     {{ name }}_init(&state);
+    wrong += wrong_steps(&state, STEPS);
     {{ name }}_settle(&state, given[0], found[0]);
     for (int row = 1; row < ROWS; row++) {
         if (row == ROWS / 3) {
