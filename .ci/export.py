@@ -1,4 +1,4 @@
-"""Exported C: the same bits as Python in ten million samples of both papers' plants and feedforwards; nothing undefined in a million odd ones.
+"""Exported C: ten million samples of both papers' plants and feedforwards have Python's bits, a million odd ones do no harm.
 
 The odd steps, with NaN, infinities and numbers of any size, are `make fuzz` of the exported folders, of a controller too.
 """

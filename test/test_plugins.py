@@ -7,9 +7,12 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+
+from hyst_control import plugins
 
 SETUP = """
 from setuptools import setup
@@ -292,3 +295,15 @@ print(STAGES["gain"].__module__)
     assert len(lines) == 5 and all("of broken-numbers 1.2: cannot be used" in line for line in lines)
     assert [line.split()[1] for line in lines] == ["amiss", "gain", "number", "number", "number"]
     assert "No module named 'broken_stage'" in lines[0]
+
+
+@pytest.mark.parametrize("ending", ["raise SystemExit(0)", "import sys; sys.exit()", "raise ImportError('gone')"])
+def test_a_plugin_that_ends_the_process_costs_itself_alone(ending, tmp_path, monkeypatch, caplog):
+    (tmp_path / "ends_all.py").write_text(ending)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    points = [EntryPoint("quits", "ends_all", "hyst_control.stages"), EntryPoint("sound", "json", "hyst_control.stages")]
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    found = []
+    plugins.load("stages", lambda name, value: found.append(name))
+    assert found == ["sound"]
+    assert "plugin quits (hyst_control.stages)" in caplog.text and "cannot be used" in caplog.text

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hyst_control.chain.c_code.c_code import LARGER, MAXIMUM, MINIMUM, SMALLER, Member, integers, reals
+from hyst_control.chain.c_code.c_code import LARGER, SMALLER, Member, integers, reals
 from hyst_control.chain.parameter import Array
 from hyst_control.control.pi import RunningPI
 
@@ -29,14 +29,14 @@ static real ramped_command(real last, real target, real lower, real upper, real 
 {
     const real start = isnan(last) ? target : last;
     const real way = target - start;
-    const real moved = minimum_of(step, M(fabs)(way));
+    const real moved = smaller_of(step, M(fabs)(way));
     const real sign = (way > R(0.0)) ? R(1.0) : ((way < R(0.0)) ? R(-1.0) : R(0.0));
-    return minimum_of(maximum_of(start + (sign * moved), lower), upper);
+    return smaller_of(larger_of(start + (sign * moved), lower), upper);
 }
 """
 
 CLAMPING = (LARGER, SMALLER, CLAMPED)
-FUNCTIONS = (MAXIMUM, MINIMUM, *CLAMPING, RAMPED)
+FUNCTIONS = (*CLAMPING, RAMPED)
 
 RESUME = """
 for (int i = 0; i < AXES; i++) {

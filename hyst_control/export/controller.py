@@ -451,7 +451,13 @@ if ((s->known[0] != 0) && (s->known[1] != 0)) {
         }
         if (p->ki_step == R(0.0)) {
             /* no integral action to lead back */
-            @RESUME@
+            for (int i = 0; i < AXES; i++) {
+                if (back[i] != 0) {
+                    const real error = reference[i] - measurement[i];
+                    s->integral[i] = R(0.0);
+                    s->rolled[i] = isfinite(error) ? error : R(0.0);
+                }
+            }
         }
         for (int i = 0; i < AXES; i++) {
             s->command[i] = wanted[i];

@@ -328,7 +328,7 @@ def tables() -> dict[str, bytes]:
     made = {ending: io.BytesIO() for ending in (".npy", ".npz", ".mat", ".csv", ".dat", ".csv.gz")}
     np.save(made[".npy"], values)
     np.savez_compressed(made[".npz"], a=values)
-    savemat(made[".mat"], {"a": values}, do_compression=True)
+    savemat(made[".mat"], {"a": values})
     np.savetxt(made[".csv"], values, delimiter=",", header="u,y", comments="")
     np.savetxt(made[".dat"], values)
     made[".csv.gz"].write(gzip.compress(b"1,5;2,5\n3,0;4,25\n", mtime=0))
@@ -336,11 +336,17 @@ def tables() -> dict[str, bytes]:
 
 
 TABLES = tables()
+_compressed = io.BytesIO()
+savemat(_compressed, {"a": np.arange(12.0)}, do_compression=True)
+COMPRESSED = _compressed.getvalue()
 DAMAGED_TABLES = st.one_of(
-    st.sampled_from(sorted(TABLES)).flatmap(lambda ending: st.tuples(st.just(ending), damaged_bytes([TABLES[ending]]))),
+    st.sampled_from(sorted({*TABLES} - {".mat"})).flatmap(
+        lambda ending: st.tuples(st.just(ending), damaged_bytes([TABLES[ending]]))
+    ),
     st.tuples(st.just(".csv"), st.text('0123456789.,; \t\ne-+uy"#%naif\ufeffé', max_size=60).map(str.encode)),
     st.tuples(st.just(".csv.gz"), st.binary(max_size=40).map(lambda data: gzip.compress(data, mtime=0))),
 )
+DAMAGED_MAT = st.tuples(st.just(".mat"), damaged_bytes([TABLES[".mat"], COMPRESSED]))
 COLUMN_TEXTS = ("command=1[V],measurement=2[um]", "time=1[s],command=2[mV]", "command=u[V]", "measurement=1+2[m]", "command=0[kV]")
 
 
@@ -491,7 +497,8 @@ TARGETS = {
     "finished bags": (damaged_bags(), finished_bag, 0.1),
     "databases": (CHANGES, database, 0.05),
     "metadata": (damaged_bytes(METADATA), metadata, 0.05),
-    "tables": (st.tuples(DAMAGED_TABLES, st.sampled_from(COLUMN_TEXTS), st.sampled_from([None, 10.0])), table, 0.1),
+    "tables": (st.tuples(DAMAGED_TABLES, st.sampled_from(COLUMN_TEXTS), st.sampled_from([None, 10.0])), table, 0.095),
+    "MATLAB files": (st.tuples(DAMAGED_MAT, st.sampled_from(COLUMN_TEXTS), st.sampled_from([None, 10.0])), table, 0.005),
     "times": (st.tuples(TIMES, TIMES, st.sampled_from(["layout", "receive"]), st.booleans()), times, 0.05),
     "excitations": (descriptions(), description, 0.03),
     "excitation files": (damaged_bytes(DESCRIPTIONS), excitation_file, 0.03),

@@ -99,7 +99,8 @@ def test_a_model_that_explains_nothing_is_said_and_not_written(wrong, options, s
     assert (
         row["axis"] == "x" and row["gain"] == pytest.approx(1.0, rel=1e-3) and row["model"] == pytest.approx(1.0 - 2.0**2, rel=0.1)
     )
-    said = capsys.readouterr().out
+    said, told = capsys.readouterr()
+    assert told.count("\n") == (0 if kept else 1) and ("hyst identify: x: the model explains -29" in told) != kept
     assert "x: the model explains -29" in said and "% of the measured power, a constant and a gain 100.0 %" in said
     assert ("no model is written (--force writes it)" in said) != kept
 
