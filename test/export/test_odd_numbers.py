@@ -9,7 +9,7 @@ from test_every_stage import CASES, SAMPLE_TIME, command, started
 from test_every_stage_in_c import RANDOM, compiled
 
 from hyst_control.chain import STAGES, Sampling
-from hyst_control.chain.c_code import parallel
+from hyst_control.chain.c_code.c_code import parallel
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.folder import write_folder
 from hyst_control.export.programs import Exported
