@@ -9,7 +9,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
 from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.iterative_learning import IterativeLearning, RunningIterativeLearning
+from hyst_control.control.iterative_learning import MOST_ROWS, IterativeLearning, RunningIterativeLearning
 from hyst_control.control.learning import run_learning_loop
 from hyst_control.control.loop import Compensator, Plant
 from hyst_control.control.pi import RunningPI
@@ -20,8 +20,6 @@ from hyst_control.reporting.tables import Table
 
 KINDS = ("mhl_inverse", "hampi", "none")
 """Compensators of `best_compensator`, the best first."""
-MOST_ROWS = 20_000_000
-"""Samples of all trials together: their signals are kept."""
 LEARNED = "learned"
 TOPICS = ("reference", "feedback", "measurement")
 
@@ -44,13 +42,13 @@ def run_trials(
     description:
         The learner; its trials are run, also those after it has stopped.
     """
-    learner = description.start()
     periods = description.trials * (description.settling + description.averaged)
     if periods * len(reference) > MOST_ROWS:
         raise InputError(
             f"trials: {description.trials} of {description.trial_rows} samples are too many to keep, "
             f"{MOST_ROWS // description.trial_rows} are possible: take fewer, or fewer periods in each"
         )
+    learner = description.start()
     return learner, run_learning_loop(np.tile(reference, (periods, 1)), compensator, controller, plant, learner)
 
 

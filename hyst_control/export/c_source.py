@@ -353,12 +353,12 @@ def _check_numbers(code: CCode, real: str) -> None:
         if abs(size) >= 2**31:
             raise InputError(f"{code.title}: {name.lower()} = {size} is beyond an int of C: take a smaller one")
     for name, member in code.constants.items():
-        size = float(np.abs(member.value[np.isfinite(member.value)]).max(initial=0))
+        largest = float(np.abs(member.value[np.isfinite(member.value)]).max(initial=0))
         if member.value.dtype.kind in "iub":
-            if size >= 2**31:
-                raise InputError(f"{code.title}: {name} = {size:.15g} is beyond an int of C: take a smaller one")
-        elif real == "float" and not member.wide and size > float(np.finfo(np.float32).max):
-            raise InputError(f"{code.title}: {name} = {size:g} is beyond float: export with --real double, or take other units")
+            if largest >= 2**31:
+                raise InputError(f"{code.title}: {name} = {largest:.15g} is beyond an int of C: take a smaller one")
+        elif real == "float" and not member.wide and largest > float(np.finfo(np.float32).max):
+            raise InputError(f"{code.title}: {name} = {largest:g} is beyond float: export with --real double, or take other units")
 
 
 def _numbers(units: list[Unit]) -> str:

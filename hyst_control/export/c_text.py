@@ -11,13 +11,13 @@ HARMFUL = re.compile(r"[^ -~]|[\\*?]|(?<=/)/")
 
 
 def c_identifier(text: str) -> str:
-    """A text as a name of C: a letter, then letters, digits and underscores."""
+    """Name of C for a `text`: a letter, then letters, digits and underscores."""
     name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_").lower()[:LONGEST_NAME].strip("_")
     return f"m_{name}".strip("_") if not name or name[0].isdigit() else name
 
 
 def c_identifiers(texts: Sequence[str]) -> list[str]:
-    """Texts as different names of C: with their places where two were alike."""
+    """Different names of C for `texts`: with their places where two were alike."""
     names = [c_identifier(text) for text in texts]
     return names if len(set(names)) == len(names) else [f"{name}_{place}" for place, name in enumerate(names)]
 

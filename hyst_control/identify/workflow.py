@@ -66,7 +66,7 @@ class Result:
 
     @property
     def refusal(self) -> str:
-        """Why no model was written; "" where one was."""
+        """Reason for which no model was written; "" where one was."""
         return "" if self.output is not None else f"{self.fit.report['notes'][0]}: no model is written (--force writes it)"
 
     def written(self) -> Path:

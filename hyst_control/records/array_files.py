@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import foreign_reader
+from hyst_control.records.child_reader import arrays_from_child
 from hyst_control.records.decompression import Budget
 from hyst_control.records.row_store import IN_MEMORY, blocks, empty_rows
 
@@ -56,8 +57,6 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
     """
     path = Path(path)
     if kind in CRASHING and not in_child and path.exists():
-        from hyst_control.records.child_reader import arrays_from_child
-
         return arrays_from_child(path, kind)
     remedy = "check how it was written, or save it as CSV"
     try:

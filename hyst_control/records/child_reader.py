@@ -8,19 +8,23 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.records import array_files
+from hyst_control.records.row_store import IN_MEMORY
 
-CHILD = "from hyst_control.records.child_reader import main; main()"
+Array = NDArray[np.float64]
+
+CHILD = "from hyst_control.records import array_files, child_reader; child_reader.main(array_files.read_arrays)"
 REFUSED = 2
 
 
-def arrays_from_child(path: Path, kind: str) -> dict[str, array_files.Array]:
-    """`array_files.read_arrays` in another process: a crash there is a refusal here."""
+def arrays_from_child(path: Path, kind: str) -> dict[str, Array]:
+    """`array_files.read_arrays` of a `path` and `kind` in another process: a crash there is a refusal here."""
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, "-c", CHILD, str(path), kind, folder],
@@ -34,15 +38,16 @@ def arrays_from_child(path: Path, kind: str) -> dict[str, array_files.Array]:
         if done.returncode:
             ended = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
             raise InputError(f"{path}: is damaged, its reader ended with {ended}: check how it was written, or save it as CSV")
-        # Large ones are mapped: they are there until nobody uses them, though their names are gone.
-        return {name: array_files.read_array(Path(folder) / f"{number}.npy") for number, name in enumerate(json.loads(done.stdout))}
+        files = {name: Path(folder) / f"{number}.npy" for number, name in enumerate(json.loads(done.stdout))}
+        # Large ones are mapped: they are there until nobody uses them, though their files have no name any more.
+        return {name: np.load(file, "r" if file.stat().st_size > IN_MEMORY else None) for name, file in files.items()}
 
 
-def main() -> None:
-    """In the child: the arrays go to numbered files in a folder, their names, or the reason of a refusal, to the standard output."""
+def main(read: Callable[..., Mapping[str, Array]]) -> None:
+    """In the child, write what `read` finds to numbered files in a folder, and print the names, or the reason of a refusal."""
     path, kind, folder = sys.argv[1:]
     try:
-        found = array_files.read_arrays(path, kind, in_child=True)
+        found = read(path, kind, in_child=True)
     except InputError as error:
         print(json.dumps(str(error)))
         raise SystemExit(REFUSED) from None

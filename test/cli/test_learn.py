@@ -110,7 +110,7 @@ def test_a_measured_response_takes_the_place_of_the_models(tmp_path, capsys):
         ([*SINE, "--output", "learned.csv"], "npy"),
         ([*SINE, *LOOP, "--feedback-error", "0"], "--feedback-error"),
         ([*SINE, *LOOP, "--trials", "100000000"], "trials: 100000000 of 150 samples are too many to keep, 133333 are possible"),
-        ([*SINE, *LOOP, "--averaged", "100000000"], "take fewer, or fewer periods in each"),
+        ([*SINE, *LOOP, "--averaged", "100000000"], "averaged: a trial of 5000000050 samples is too long"),
     ],
 )
 def test_unusable_input_is_refused_in_one_line(arguments, word, capsys):

@@ -8,10 +8,12 @@ import gzip
 import inspect
 import io
 import os
+import shutil
 import sqlite3
 import struct
 import tempfile
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,11 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from hyst_control.config_files import config_path
+from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
+from hyst_control.export.c_source import Program
+from hyst_control.export.compiled import COMPILERS, CompiledProgram
+from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.model_file import load_model, model_from_document, simulate
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.bag_writer import BagWriter
@@ -488,6 +494,33 @@ YAML_WORDS = st.lists(
 ).map(lambda words: "".join(words).encode())
 
 
+@cache
+def controllers() -> tuple[Controller, CompiledProgram]:
+    """A controller with short times, in Python and in C."""
+    response = FaultResponse((2.0,), 3e3, "own", 3e-4, "automatic", 2e-4, -10.0, 30.0, 4e-4)
+    found = Controller(PI(30.0, 900.0, 5e-5, 0.0, 50.0, 2e5, roll_off=300.0), 2, response)
+    return found, CompiledProgram(Program("fuzzed", found.c_code(), 2, *found.slots(("x", "y"), "um"), 5e-5, ()))
+
+
+STEPS = st.lists(
+    st.tuples(st.tuples(*[st.one_of(st.floats(), st.floats(-5, 40))] * 4, st.sampled_from([0.0, 1.0, 1.0])), st.integers(1, 12)),
+    min_size=1,
+    max_size=12,
+)
+
+
+def controller_steps(given) -> None:
+    """Inputs of any size, each for some ticks: the exported controller has Python's bits, and commands within the limits."""
+    python, c = controllers()
+    table = np.concatenate([np.tile(row, (count, 1)) for row, count in given])
+    with np.errstate(all="ignore"):
+        c.settle(table[0])
+        python.settle(table[0])
+        found = c.process(table)
+        np.testing.assert_array_equal(found, python.process(table))
+    assert np.all((found[:, :2] >= 0.0) & (found[:, :2] <= 50.0))
+
+
 TARGETS = {
     "model documents": (damaged_documents(), model_document, 0.1),
     "model files": (damaged_bytes(TEXTS), model_text, 0.05),
@@ -503,5 +536,6 @@ TARGETS = {
     "excitations": (descriptions(), description, 0.03),
     "excitation files": (damaged_bytes(DESCRIPTIONS), excitation_file, 0.03),
     "texts": (YAML_WORDS, any_yaml, 0.04),
+    **({"exported controller": (STEPS, controller_steps, 0.02)} if any(map(shutil.which, COMPILERS)) else {}),
 }
 """By name: what comes in, what reads it, and its share of all inputs."""
