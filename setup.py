@@ -10,7 +10,10 @@ root = Path(__file__).parent
 NODES = runpy.run_path(str(root / "hyst_control" / "processes" / "node_list.py"))["NODES"]
 INSTALLED = ("config", "docs", "launch")
 folders = [
-    path.relative_to(root) for name in INSTALLED for path in sorted([root / name, *(root / name).rglob("*")]) if path.is_dir()
+    path.relative_to(root)
+    for name in INSTALLED
+    for path in sorted([root / name, *(root / name).rglob("*")])
+    if path.is_dir() and path.name != "__pycache__"
 ]
 # Without versions: a ROS 2 machine has its distribution's. What `make` and the checks install is pinned in requirements.txt.
 REQUIRED = [

@@ -1,35 +1,27 @@
-"""The catalogue of effects as a page: meaning and place of each, and a record with it and without it.
+"""Figures of the effects: a record with each and without it.
 
-`hyst cases figures --output docs` writes docs/effects.md and one figure per effect. The records are of the truth PEA (effects that
-need two axes: of the truth mirror) without its own noise, and the effects are stronger than in a blind case, so that they are visible.
+`hyst cases figures --output docs/figures/effects` draws them. The records are of the reference simulation of the PEA (effects that need
+two axes: of the mirror) without noise. The effects are stronger than in a blind case, so that they are visible.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.effects import EFFECTS as CATALOGUE
-from hyst_control.effects.effect import Surroundings
-from hyst_control.files import write_text
-from hyst_control.reporting.templates import render
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
-from hyst_plant_sim.physics.signal_path import PLACES
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 Array = NDArray[np.float64]
 
-COMMAND = "hyst cases figures --output docs"
 SAMPLE_TIME = 5e-5
-RECORD = Surroundings(SAMPLE_TIME, 1.0, (0.0, 100.0), 2e4, (0.0, 10.0), 1)
-"""Record for which the page states the ranges of the diagnosis."""
 UPPER_FREQUENCY = 4000.0
 """Hz, of the multisine whose response is drawn."""
 
@@ -178,103 +170,14 @@ EXAMPLES: dict[str, Example] = {
     "held_samples": Example({"fraction": 0.3}, 0.008, 200.0, "Readings that repeat; the gap is as large as the motion is fast."),
 }
 
-TITLES = {
-    "dac": "Converter of the commands",
-    "drive": "Drive",
-    "amplifier": "Amplifier",
-    "hysteresis": "Hysteresis",
-    "piezo": "Piezo",
-    "mechanics": "Mechanics",
-    "motion": "Motion",
-    "sensor": "Sensor",
-    "adc": "Converter of the measurement",
-    "transport": "Way of the samples",
-}
-
 
 def write(folder: Path) -> list[Path]:
-    """Write effects.md and figures/effects/*.png."""
-    figures = folder / "figures" / "effects"
-    figures.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name in EFFECTS:
-        draw(name, figures / f"{name}.png")
-        written.append(figures / f"{name}.png")
-    write_text(folder / "effects.md", page())
-    return [*written, folder / "effects.md"]
-
-
-def page() -> str:
-    """Text of the page, places in signal order."""
-    places = []
-    for place in PLACES:
-        here = [_described(name) for name, effect in EFFECTS.items() if effect.place == place]
-        if here:
-            places.append({"title": TITLES[place], "effects": here})
-    known = sum(name in CATALOGUE for name in EFFECTS)
-    return render(
-        "blind_test/templates/effects.md",
-        command=COMMAND,
-        known=known,
-        unknown=len(EFFECTS) - known,
-        upper_frequency=UPPER_FREQUENCY,
-        record=described_record(),
-        without_truth=[
-            {"name": name, "meaning": effect.meaning, "ranges": searched(name)}
-            for name, effect in CATALOGUE.items()
-            if name not in EFFECTS
-        ],
-        places=places,
-    )
-
-
-def described_record() -> str:
-    """Record whose ranges the page states, in words."""
-    command, measured = (f"{low:g} to {high:g}" for low, high in (RECORD.command, RECORD.measurement))
-    return (
-        f"a record of {RECORD.duration:g} s at {1 / RECORD.sample_time:g} Hz, {command} V at up to {RECORD.slew:g} V/s, whose measurement "
-        f"goes from {measured} um"
-    )
-
-
-def _described(name: str) -> dict[str, object]:
-    """Values of an effect's paragraphs."""
-    effect, example = EFFECTS[name], EXAMPLES[name]
-    units = {key: effect.units.get(key) or "-" for key in (*effect.absent, *effect.others)}
-    shown = [f"{key} {value:g}{_unit(effect.units.get(key, ''), example.plant)}" for key, value in example.values.items()]
-    texts = [(key, f"not there at {value:g}") for key, value in effect.absent.items()]
-    texts += [(key, f"{value:g} if not given") for key, value in effect.others.items()]
-    return {
-        "name": name,
-        "known": name in CATALOGUE,
-        "meaning": effect.meaning,
-        "sign": example.sign,
-        "ranges": searched(name) if name in CATALOGUE else [],
-        "parameters": [{"name": key, "unit": units[key], "text": text} for key, text in texts],
-        "shown": ", ".join(shown),
-        "frequency": example.frequency,
-    }
-
-
-def searched(name: str) -> list[dict[str, str]]:
-    """Parameters that the gap report has of an effect, with the range in which the diagnosis of `RECORD` looks for them."""
-    effect = CATALOGUE[name]
-    record = replace(RECORD, axes=2) if effect.couples else RECORD
-    return [
-        {
-            "name": each.name,
-            "unit": each.unit.replace("unit", "um") or "-",
-            "lower": f"{each.lower:.3g}",
-            "upper": f"{each.upper:.3g}",
-        }
-        for each in effect.parameters(record)
-        if each.told
-    ]
-
-
-def _unit(unit: str, plant: str) -> str:
-    own = {"pea": "um", "fsm": "mrad"}[plant]
-    return f" {unit.replace('unit', own)}" if unit else ""
+    """Write a figure for each effect."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / f"{name}.png" for name in EFFECTS]
+    for path in written:
+        draw(path.stem, path)
+    return written
 
 
 def draw(name: str, path: Path) -> None:

@@ -5,7 +5,7 @@ examples:
   hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
   hyst cases make --measured --seed 7 --count 20 --output injected --plants stack
   hyst cases make --fleet 20 30 --seed 7 --output fleet   # units and nights; then: hyst fleet diagnose fleet/manifest.csv --output study
-  hyst cases figures --output docs                  # effects.md, with a figure for every effect
+  hyst cases figures --output docs/figures/effects   # a figure for every effect
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ JSON = "list of written files"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument(
-        "action", choices=("make", "figures"), help="make: draw and record cases; figures: write the page of effects"
+        "action", choices=("make", "figures"), help="make: draw and record cases; figures: draw every effect"
     )
     parser.add_argument("--seed", type=int, help="seed of the cases (make)")
     parser.add_argument("--count", type=int, default=60, help="number of cases (make; default 60)")
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output",
         required=True,
         metavar="FOLDER",
-        help="folder to write: cases/ and labels.json (make), effects.md and figures/effects/ (figures)",
+        help="folder to write: cases/ and labels.json (make), a picture of each effect (figures)",
     )
     parser.add_argument(
         "--measured",

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.parameter_reference import allowed
 from hyst_control.nodes.parameters import Setting, nearest
 
 WIDTH = 100
@@ -107,3 +106,13 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:g}" if isinstance(value, float) else repr(value) if isinstance(value, str) else str(value)
+
+
+def allowed(setting: Setting) -> str:
+    """Range or choices of a setting in words, such as "0 … 99"; "" if every value of its type is allowed."""
+    if setting.choices:
+        return ", ".join(f"`{choice}`" for choice in setting.choices)
+    if setting.lower is None and setting.upper is None:
+        return ""
+    lower, upper = ("any" if limit is None else f"{limit:g}" for limit in (setting.lower, setting.upper))
+    return f"{lower} … {upper}"

@@ -1,4 +1,4 @@
-"""Reference of all nodes' parameters as Markdown, made from their declarations."""
+"""Reference of the nodes: a page for each with its parameters, written from their declarations."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
+from hyst_control.nodes.command_line import allowed
 from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_settings import COMMON as OF_EVERY_SIGNAL
@@ -14,18 +15,18 @@ from hyst_control.nodes.signal_settings import signal_settings
 from hyst_control.processes.node_list import NODES, NodeEntry
 from hyst_control.records.excitation import KINDS
 
-HEAD = """# Parameters of the nodes
+HEAD = """# Nodes and their parameters
 
-Written by `python docs/make_reference.py` from the nodes' declarations.
+Set a parameter with `-p name:=value` behind `--ros-args`, or in a parameter file (`config/nodes`). In a file, `/**/pi_feedback` applies
+in every namespace. A node refuses an unknown name, a value of the wrong type and a value out of range with one line. `--help` of every
+executable lists its parameters. You can change a parameter marked *live* while the node runs (`ros2 param set`); others are read-only then.
 
-A parameter is given with `-p name:=value` behind `--ros-args`, or in a parameter file (`config/nodes`); in a file, `/**/pi_feedback` holds
-in every namespace. A value of the wrong type or out of its range, and a name that the node does not have, are refused with one line.
-`--help` of every executable lists its parameters. A parameter marked *live* may be changed while the node runs (`ros2 param set`);
-others are read-only then.
+Gains, limits and the parameters of a reference's signal change without a jump of the command:
 
-Gains, limits and the parameters of a reference's signal change without a jump of the command. The integral takes up what another `kp`
-would add; limits go to their new values at `safe_rate`; without `ki` the command goes to that of the new gains at `safe_rate`; a
-signal goes over into the new one within `transition`. With `backend: c` the gains are compiled in and cannot be changed.
+- A change of `kp` is bumpless: the integral compensates it.
+- Limits move to their new values at `safe_rate`. Without `ki` the command moves at `safe_rate` too.
+- A changed signal blends into the new one within `transition`.
+- With `backend: c` the gains are compiled in and cannot be changed.
 
 | executable | in | out |
 |---|---|---|
@@ -39,37 +40,35 @@ signal goes over into the new one within `transition`. With `backend: c` the gai
 | `diagnosis` | `command`, `measurement` | `residual`, `gap` with an alarm, a full diagnosis (`~/diagnose`) |
 | `live_view` | `reference`, `command`, `measurement` | `live`, `live_turn`: the same with fewer rows, for a page |
 | `pipeline` | | the five nodes in one process |
+
 """
 
 
-SIGNALS = """Parameters of `reference_generator` for the kind of signal that it has, all live; numbers from -1e+12 to 1e+12. One without a
-default must be given, or is not used if it is one of every kind.
+SIGNALS = """# Signals of the reference generator
+
+Parameters of `reference_generator` for its kind of signal, all live; numbers from -1e+12 to 1e+12. A parameter without a default is
+required, except those of every kind.
 
 | signal | parameter | unit | default | |
 |---|---|---|---|---|
 """
 
 
-def parameter_reference() -> str:
-    """Every node with its parameters: type, unit, range, default and meaning.
-
-    Returns
-    -------
-    str
-        Text of the page `docs/parameters.md`.
-    """
-    parts = [HEAD, "\n## all nodes of the loop\n\nParameters that every node below has.\n\n", _table(COMMON)]
+def node_pages() -> dict[str, str]:
+    """Every node's page by its name, what all have as `common`, the signals' as `signals`, and their list as `index`."""
+    pages = {"common": f"# Parameters of all nodes of the loop\n\nEvery node of the loop has these.\n\n{_table(COMMON)}"}
     for name, entry in NODES.items():
         node = _with_settings(entry)
         if node is not None:
             title = (inspect.getdoc(node) or "").split("\n\n")[0].replace("\n", " ")
-            parts.append(f"\n## {name}\n\n{title}\n\n{_table(node.SETTINGS)}")
-    parts += ["\n## Parameters of the signals\n\n", SIGNALS]
-    for kind in sorted(KINDS):
-        for setting in signal_settings(kind)[: -len(OF_EVERY_SIGNAL)]:
-            parts.append(_signal_row(f"`{kind}`", setting))
-    parts += [_signal_row("every kind", setting) for setting in signal_settings("rest")[-len(OF_EVERY_SIGNAL) :]]
-    return "".join(parts)
+            pages[name] = f"# {name}\n\n{title}\n\n{_table(node.SETTINGS)}"
+    pages["signals"] = SIGNALS + "".join(
+        [
+            *(_signal_row(f"`{kind}`", each) for kind in sorted(KINDS) for each in signal_settings(kind)[: -len(OF_EVERY_SIGNAL)]),
+            *(_signal_row("every kind", each) for each in signal_settings("rest")[-len(OF_EVERY_SIGNAL) :]),
+        ]
+    )
+    return {"index": HEAD + "".join(f"- [{page.splitlines()[0][2:]}]({name}.md)\n" for name, page in pages.items())} | pages
 
 
 def _signal_row(kind: str, setting: Setting) -> str:
@@ -105,27 +104,6 @@ def _row(setting: Setting) -> str:
         setting.text,
     )
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
-
-
-def allowed(setting: Setting) -> str:
-    """Range or choices of a setting in words; "" where every value of its type is allowed.
-
-    Parameters
-    ----------
-    setting : Setting
-        The setting.
-
-    Returns
-    -------
-    str
-        Such as "0 … 99" or "`lockstep`, `timer`".
-    """
-    if setting.choices:
-        return ", ".join(f"`{choice}`" for choice in setting.choices)
-    if setting.lower is None and setting.upper is None:
-        return ""
-    lower, upper = ("any" if limit is None else f"{limit:g}" for limit in (setting.lower, setting.upper))
-    return f"{lower} … {upper}"
 
 
 def _shown(value: object) -> str:

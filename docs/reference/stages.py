@@ -1,4 +1,4 @@
-"""Reference of all stages and their parameters as Markdown, made from the declarations."""
+"""Reference of the stages: a page for each with its equation and parameters, written from their declarations."""
 
 from __future__ import annotations
 
@@ -8,39 +8,49 @@ from typing import Any
 
 import numpy as np
 
+import hyst_control.effects  # noqa: F401  (registers the effects' stages)
 from hyst_control.chain.parameter import Parameter, declared
 from hyst_control.chain.stage import STAGES, Stage, thawed
 
 HEAD = """# Stages
 
-Written by `python docs/make_stages.py` from the stages' declarations.
+Every stage of a model file, with its equation from input u to output y and its parameters. *Form*: a number applies to every axis; a list
+in place of a number (a list of lists in place of a list) gives a value per axis. *Scatter*: the coordinates in
+which `tolerance` and `uncertainty` of a model file give the parameter's scatter; `none` if they do not accept it.
 
-Every stage of a model file with its equation, from input u to output y with the parameters by name, and its parameters. *Form*: a
-number holds for every axis, a list where a number is due (a list of lists where a list is due) is per axis; what belongs to all axes
-together is said so. *Scatter*: whether `tolerance` and `uncertainty` of a model file may name the parameter, and in which way an
-identification knows it.
+| stage | |
+|---|---|
 """
 
 
-def stages_reference() -> str:
-    """Every registered stage in alphabetical order: its first sentence, its equation and a table of its parameters."""
-    return HEAD + "".join(_section(name, STAGES[name]) for name in sorted(STAGES))
+def stage_pages() -> dict[str, str]:
+    """Every registered stage's page by its name, and their list as `index`."""
+    names = sorted(STAGES)
+    rows = [f"| [`{name}`]({name}.md) | {_cell(_title(STAGES[name]))} |\n" for name in names]
+    return {"index": HEAD + "".join(rows)} | {name: _page(name, STAGES[name]) for name in names}
 
 
-def _section(name: str, stage: type[Stage]) -> str:
-    title = (inspect.getdoc(stage) or "").split("\n\n")[0].replace("\n", " ")
+def _title(stage: type[Stage]) -> str:
+    return (inspect.getdoc(stage) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def _page(name: str, stage: type[Stage]) -> str:
     known = {found.name: found for found in fields(stage)}
     rows = [_row(key, parameter, known[key].default) for key, parameter in declared(stage).items()]
     head = "| parameter | form | unit | bounds | default | scatter | |\n|---|---|---|---|---|---|---|\n"
     equation = f"$$\n{stage.equation}\n$$\n\n" if stage.equation else ""
-    return f"\n## {name}\n\n{title}\n\n{equation}{head}{''.join(rows)}"
+    return f"# {name}\n\n{_title(stage)}\n\n{equation}{head}{''.join(rows)}"
 
 
 def _row(name: str, parameter: Parameter, default: Any) -> str:
     without = "" if default is MISSING else "none" if default is None else f"{thawed(default)}".lower()
     form = f"{parameter.kind.value}: {parameter.form}" if parameter.dimensions else parameter.kind.value
     cells = (f"`{name}`", form, parameter.unit, bounds(parameter), without, parameter.scatter.value, parameter.text)
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
+    return f"| {' | '.join(map(_cell, cells))} |\n"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
 
 
 def bounds(parameter: Parameter) -> str:

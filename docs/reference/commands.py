@@ -1,4 +1,4 @@
-"""Reference of a command line as Markdown, made from its parser."""
+"""Reference of the commands: a page for each, written from its parser."""
 
 from __future__ import annotations
 
@@ -7,27 +7,38 @@ import re
 
 HEAD = """# Commands
 
-Written by `python docs/make_reference.py` from the commands' own descriptions: what `hyst COMMAND --help` prints.
+`hyst COMMAND --help` prints the same.
+
+| command | |
+|---|---|
 """
 
 
-def command_reference(top: argparse.ArgumentParser) -> str:
-    """Every subcommand with its description, its arguments and their meaning."""
-    subcommands = next(action for action in top._actions if isinstance(action, argparse._SubParsersAction))
-    return HEAD + "".join(_section(f"{top.prog} {name}", sub) for name, sub in sorted(subcommands.choices.items()))
+def command_pages(top: argparse.ArgumentParser) -> dict[str, str]:
+    """Every subcommand's page by its name, and their list as `index`."""
+    [subcommands] = (action for action in top._actions if isinstance(action, argparse._SubParsersAction))
+    commands = dict(sorted(subcommands.choices.items()))
+    index = HEAD + "".join(f"| [`{top.prog} {name}`]({name}.md) | {_escaped(_title(sub))} |\n" for name, sub in commands.items())
+    return {"index": index} | {name: _section(f"{top.prog} {name}", sub, "#") for name, sub in commands.items()}
 
 
-def _section(name: str, parser: argparse.ArgumentParser) -> str:
+def _title(parser: argparse.ArgumentParser) -> str:
+    return (parser.description or "").strip().split("\n\n")[0].replace("\n", " ")
+
+
+def _section(name: str, parser: argparse.ArgumentParser, level: str) -> str:
     """A command; one that has subcommands of its own shows each of them."""
     description, _, examples = (parser.description or "").strip().partition("\n\nexample")
-    parts = [f"\n## {name}\n\n", _escaped(description)]
+    parts = [f"{level} {name}\n\n", _escaped(description)]
     if examples:
         parts.append("\n\n```\n" + re.sub(r"(?m)^  ", "", examples.partition("\n")[2]) + "\n```")
     rows = [_row(action) for action in parser._actions if _is_shown(action)]
     if rows:
         parts.append("\n\n| argument | default | |\n|---|---|---|\n" + "\n".join(rows))
     inner = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    nested = "".join(_section(f"{name} {word}", sub) for action in inner for word, sub in action.choices.items())
+    nested = "".join(
+        "\n" + _section(f"{name} {word}", sub, f"{level}#") for action in inner for word, sub in action.choices.items()
+    )
     return "".join(parts) + "\n" + nested
 
 
