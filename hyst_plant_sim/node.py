@@ -1,4 +1,4 @@
-"""Plant node: runs a truth plant or a model file, and is the clock of the loop in lockstep."""
+"""Plant node: runs a reference simulation or a model file, and is the clock of the loop in lockstep."""
 
 from __future__ import annotations
 

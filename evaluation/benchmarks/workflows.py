@@ -1,4 +1,4 @@
-"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the truth plants."""
+"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the reference simulations."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ TENFOLD = "pea_published"
 
 
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
-    """Measure truth plants, identifications, and diagnoses with a new and with a cached threshold."""
+    """Measure reference simulations, identifications, and diagnoses with a new and with a cached threshold."""
     for name in TRUTH:
         table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
     for family in IDENTIFIED:
@@ -64,7 +64,7 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
 
 
 def speed(name: str) -> float:
-    """Simulated seconds per second of processor time of a truth plant under a 50 Hz sine: the median of `REPEATS`."""
+    """Simulated seconds per second of processor time of a reference simulation under a 50 Hz sine: the median of `REPEATS`."""
     truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
     lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
     time_axis = np.arange(round(RATE)) / RATE

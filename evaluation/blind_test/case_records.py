@@ -1,4 +1,4 @@
-"""Records of the blind test's cases: the truth plant of a case under its excitation."""
+"""Records of the blind test's cases: the reference simulation of a case under its excitation."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def run_case(case: Case, **included: bool) -> dict[str, Array]:
 
 
 def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> Plant:
-    """Construct the truth plant of a case, rated for the range in which it is driven."""
+    """Construct the reference simulation of a case, rated for the range in which it is driven."""
     # later: another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others
     setup = SETUPS[case.plant]
     changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)

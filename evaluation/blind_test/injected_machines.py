@@ -34,7 +34,7 @@ SIMULATED = ("third", "bouc_wen")
 
 @dataclass(frozen=True)
 class Clean:
-    """Clean record: command and measurement (N, A)."""
+    """Record of the healthy machine: command and measurement (N, A)."""
 
     name: str
     command: Array

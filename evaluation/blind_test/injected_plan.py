@@ -1,4 +1,4 @@
-"""Plan of the injected cases: which effect goes into which record, beside which clean records.
+"""Plan of the injected cases: which effect goes into which record, beside which baseline records.
 
 The plan is a round that repeats, so that any number of cases, and what an interrupted run has diagnosed, has every row of the table in
 the same proportion. Each effect comes in turn before any comes again. A clean record as it is comes once for every set of clean records
@@ -94,7 +94,7 @@ def _group(machine: Machine) -> str:
 
 
 def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> list[Cell]:
-    """Every clean record with every set of clean records beside it, in random order; of each of the mirror's levels one set."""
+    """Every record of a machine with every set of baseline records beside it, in random order; of each of the mirror's levels one set."""
     cells = []
     mirrors = [machine for machine in machines if _group(machine) == "mirror"]
     for machine in mirrors:

@@ -94,7 +94,7 @@ def _named(report: Mapping[str, Any], companions: bool) -> list[str]:
 
 
 def quiet(report: Mapping[str, Any]) -> bool:
-    """Report whether a diagnosis of a clean record names nothing but coefficients and companions."""
+    """Report whether a diagnosis of an unchanged record names nothing but coefficients and session effects."""
     if report["verdict"] in ("no_gap", "parameters"):
         return True
     return report["verdict"] == "effect" and not _named(report, False)

@@ -1,4 +1,4 @@
-"""Page of a blind test, docs/blind-test.md: the targets' table as measured, the confusion matrix, and the worst cases."""
+"""Page of a blind test: the targets' table as measured, the confusion matrix, and the worst cases."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def write_injected_page(path: Path, found: Sequence[Metric], rows: Sequence[Row]
 
 
 def by_machine(rows: Sequence[Row]) -> list[dict[str, object]]:
-    """Count the right first names by machine, clean records and size."""
+    """Count the right first names by machine, baseline records and size."""
     groups: dict[tuple[str, str, float], list[bool]] = {}
     for label, report in rows:
         if label["kind"] == "single":

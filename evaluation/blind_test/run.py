@@ -1,4 +1,4 @@
-"""The blind test: cases drawn from truth plants, diagnosed by processes that never see their labels, then scored.
+"""The blind test: cases drawn from reference simulations, diagnosed by processes that never see their labels, then scored.
 
 Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all the input of a diagnosis (next.npy is the command of a fresh record, for
 which it predicts the shrink), labels.json is kept separate (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and

@@ -1,4 +1,4 @@
-"""Simulated fleets: units drawn from a population, recorded night after night, effects that begin on some of them in some night.
+"""Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them in some run.
 
 A unit's coefficients scatter about the nominal plant's, those of its nights a little about its own; the temperature of a night, which
 all units share, changes every gain. Units hang on drivers, in turn. On some units an effect begins in some night; on all units of one
@@ -74,7 +74,7 @@ class Unit:
 def make_fleet(
     folder: Path, seed: int, units: int, nights: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
 ) -> Path:
-    """Draw a fleet, record its nights, and write manifest and labels."""
+    """Draw a fleet, record its runs, and write manifest and labels."""
     if units < 1 or nights < CLEAN_NIGHTS + 2:
         raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_NIGHTS + 2} nights, got {units} and {nights}")
     if folder.exists() and any(folder.iterdir()):
@@ -104,7 +104,7 @@ def make_fleet(
 
 
 def command() -> Array:
-    """Command (N, 1) of every night, V."""
+    """Command (N, 1) of every run, V."""
     setup = SETUPS[PLANT]
     low, high = setup.command
     rows = build({**EXCITATION, "rms": 0.13 * (high - low), "offset": 0.5 * (high + low), "seed": 1}, setup.sample_time, 1)
@@ -112,7 +112,7 @@ def command() -> Array:
 
 
 def unit_scatter(draws: int = 8) -> float:
-    """Unit-to-unit scatter of the measurement under the command of a night, rms."""
+    """Unit-to-unit scatter of the measurement under the command of a run, rms."""
     measured = np.array([_measured({}, scatter(PLANT, index, SCATTER), index, 0.0) for index in range(draws)])
     return float(np.sqrt(np.mean(measured.var(axis=0, ddof=1))))
 
@@ -162,7 +162,7 @@ def _gap(effect: Mapping[str, Any]) -> float:
 
 
 def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: int, noise: float) -> Array:
-    """Measurement (N,) of a night."""
+    """Measurement (N,) of a run."""
     setup, rows = SETUPS[PLANT], command()
     own = {name: value for name, value in effect.items() if name != "shared"}
     document = {
@@ -183,7 +183,7 @@ def _moved(value: Any, random: np.random.Generator, size: float) -> Any:
 
 
 def _record_unit(job: tuple[Unit, Array, str]) -> str:
-    """Record all nights of a unit."""
+    """Record all runs of a unit."""
     unit, temperatures, folder = job
     rows, setup = command(), SETUPS[PLANT]
     time = np.arange(len(rows), dtype=np.float64) * setup.sample_time

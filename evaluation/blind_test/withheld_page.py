@@ -1,4 +1,4 @@
-"""Page of the measured cases with an effect withheld, docs/blind-test-measured.md."""
+"""Page of the measured cases with an effect withheld."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_page(
     levels: Sequence[int] = mirror.LEVELS,
     missing: Sequence[Withheld] = (),
 ) -> None:
-    """Write docs/blind-test-measured.md."""
+    """Write the page."""
     given = "" if tuple(plants) == PLANTS else f" --plants {' '.join(plants)}"
     given += "" if tuple(levels) == tuple(mirror.LEVELS) else f" --levels {' '.join(map(str, levels))}"
     given += " --so-far" if missing else ""

@@ -4,10 +4,10 @@ Seeds 0 to 999 are for tuning; scoring seeds begin at 100000, and each is used f
 called again with the same folder.
 
 example:
-  hyst blind-test --seed 100000 --count 800 --output blind --page docs/blind-test.md
-  hyst blind-test --measured --page docs/blind-test-measured.md     models of measured plants with one element removed
+  hyst blind-test --seed 100000 --count 800 --output blind --page blind.md
+  hyst blind-test --measured --page measured.md     models of measured plants with one element removed
   hyst blind-test --injected --seed 7 --count 60 --output injected   # known effects put into records of machines
-  hyst blind-test --seed 100000 --count 300 --with-injected 200 --output blind --page docs/blind-test.md     both on one page
+  hyst blind-test --seed 100000 --count 300 --with-injected 200 --output blind --page blind.md     both on one page
   hyst blind-test --seed 7 --count 800 --output blind --cluster tcp://10.0.0.1:8786      on the workers of a Dask cluster
 """
 

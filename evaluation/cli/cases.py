@@ -1,10 +1,10 @@
-"""Draw cases from the truth plants: recorded bags with a model each and their labels in a separate file; or draw all effects.
+"""Draw cases from the reference simulations: recorded bags with a model each and their labels in a separate file; or draw all effects.
 
 examples:
   hyst cases make --seed 7 --count 20 --output cases
   hyst cases make --seed 7 --count 12 --output mirror --plants fsm --kinds single pair --excitations rich --switched 0.5
   hyst cases make --measured --seed 7 --count 20 --output injected --plants stack
-  hyst cases make --fleet 20 30 --seed 7 --output fleet   # units and nights; then: hyst fleet diagnose fleet/manifest.csv --output study
+  hyst cases make --fleet 20 30 --seed 7 --output fleet   # units and runs; then: hyst fleet diagnose fleet/manifest.csv --output study
   hyst cases figures --output docs/figures/effects   # a figure for every effect
 """
 

@@ -2,7 +2,7 @@
 
 examples:
   hyst reproduce hampi --json hampi.json --figures figures
-  hyst reproduce page --results hampi.json mhl.json --page docs/reproduction.md
+  hyst reproduce page --results docs/data/hampi.json docs/data/mhl.json --page papers.md
 Measurements are read from ../shared/data beside the repository, or from the folder named by HYST_DATA.
 """
 

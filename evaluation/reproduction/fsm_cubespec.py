@@ -33,7 +33,6 @@ from evaluation.reproduction.fsm_cubespec_tables import (
     report_one,
     report_residual,
     report_shares,
-    shares_page,
 )
 from hyst_control import progress
 from hyst_control.chain.chain import Chain
@@ -144,7 +143,6 @@ def run(json_path: str | Path | None = None, figures_dir: str | Path | None = No
         folder = Path(figures_dir)
         draw(folder, levels, models)
         save_model(chosen[1], folder / "fsm_cubespec.yaml")
-        (folder / "fsm_cubespec_shares.md").write_text(shares_page(table), encoding="utf-8")
     if json_path is not None:
         table.write(json_path)
     return table

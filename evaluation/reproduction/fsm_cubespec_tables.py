@@ -199,18 +199,6 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
 SHARES = "Shares of the gap between the linear simulator and the mirror, realization 6"
 
 
-def shares_page(table: Table) -> str:
-    """Format the shares as a Markdown table, effect by effect, with the gap in % of rms in the last row."""
-    rows = [row for row in table.rows if row.table == SHARES]
-    cases = list(dict.fromkeys(row.case for row in rows))
-    names = dict.fromkeys(row.subject for row in rows if row.quantity == "share")
-    value = {(row.subject, row.case): row.value for row in rows}
-    lines = [f"| share of the gap's mean square, % | {' | '.join(cases)} |", "|---|" + "---|" * len(cases)]
-    lines += [f"| {name} | {' | '.join(f'{value[name, case]:.1f}' for case in cases)} |" for name in names]
-    gaps = [f"{value['linear simulator', case]:.1f}" if ("linear simulator", case) in value else "" for case in cases]
-    return "\n".join([*lines, f"| the gap itself, % of rms | {' | '.join(gaps)} |", ""])
-
-
 def report_residual(table: Table, levels: Sequence[Level], model: Model) -> None:
     """Add the chosen model's residual by frequency band: each band's share of it, and the band's own relative error."""
     title = "What the chosen model leaves, by frequency, realization 6"

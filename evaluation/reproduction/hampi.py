@@ -1,4 +1,4 @@
-"""`hyst reproduce hampi`: the HAMPI paper's experiments on a truth actuator, everything through the real nodes in lockstep.
+"""`hyst reproduce hampi`: the HAMPI paper's experiments on a simulated actuator, everything through the real nodes in lockstep.
 
 Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
 of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
@@ -130,7 +130,7 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
 
 
 def second_truth(table: Table, folder: Path, extent: Extent) -> None:
-    """Add Fig. 11 and Table 5 for a truth plant without a drag of its polarization (`third`), by the paper's sequence."""
+    """Add Fig. 11 and Table 5 for a reference simulation without a drag of its polarization (`third`), by the paper's sequence."""
     steps = record(folder / "sequence", paper_sequence(LOW, extent), SEED + 7, SECOND)
     loops, places = held_out_loops(replace(extent, peaks=(LOW,)))
     held_out = record(folder / "held_out", loops, SEED + 8, SECOND)
@@ -228,7 +228,7 @@ def _between_rests(
 
 
 def record(folder: Path, signal: Annotated[Array, "N 1"], seed: int, plant: str) -> Dataset:
-    """Record the truth actuator in open loop, through the five nodes."""
+    """Record the simulated actuator in open loop, through the five nodes."""
     bag = run_processes(
         folder,
         signal,

@@ -1,4 +1,4 @@
-"""`hyst reproduce mhl`: the MHL paper's experiments on a truth mirror of two axes, everything through the real nodes in lockstep.
+"""`hyst reproduce mhl`: the MHL paper's experiments on a simulated mirror of two axes, everything through the real nodes in lockstep.
 
 Excite at the loop's rate, record, identify in the paper's sequence and jointly, tune the PI feedback, track. The published
 figures are of the paper's mirror; the plant here is a simulated one whose hysteresis, relaxation and resonance are not the

@@ -1,4 +1,4 @@
-"""Learning on the truth mirror through the real nodes: from trial to trial, and of gain and lag from the feedback. Past the papers."""
+"""Learning on the simulated mirror through the real nodes: from trial to trial, and of gain and lag from the feedback. Past the papers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Margins of a tuned feedback on the truth plant, beside those of its model."""
+"""Margins of a tuned feedback on the reference simulation, beside those of its model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hyst_plant_sim.physics import load_plant
 
 
 def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "MHL robustness") -> None:
-    """Add the tuned loop of its model, and its margins on the truth plant with other gains and first modes."""
+    """Add the tuned loop of its model, and its margins on the reference simulation with other gains and first modes."""
     gains = (("kp", "V/unit"), ("ki", "V/(unit s)"), *((("roll_off", "Hz"),) if tuning.roll_off else ()), ("settling_time", "s"))
     for quantity, unit in gains:
         table.add(title, "model", "tuned PI", quantity, unit, getattr(tuning, quantity))
@@ -26,7 +26,7 @@ def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "M
 
 
 def truth_margins(tuning: Tuning, gain: float, mode: float, plant: str = "fsm") -> tuple[float, float]:
-    """Measure gain and phase margin on a changed truth plant."""
+    """Measure gain and phase margin on a changed reference simulation."""
     modes, centre, rms, top = MEASURED[plant]
     found = []
     for axis in range(len(modes)):

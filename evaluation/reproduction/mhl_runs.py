@@ -1,4 +1,4 @@
-"""Runs of the MHL experiments through the real nodes: records in open loop, and tracking, on the truth mirror."""
+"""Runs of the MHL experiments through the real nodes: records in open loop, and tracking, on the simulated mirror."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BLOCK = 500
 
 
 def record(folder: Path, signal: Annotated[Array, "N 2"], sample_time: float, seed: int) -> Dataset:
-    """Record the truth mirror in open loop, through the five nodes."""
+    """Record the simulated mirror in open loop, through the five nodes."""
     bag = run_processes(
         folder,
         signal,

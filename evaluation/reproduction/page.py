@@ -1,4 +1,4 @@
-"""docs/reproduction.md from the results of `hyst reproduce hampi` and `hyst reproduce mhl`: targets met and missed, then every row."""
+"""Page of the papers' experiments from the results of `hyst reproduce hampi|mhl`: targets met and missed, then every row."""
 
 from __future__ import annotations
 

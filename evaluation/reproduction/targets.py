@@ -72,7 +72,7 @@ class Rows:
         return found[0]
 
     def least(self, table: str, quantity: str) -> float:
-        """Look up the least value of a quantity over the cases measured on the truth plant."""
+        """Look up the least value of a quantity over the cases measured on the reference simulation."""
         values = [
             row.value for row in self.rows if row.table == table and row.quantity == quantity and row.case.startswith("truth")
         ]
@@ -80,7 +80,7 @@ class Rows:
 
 
 def margin_targets(rows: Rows, table: str, cause: str) -> list[Target]:
-    """List gain and phase margin of the tuned feedback on the truth plant, the worst over gain ±10 % and first mode ±20 %."""
+    """List gain and phase margin of the tuned feedback on the reference simulation, the worst over gain ±10 % and first mode ±20 %."""
     where = "tuned feedback on the truth plant, ±10 % gain, ±20 % mode"
     return [
         Target(f"{where}: gain margin", rows.least(table, "gain_margin"), 6.0, "dB", True, cause, origin=OURS),

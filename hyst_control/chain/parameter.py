@@ -6,7 +6,7 @@ A stage is a frozen dataclass whose fields say what they are:
 
 From this one declaration come the checks (`Parameter.check`), the split of a model by axis and the spreading over axes
 (`Parameter.of_axis`, `Parameter.spread`), which numbers are uncertain (`Parameter.scatter`), and the reference of all stages
-in the documents (`chain.reference`).
+in the documents (`docs/reference/stages.py`).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.placement import hysteresis_index
 from hyst_control.errors import InputError
 
-OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops, see docs/diagnosis.md
+OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops
 
 
 @register

@@ -1,4 +1,4 @@
-"""Truth plants: physics against which simulators are judged. Imports nothing of the package under test and shares no code with it."""
+"""Reference simulations, by which simulators are judged; they import nothing of the package under test and share no code with it."""
 
 from hyst_plant_sim.physics.effects import EFFECTS
 from hyst_plant_sim.physics.plant_files import PLANTS, load_plant

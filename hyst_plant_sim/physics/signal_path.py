@@ -87,7 +87,7 @@ class PlantParameters(ABC):
 
 
 class Plant:
-    """A running truth plant: `reset` it, then `step` it with commands in V."""
+    """A running reference simulation: `reset` it, then `step` it with commands in V."""
 
     def __init__(self, frame: Frame, line: Line) -> None:
         self.frame, self._line = frame, line
@@ -100,7 +100,7 @@ class Plant:
         self.reset(np.zeros(len(self.axes)))
 
     def reset(self, command: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
-        """Settle at a command that is reached from 0 V on the virgin curve."""
+        """Settle at a command that is reached from 0 V on the initial loading curve."""
         values = np.array(np.broadcast_to(np.asarray(command, dtype=float), len(self.axes)))
         for axis, part in (*self._before, *self._between, *self._after):
             if axis is None:

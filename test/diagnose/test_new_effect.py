@@ -14,7 +14,7 @@ from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from test.diagnose.conftest import nominal, record_of
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "diagnosis.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "extending.md"
 DEAD_BAND = {"name": "crossover_dead_band", "half_width": 1.5}
 RIVALS = {"backlash", "delay", "gain", "saturation", "quantization", "offset"}
 """Effects that remain in the catalogue: those that are nearest to it, and some others."""
@@ -25,7 +25,7 @@ WITHOUT = [name for name in EFFECTS if name not in RIVALS]
 def documented(tmp_path, monkeypatch):
     """The page's file as a module; the catalogue and the known stages are as before afterwards."""
     (source,) = [
-        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "EFFECT = " in block
+        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "class CrossoverDeadBand" in block
     ]
     (tmp_path / "documented_effect.py").write_text(source, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

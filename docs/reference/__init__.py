@@ -1,0 +1,1 @@
+"""Reference pages of the site, written when it is built."""
