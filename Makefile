@@ -67,6 +67,7 @@ lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m ruff check .
 	$(VENV)/bin/python -m mypy
 	$(VENV)/bin/python .ci/package.py
+	$(VENV)/bin/python .ci/prose.py
 
 bench: env
 	$(VENV)/bin/hyst bench $(ARGS)
