@@ -23,9 +23,7 @@ JSON = "list of written files"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument(
-        "action", choices=("make", "figures"), help="make: draw and record cases; figures: draw every effect"
-    )
+    parser.add_argument("action", choices=("make", "figures"), help="make: draw and record cases; figures: draw every effect")
     parser.add_argument("--seed", type=int, help="seed of the cases (make)")
     parser.add_argument("--count", type=int, default=60, help="number of cases (make; default 60)")
     parser.add_argument(
