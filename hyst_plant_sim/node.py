@@ -118,7 +118,6 @@ class PlantNode(ManagedNode):
     def activate(self) -> None:
         if self._tick is None:
             self.reset()
-        self.once(self.advance)
 
     def advance(self) -> None:
         if not self.active:

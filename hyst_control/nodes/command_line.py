@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.parameter_reference import allowed
+from hyst_control.nodes.parameter_reference import allowed, liveness
 from hyst_control.nodes.parameters import Setting, nearest
 
 WIDTH = 100
@@ -95,7 +95,7 @@ def _listed(settings: Iterable[Setting]) -> str:
     lines = []
     for setting in settings:
         values = allowed(setting).replace("`", "").replace("…", "to")
-        facts = [setting.unit, values, f"default {_shown(setting.default)}", "live" if setting.live else ""]
+        facts = [setting.unit, values, f"default {_shown(setting.default)}", liveness(setting).replace("`", "")]
         lines.append(f"  {setting.name}  [{'; '.join(fact for fact in facts if fact)}]")
         lines += textwrap.wrap(setting.text, WIDTH, initial_indent="      ", subsequent_indent="      ")
     return "\n".join(lines)

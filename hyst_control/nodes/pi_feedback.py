@@ -59,9 +59,19 @@ class PiFeedback(ManagedNode):
             "roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9, live=True
         ),
         Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6, live=True),
-        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True),
-        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True),
-        Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12, live=True),
+        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True, wider="lower"),
+        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True, wider="higher"),
+        Setting(
+            "slew_limit",
+            0.0,
+            "V/s",
+            "greatest slope of the command, 0 for none",
+            0.0,
+            1e12,
+            live=True,
+            wider="higher",
+            off=True,
+        ),
         Setting(
             "start",
             "rest",
@@ -78,6 +88,7 @@ class PiFeedback(ManagedNode):
             1e-6,
             1e12,
             live=True,
+            wider="lower",
         ),
         Setting(
             "axis_fault",
@@ -95,7 +106,16 @@ class PiFeedback(ManagedNode):
             choices=("safe", "silent", "warn"),
             live=True,
         ),
-        Setting("rival_time", 0.5, "s", "time for which such a publisher must be silent until that is over", 0.05, 1e6, live=True),
+        Setting(
+            "rival_time",
+            0.5,
+            "s",
+            "time for which such a publisher must be silent until that is over",
+            0.05,
+            1e6,
+            live=True,
+            wider="lower",
+        ),
         Setting(
             "takeover_time",
             2.0,
@@ -120,9 +140,10 @@ class PiFeedback(ManagedNode):
             0.0,
             1e6,
             live=True,
+            wider="lower",
         ),
-        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True),
-        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True),
+        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True, wider="lower"),
+        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True, wider="higher"),
         Setting(
             "frozen_time",
             0.1,
@@ -131,6 +152,8 @@ class PiFeedback(ManagedNode):
             0.0,
             1e6,
             live=True,
+            wider="higher",
+            off=True,
         ),
         BACKEND,
         AUTOSTART,
@@ -143,6 +166,8 @@ class PiFeedback(ManagedNode):
             0,
             1_000_000,
             live=True,
+            wider="higher",
+            off=True,
         ),
     )
 
@@ -178,10 +203,6 @@ class PiFeedback(ManagedNode):
         self.reset()
         self.begin()
         self.start_timer(0.5)
-
-    def activate(self) -> None:
-        if self.lockstep:
-            self.once(self.advance)
 
     def advance(self) -> None:
         if not self.ever_active:

@@ -11,6 +11,7 @@ import pytest
 from command_watcher import CommandWatcher
 from loop_case import MODEL, RUNNING, recorded
 from pipeline_thread import ProcessesBesideThread
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from hyst_control.nodes import reference_generator
@@ -82,14 +83,17 @@ class Loop:
             **changes,
         }
         self.feedback = bench.add(PiFeedback, **self.settings)
-        self.plant = bench.add(
+        self.add_plant()
+        self.recorder = bench.add(Recorder, output=str(folder / "bag"), **self.common)
+
+    def add_plant(self):
+        self.plant = self.bench.add(
             lambda **options: PlantNode(plant=self.stage, **options),
             safe_command=[PLANT_SAFE],
             safe_rate=SAFE_RATE,
             retry=0.05,
             **self.common,
         )
-        self.recorder = bench.add(Recorder, output=str(folder / "bag"), **self.common)
 
     def until(self, condition, timeout=30.0):
         """Looks from within the executor, which in lockstep always has something to do and would not come back by itself."""
@@ -239,6 +243,32 @@ def test_feedback_started_again_takes_over_from_what_is_applied(loop, monkeypatc
     loop.watcher.check()
     if loop.schedule == "lockstep":  # nothing moves while no command comes: the run goes on as if nothing had been
         assert np.all(np.diff([tick for tick, _ in loop.watcher.command()]) == 1)
+
+
+def test_plant_started_again_beside_a_running_loop_goes_on_with_it(loop, monkeypatch):
+    loop = loop()
+    for _ in range(3):
+        for name in ("advance", "tick", "_confirm"):  # as if it were killed
+            monkeypatch.setattr(loop.plant, name, lambda *_: None)
+        loop.add_plant()
+        count = len(loop.watcher.command())
+        loop.until(lambda: len(loop.watcher.command()) > count + 60)
+        loop.until(loop.tracks)
+    loop.watcher.check()
+
+
+def test_limits_that_a_peer_wants_wider_hold(loop):
+    loop = loop()
+    before = dict(vars(loop.feedback.settings))
+    for name, value in (("upper", 1e6), ("lower", -1e6), ("slew_limit", 0.0), ("timeout", 1000.0), ("safe_rate", 1e-6)):
+        assert not loop.feedback.set_parameters([Parameter(name, value=value)])[0].successful
+    sender = loop.sender("reference")
+    for _ in range(3):
+        sender.send(np.array([[loop.now() + 5 * PERIOD, 1e6]]))
+        loop.go_on(20)
+    assert vars(loop.feedback.settings) == before
+    loop.until(loop.tracks)
+    loop.watcher.check()
 
 
 @pytest.mark.parametrize("limits", [(20.0, 80.0), (-80.0, -20.0)])
