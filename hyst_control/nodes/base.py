@@ -445,6 +445,8 @@ class SignalNode(EndingNode):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.enabled = request.data
+        if self.lockstep:
+            self.once(self.advance)
         response.success, response.message = True, "enabled" if request.data else "disabled"
         return response
 

@@ -21,8 +21,8 @@ Written by `python docs/make_reference.py` from the nodes' declarations.
 A parameter is given with `-p name:=value` behind `--ros-args`, or in a parameter file (`config/nodes`); in a file, `/**/pi_feedback` holds
 in every namespace. A value of the wrong type or out of its range, and a name that the node does not have, are refused with one line.
 `--help` of every executable lists its parameters. A parameter marked *live* may be changed while the node runs (`ros2 param set`);
-others are read-only then. Limits, slew limits and timeouts may be narrowed live. They may be widened as far as `max_NAME` (`min_NAME` where a
-lower value protects less), which is read at the start and is the value at the start unless it is given.
+others are read-only then. Limits, slew limits and timeouts may be narrowed live. They may be widened as far as `max_NAME` (`min_NAME` where
+a lower value protects less), which is read at the start and is the value at the start unless it is given.
 
 Gains, limits and the parameters of a reference's signal change without a jump of the command. The integral takes up what another `kp`
 would add; limits go to their new values at `safe_rate`; without `ki` the command goes to that of the new gains at `safe_rate`; a

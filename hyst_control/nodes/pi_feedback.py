@@ -22,11 +22,13 @@ from hyst_control.nodes.rival_watch import RivalWatch
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.nodes.takeover import Takeover
+from hyst_control.records.actuator_following import CLOSE
 from hyst_control.records.signal_message import label_for
 
 Array = NDArray[np.float64]
 
 ENDING, RIVAL = "the node is ending", "another node publishes command"
+NOT_FOLLOWED = "the actuator does not follow the command: the feedback tracks what is applied"
 LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")
 """Parameters of the controller's law."""
 TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
@@ -262,6 +264,7 @@ class PiFeedback(ManagedNode):
             newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
             fault = self._timing_fault(tick)
             if len(newest) == len(self.inputs):
+                self.loop.applied = self._takeover.apart(self.command.sent, CLOSE * (self.settings.upper - self.settings.lower))
                 self._publish(tick, *self.loop.closed(newest[1], newest[2], newest[0], fault))
             elif self._newest is not None:  # nothing came since a reset
                 self._publish(tick, *self.loop.stopped_by(fault, 1))
@@ -327,6 +330,8 @@ class PiFeedback(ManagedNode):
             return fault
         if self._rival_active:
             return RIVAL
+        if self.loop.applied is not None:
+            return NOT_FOLLOWED
         return "saturated" if longest >= self._ticks_in(self.settings.saturation_time) else ""
 
     def status(self) -> dict[str, Any]:

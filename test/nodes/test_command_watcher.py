@@ -13,11 +13,12 @@ from loop_case import MODEL, RUNNING, recorded
 from pipeline_thread import ProcessesBesideThread
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from std_srvs.srv import SetBool
 
 from hyst_control.nodes import reference_generator
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.message_io import Sender
-from hyst_control.nodes.pi_feedback import RIVAL, PiFeedback
+from hyst_control.nodes.pi_feedback import NOT_FOLLOWED, RIVAL, PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
@@ -39,12 +40,15 @@ class Stage:
     def __init__(self, axes, pace):
         self.axes = ("x", "y")[:axes]
         self.frozen, self._pace = {}, pace
+        self.voltages = []
+        """What was on the actuator, tick by tick."""
 
     def reset(self, command):
         return self._measured(np.asarray(command, dtype=float)[None])[0]
 
     def step(self, commands):
         time.sleep(self._pace)  # in lockstep as fast as the watcher reads
+        self.voltages.extend(commands[:, 0])
         return self._measured(commands)
 
     def _measured(self, commands):
@@ -251,8 +255,7 @@ def test_plant_started_again_beside_a_running_loop_goes_on_with_it(loop, monkeyp
         for name in ("advance", "tick", "_confirm"):  # as if it were killed
             monkeypatch.setattr(loop.plant, name, lambda *_: None)
         loop.add_plant()
-        count = len(loop.watcher.command())
-        loop.until(lambda: len(loop.watcher.command()) > count + 60)
+        loop.go_on()
         loop.until(loop.tracks)
     loop.watcher.check()
 
@@ -268,6 +271,35 @@ def test_limits_that_a_peer_wants_wider_hold(loop):
         loop.go_on(20)
     assert vars(loop.feedback.settings) == before
     loop.until(loop.tracks)
+    loop.watcher.check()
+
+
+@pytest.mark.parametrize("how", ["stop", "deactivate"])
+def test_stage_stopped_alone_is_tracked_and_goes_on_without_a_jump(loop, how):
+    """In lockstep the run stands still meanwhile: nothing can wind up."""
+    loop = loop()
+    loop.plant._stop() if how == "stop" else loop.plant.trigger_deactivate()
+    if loop.schedule == "timer":
+        loop.until(lambda: loop.watcher.applied and loop.watcher.applied[-1] == (PLANT_SAFE,))
+        loop.until(lambda: loop.says(NOT_FOLLOWED))
+        loop.go_on(150)
+        assert all(abs(values[0] - PLANT_SAFE) < 0.5 for _, values in loop.watcher.command()[-100:])
+    else:
+        count = len(loop.watcher.command())
+        stopped = time.monotonic() + 0.5
+        loop.until(lambda: time.monotonic() > stopped)
+        assert len(loop.watcher.command()) <= count + 5
+    ticks = len(loop.stage.voltages)
+    if how == "stop":
+        loop.bench.probe.create_client(SetBool, "/plant/enable").call_async(SetBool.Request(data=True))
+    else:
+        loop.plant.trigger_activate()
+    loop.until(lambda: len(loop.stage.voltages) > ticks + 200)
+    loop.until(loop.tracks)
+    loop.until(loop.runs)
+    on_it = np.array(loop.stage.voltages[ticks - 100 :])
+    assert np.abs(np.diff(on_it)).max() <= SLEW * PERIOD * (1 + 1e-9)
+    assert on_it.max() < 46.0, "what the reference asks for, and no more"
     loop.watcher.check()
 
 
