@@ -222,7 +222,11 @@ class SafeLoop:
         if self._limits is not None:
             self._move_limits()
         last = self.controller.command
-        found = self.watch.check(measurement[0], last)
+        found: Sequence[str] = ()
+        if self.applied is None:
+            found = self.watch.check(measurement[0], last, reference[0])
+        else:  # what is measured is no answer to the command
+            self.watch.forget()
         if self._well and self.enabled and self.applied is None and not fault and not found and not self._overflowed:
             command, feedback = self.controller.step(reference, measurement, feedforward)
             self._overflowed = self.controller.overflowed

@@ -24,8 +24,6 @@ FRESH = 1.0
 """s, for which what was heard counts."""
 DISCOVERY = 0.3
 """s, within which programs on one machine usually know of each other."""
-FOLLOWS_AGAIN = 0.05
-"""s, after which an actuator follows again of which nothing else was heard."""
 LATE = 0.02
 """s, at most, by which an actuator that follows is behind the command."""
 
@@ -76,7 +74,8 @@ class Takeover:
     def apart(self, sent: SentRows, close: float) -> Array | None:
         """Voltage (A,) of the axes whose actuator does not follow the rows of command that were `sent`, NaN of the others.
 
-        It begins with a voltage that is not within `close` V of the command, and lasts while one is heard. None while all axes follow.
+        It begins with a voltage that is not within `close` V of the command, and lasts until none was heard for the node's `timeout`.
+        None while all axes follow.
         """
         now = time.monotonic()
         if self._listen(now) and self.command is not None:
@@ -84,7 +83,7 @@ class Takeover:
             if self._apart is not None:
                 away |= np.isfinite(self._apart)
             self._apart = np.where(away, self.command, np.nan) if away.any() else None
-        elif now - self._heard > FOLLOWS_AGAIN:
+        elif now - self._heard > self._node.longest_age:
             self._apart = None
         return self._apart
 
