@@ -5,11 +5,10 @@ the mean error that the loop was to take away. The digit that flickers at the en
 that is left of a disturbance is much more: the error is that very deviation. A command that moves more slowly, as against a drift, is
 no question that could be left without an answer.
 
-*Wrong sign.* A gain is learned from every `MOTION` that the command moves within the frozen time: the ratio of the movements of
-measurement and command, both through the same low-pass, and their median in time. Once the ratio was negative, and half to twice as large
-as the gain, over `AGAINST` successive ones in one direction, the sign has turned: the command runs away. Before there is a gain it takes
-three times as many. A jump of the measurement is none of the command's doing, and what comes
-after it is judged by itself.
+*Wrong sign.* Measurement and command pass the same low-pass. The ratio of the ranges that they cover is the gain, whatever its sign and
+the lag between them. Once the command has moved in one direction by `AGAINST` and the measurement, from each `MOTION` to the next, the
+other way by half to twice the gain, the sign has turned: the command runs away. A jump of the measurement is none of the command's
+doing, and what comes after it is judged by itself.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ MOTION = 0.01
 STILL = 0.02
 """Share of the mean error."""
 AGAINST = 8.0
-"""Movements of the command, in `MOTION`, against which the measurement has gone when its sign counts as turned."""
+"""Movements of the command, in `MOTION`, that teach the gain, and against which the measurement has gone when its sign has turned."""
 JUMP = 5.0
 """Movements of the command, in `MOTION`, of which the answer within a tick is a jump of the measurement."""
 SLOW = 3
 """Frozen times within which the command must move before a constant measurement counts as frozen."""
-STEP = 1.1
-"""Factor by which the learned gain goes towards a new ratio: the median of the ratios."""
+FORGOTTEN = 0.02
+"""Share of what the present values leave of a range that is forgotten with every movement."""
 
 FROZEN, OUT_OF_RANGE, TURNED = "measurement frozen", "measurement out of range", "measurement moves against the command"
 
@@ -106,11 +105,7 @@ class MeasurementWatch:
         self._look_at_the_sign(axis, value, volts, share)
         if axis.same >= self.frozen_ticks:
             return FROZEN
-        return TURNED if abs(axis.against) >= self._enough(axis) else ""
-
-    def _enough(self, axis: _Axis) -> float:
-        """Movement of the command, V, against which the measurement has gone when its sign counts as turned."""
-        return AGAINST * self.motion * (3.0 if axis.gain == 0.0 else 1.0)
+        return TURNED if abs(axis.against) >= AGAINST * self.motion else ""
 
     def _look_for_an_answer(self, axis: _Axis, value: float, volts: float) -> None:
         if not abs(value - axis.value) <= STILL * axis.error:  # it has moved, or is the first one
@@ -132,21 +127,37 @@ class MeasurementWatch:
         axis.volts += share * (volts - axis.volts)
         axis.smooth += share * (value - axis.smooth)
         axis.age += 1
-        moved = axis.volts - axis.volts_before
+        moved, turned = axis.volts - axis.volts_before, AGAINST * self.motion
         if abs(moved) >= self.motion:
-            ratio = (axis.smooth - axis.smooth_before) / moved
-            like = axis.gain == 0.0 or 0.5 * axis.gain <= -ratio <= 2.0 * axis.gain
-            if not (ratio < 0.0 and like):
+            answer = -(axis.smooth - axis.smooth_before) / moved
+            if not 0.5 * axis.gain <= answer <= 2.0 * axis.gain or axis.gain == 0.0:
                 axis.against = 0.0
-            elif abs(axis.against) < self._enough(axis):
+            elif abs(axis.against) < turned:
                 axis.against = moved + (axis.against if axis.against * moved > 0.0 else 0.0)
-            if ratio > 0.0:
-                axis.gain = ratio if axis.gain == 0.0 else axis.gain * STEP if ratio > axis.gain else axis.gain / STEP
         elif axis.age < self.frozen_ticks:
             return
-        elif abs(axis.against) < self._enough(axis):  # slower than that it is a drift
+        elif abs(axis.against) < turned:  # slower than that it is a drift
             axis.against = 0.0
         axis.volts_before, axis.smooth_before, axis.age = axis.volts, axis.smooth, 0
+        covered = axis.covered.widened(axis.volts)
+        answered = axis.answered.widened(axis.smooth)
+        if covered >= turned:
+            axis.gain = answered / covered
+
+
+class _Range:
+    """Range that values cover, which forgets old ones."""
+
+    __slots__ = ("least", "most")
+
+    def __init__(self, value: float) -> None:
+        self.least = self.most = value
+
+    def widened(self, value: float) -> float:
+        """Width of the range with a further value."""
+        self.least = min(value, self.least + FORGOTTEN * (value - self.least))
+        self.most = max(value, self.most + FORGOTTEN * (value - self.most))
+        return self.most - self.least
 
 
 class _Axis:
@@ -155,6 +166,8 @@ class _Axis:
     __slots__ = (
         "against",
         "age",
+        "answered",
+        "covered",
         "error",
         "gain",
         "last",
@@ -181,4 +194,5 @@ class _Axis:
         """Judge the sign from here on."""
         self.smooth = self.smooth_before = value
         self.volts = self.volts_before = volts
+        self.answered, self.covered = _Range(value), _Range(volts)
         self.age, self.against = 0, 0.0

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hyst_control.chain.c_code import Member, integers, reals
-from hyst_control.control.sensor_watch import AGAINST, JUMP, STEP, STILL, MeasurementWatch, smoothing_share
+from hyst_control.control.sensor_watch import AGAINST, FORGOTTEN, JUMP, STILL, MeasurementWatch, smoothing_share
 
 
 def constants(watch: MeasurementWatch) -> Mapping[str, Member]:
@@ -37,6 +37,8 @@ def state(axes: int) -> Mapping[str, Member]:
         "same": integers(zeros, "ticks without an answer since the command has moved"),
         "waited": integers(zeros, "ticks before it has"),
         "gain": reals(zeros, "learned, measurement unit per V; 0 before it is"),
+        "volts_range": reals(np.full((2, axes), np.nan), "V, least and most of the command through the low-pass"),
+        "smooth_range": reals(np.full((2, axes), np.nan), "least and most of the measurement through the low-pass"),
         "newest": reals(unknown, "measurement of the tick before"),
         "smooth": reals(unknown, "measurement through the low-pass"),
         "smooth_before": reals(unknown, "where the movement of the command began"),
@@ -47,6 +49,21 @@ def state(axes: int) -> Mapping[str, Member]:
     }
 
 
+RANGES = f"""
+/* Ends of a range with a further value, which forget old ones. */
+static real forgotten_least(real least, real value)
+{{
+    const real near = least + (R({FORGOTTEN!r}) * (value - least));
+    return (near < value) ? near : value;
+}}
+
+static real forgotten_most(real most, real value)
+{{
+    const real near = most + (R({FORGOTTEN!r}) * (value - most));
+    return (near > value) ? near : value;
+}}
+"""
+
 SETTLE = """
 for (int i = 0; i < AXES; i++) {
     s->error[i] = R(0.0);
@@ -56,6 +73,10 @@ for (int i = 0; i < AXES; i++) {
     s->same[i] = 0;
     s->waited[i] = 0;
     s->gain[i] = R(0.0);
+    for (int k = 0; k < 2; k++) {
+        s->volts_range[k][i] = (real)NAN;
+        s->smooth_range[k][i] = (real)NAN;
+    }
     s->newest[i] = (real)NAN;
     s->smooth[i] = (real)NAN;
     s->smooth_before[i] = (real)NAN;
@@ -102,39 +123,47 @@ if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_
         s->volts[i] = last[i];
         s->volts_before[i] = last[i];
         s->moving[i] = 0;
+        for (int k = 0; k < 2; k++) {{
+            s->volts_range[k][i] = last[i];
+            s->smooth_range[k][i] = measurement[i];
+        }}
         s->against[i] = R(0.0);
     }}
     s->newest[i] = measurement[i];
     s->volts[i] = s->volts[i] + (p->smoothing * (last[i] - s->volts[i]));
     s->smooth[i] = s->smooth[i] + (p->smoothing * (measurement[i] - s->smooth[i]));
     s->moving[i] = s->moving[i] + 1;
-    const real enough = p->against_motion * ((s->gain[i] == R(0.0)) ? R(3.0) : R(1.0));
     const real moved = s->volts[i] - s->volts_before[i];
-    if (M(fabs)(moved) >= p->motion) {{
-        const real ratio = (s->smooth[i] - s->smooth_before[i]) / moved;
+    const int far = (M(fabs)(moved) >= p->motion) ? 1 : 0;
+    if (far != 0) {{
+        const real answer = -(s->smooth[i] - s->smooth_before[i]) / moved;
         const real gain = s->gain[i];
-        const int like = ((gain == R(0.0)) || (((R(0.5) * gain) <= -ratio) && (-ratio <= (R(2.0) * gain)))) ? 1 : 0;
-        if ((ratio >= R(0.0)) || (like == 0)) {{
+        if (!(((R(0.5) * gain) <= answer) && (answer <= (R(2.0) * gain))) || (gain == R(0.0))) {{
             s->against[i] = R(0.0);
-        }} else if (M(fabs)(s->against[i]) < enough) {{
+        }} else if (M(fabs)(s->against[i]) < p->against_motion) {{
             s->against[i] = moved + (((s->against[i] * moved) > R(0.0)) ? s->against[i] : R(0.0));
         }} else {{
             /* it has turned, until the measurement moves with the command again */
         }}
-        if (ratio > R(0.0)) {{
-            s->gain[i] = (gain == R(0.0)) ? ratio : ((ratio > gain) ? (gain * R({STEP!r})) : (gain / R({STEP!r})));
-        }}
-    }} else if (s->moving[i] >= FROZEN) {{
-        s->against[i] = (M(fabs)(s->against[i]) < enough) ? R(0.0) : s->against[i];
+    }} else if ((s->moving[i] >= FROZEN) && (M(fabs)(s->against[i]) < p->against_motion)) {{
+        s->against[i] = R(0.0);
     }} else {{
         /* the movement goes on */
     }}
-    if ((M(fabs)(moved) >= p->motion) || (s->moving[i] >= FROZEN)) {{
+    if ((far != 0) || (s->moving[i] >= FROZEN)) {{
         s->volts_before[i] = s->volts[i];
         s->smooth_before[i] = s->smooth[i];
         s->moving[i] = 0;
+        s->volts_range[0][i] = forgotten_least(s->volts_range[0][i], s->volts[i]);
+        s->volts_range[1][i] = forgotten_most(s->volts_range[1][i], s->volts[i]);
+        s->smooth_range[0][i] = forgotten_least(s->smooth_range[0][i], s->smooth[i]);
+        s->smooth_range[1][i] = forgotten_most(s->smooth_range[1][i], s->smooth[i]);
+        const real covered = s->volts_range[1][i] - s->volts_range[0][i];
+        if (covered >= p->against_motion) {{
+            s->gain[i] = (s->smooth_range[1][i] - s->smooth_range[0][i]) / covered;
+        }}
     }}
-    watched = (s->same[i] >= FROZEN) ? 4 : ((M(fabs)(s->against[i]) >= enough) ? 6 : 0);
+    watched = (s->same[i] >= FROZEN) ? 4 : ((M(fabs)(s->against[i]) >= p->against_motion) ? 6 : 0);
 }} else {{
     /* it is not watched */
 }}

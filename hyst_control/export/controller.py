@@ -252,7 +252,7 @@ class Controller(Filter):
             },
             {**pi_c_code.constants(self.controller), **limits, **table},
             state,
-            (*pi_c_code.FUNCTIONS, FINITE),
+            (*pi_c_code.FUNCTIONS, FINITE, sensor_watch_c_code.RANGES),
             parts,
         )
 

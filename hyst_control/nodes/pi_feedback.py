@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from hyst_control.control.pi import PI, RunningPI
 from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
+from hyst_control.control.slope_demand import SlopeDemand
 from hyst_control.errors import InputError
 from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.managed import AUTOSTART, ManagedNode
@@ -229,6 +230,7 @@ class PiFeedback(ManagedNode):
         fault = self._fault_of_loop()
         ahead = rows[0].take(count)
         others = [each.take(count) for each in rows[1:]]
+        self._ask(first, ahead, others[0] if others else None)
         if self.measurement is None:
             self._publish(first, *self.loop.open(ahead, fault))
         elif count == 1:
@@ -258,12 +260,14 @@ class PiFeedback(ManagedNode):
                 if self._newest is not None and (count := max(tick + self.settings.block - first, 0)):
                     self._publish(first, *self.loop.stopped_by(fault, count))
             elif rows.available:
-                start = rows.start
-                self._publish(start, *self.loop.open(rows.take(rows.available)))
+                start, ahead = rows.start, rows.take(rows.available)
+                self._ask(start, ahead)
+                self._publish(start, *self.loop.open(ahead))
         else:
             newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
             fault = self._timing_fault(tick)
             if len(newest) == len(self.inputs):
+                self._ask(tick - rows.behind(tick), newest[0], newest[1])
                 self.loop.applied = self._takeover.apart(self.command.sent, CLOSE * (self.settings.upper - self.settings.lower))
                 self._publish(tick, *self.loop.closed(newest[1], newest[2], newest[0], fault))
             elif self._newest is not None:  # nothing came since a reset
@@ -283,6 +287,9 @@ class PiFeedback(ManagedNode):
         else:
             self.loop.restart(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None, away=False)
             self._newest, self._from = None, 0
+        self._demand = SlopeDemand(
+            None if self.loop.away or np.isnan(self.loop.controller.command).any() else self.loop.controller.command
+        )
         self.loop.enabled = self.working
         self._saturated = self._saturated_ticks = self._longest_saturation = 0
         self.command.clear()
@@ -441,6 +448,11 @@ class PiFeedback(ManagedNode):
             self.counts["faults"] += 1
             self._reported = raised
             self.warn(self._present_fault, f"{self._present_fault}: the command goes to its safe value")
+
+    def _ask(self, first: int, ahead: Array, reference: Array | None = None) -> None:
+        """Warn once of a reference that asks for more slope than the slew limit, by its feedforward and by the proportional part."""
+        asked = ahead if reference is None else ahead + self.settings.kp * reference
+        self.look_at_slope(self._demand.exceeds(first, asked, self.settings.slew_limit * self.period))
 
     def _fill(self, first: int) -> None:
         """Publish the command that was held during missed ticks, so that the record is complete, under the timer."""

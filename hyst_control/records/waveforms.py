@@ -61,6 +61,13 @@ def sine(
     return offset + amplitude * np.sin(2 * np.pi * frequency * sample_times(duration, sample_time) + phase)
 
 
+def smooth_step(through: Array) -> Array:
+    """Weight from 0 to 1 where its argument goes from 0 to 1, whose slope and curvature are 0 at both ends: its jerk is limited."""
+    x = np.clip(through, 0.0, 1.0)
+    weight: Array = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    return weight
+
+
 def cosine_ramp(sample_time: float, start: float, stop: float, duration: float) -> Array:
     """Ramp along half a cosine, without a jump in value or rate.
 
