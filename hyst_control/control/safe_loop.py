@@ -224,7 +224,8 @@ class SafeLoop:
         last = self.controller.command
         found: Sequence[str] = ()
         if self.applied is None:
-            found = self.watch.check(measurement[0], last, reference[0])
+            asked = reference if self._well else np.where(self._away, measurement, reference)  # of a stopped axis nothing is asked
+            found = self.watch.check(measurement[0], last, asked[0])
         else:  # what is measured is no answer to the command
             self.watch.forget()
         if self._well and self.enabled and self.applied is None and not fault and not found and not self._overflowed:

@@ -52,16 +52,21 @@ class MeasurementWatch:
         Samples without an answer after which an axis' sensor counts as frozen; 0: neither that nor the sign is judged.
     motion : float
         Movement of the axis' command in V that asks for an answer; a stage at rest may measure a constant.
+    limits : tuple of float
+        Lowest and highest command in V, at which an error asks for nothing more.
     """
 
-    def __init__(self, lower: float, upper: float, frozen_ticks: int, motion: float) -> None:
+    def __init__(
+        self, lower: float, upper: float, frozen_ticks: int, motion: float, limits: tuple[float, float] = (-math.inf, math.inf)
+    ) -> None:
         self.lower, self.upper = lower, upper
-        self.frozen_ticks, self.motion = frozen_ticks, motion
+        self.frozen_ticks, self.motion, self.limits = frozen_ticks, motion, limits
         self._axes: list[_Axis] = []
 
     def judge_by(self, other: MeasurementWatch) -> None:
         """Go on with the range and the times of an `other` watch."""
-        self.lower, self.upper, self.frozen_ticks, self.motion = other.lower, other.upper, other.frozen_ticks, other.motion
+        self.lower, self.upper, self.limits = other.lower, other.upper, other.limits
+        self.frozen_ticks, self.motion = other.frozen_ticks, other.motion
 
     def forget(self) -> None:
         """Begin anew: what was measured before is no answer to the command."""
@@ -77,7 +82,7 @@ class MeasurementWatch:
         command : ndarray, shape (A,)
             The command sent last, in V.
         reference : ndarray, shape (A,), optional
-            What it is to be; default: what it is.
+            What it is to be; default: what it is, where nothing is asked for.
 
         Returns
         -------
@@ -98,9 +103,11 @@ class MeasurementWatch:
             return OUT_OF_RANGE
         if not self.frozen_ticks or math.isnan(volts):
             return ""
-        error = abs(wanted - value)
-        span = self.upper - self.lower
-        axis.error += share * ((error if error < span else span) - axis.error)
+        if axis.same < self.frozen_ticks:  # of a frozen one it is kept: at the safe value nothing more is asked for
+            lowest, highest = self.limits
+            error, span = abs(wanted - value), self.upper - self.lower
+            error = (error if error < span else span) if lowest < volts < highest else 0.0
+            axis.error += share * (error - axis.error)
         self._look_for_an_answer(axis, value, volts)
         self._look_at_the_sign(axis, value, volts, share)
         if axis.same >= self.frozen_ticks:

@@ -92,8 +92,11 @@ int watched = 0;
 if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_upper)) {{
     watched = 3;
 }} else if (FROZEN > 0) {{
-    const real error = M(fabs)(reference[i] - measurement[i]);
-    s->error[i] = s->error[i] + (p->smoothing * (((error < p->span) ? error : p->span) - s->error[i]));
+    if (s->same[i] < FROZEN) {{
+        const real away = M(fabs)(((s->away[i] != 0) ? measurement[i] : reference[i]) - measurement[i]);
+        const real error = ((p->lower < last[i]) && (last[i] < p->upper)) ? ((away < p->span) ? away : p->span) : R(0.0);
+        s->error[i] = s->error[i] + (p->smoothing * (error - s->error[i]));
+    }}
     /* Does the measurement answer the command? */
     if (!(M(fabs)(measurement[i] - s->watched[i]) <= (R({STILL!r}) * s->error[i]))) {{
         s->watched[i] = measurement[i];

@@ -163,11 +163,11 @@ def tracking_reference() -> tuple[Array, list[Stretch]]:
     stretches = []
     for frequency in FREQUENCIES:
         begin = sum(len(piece) for piece in pieces)
-        cycles = CYCLES[frequency]  # before the last, which the loops fade out over as they fade in over the first
-        wave = excitation.loops(SAMPLE_TIME, frequency, STROKE, cycles + 1)
+        cycles = CYCLES[frequency] + 2  # the loops fade in over the first and out over the last
+        wave = excitation.loops(SAMPLE_TIME, frequency, STROKE, cycles)
         through = np.arange(len(wave)) * SAMPLE_TIME * frequency
-        wave = OFFSET + wave * smooth_step(through) * smooth_step(cycles + 1 - through)
-        scored, end = (round(count / frequency / SAMPLE_TIME) for count in (SCORED_CYCLES, cycles))
+        wave = OFFSET + wave * smooth_step(through) * smooth_step(cycles - through)
+        scored, end = (round(count / frequency / SAMPLE_TIME) for count in (SCORED_CYCLES, cycles - 1))
         stretches.append(Stretch(frequency, begin + end - scored, begin + end))
         pieces += [wave, excitation.rest(SAMPLE_TIME, 0.01, OFFSET)]
     return np.concatenate(pieces)[:, None], stretches

@@ -149,7 +149,11 @@ class Controller(Filter):
         self.loop = SafeLoop(
             self.controller,
             MeasurementWatch(
-                given.measurement_lower, given.measurement_upper, self.frozen, MOTION * (self.pi.upper - self.pi.lower)
+                given.measurement_lower,
+                given.measurement_upper,
+                self.frozen,
+                MOTION * (self.pi.upper - self.pi.lower),
+                (self.pi.lower, self.pi.upper),
             ),
             Safety(self.safe, given.safe_rate, self.recovery, given.recovery == "manual", given.axis_fault == "all"),
         )

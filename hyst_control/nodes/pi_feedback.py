@@ -367,7 +367,13 @@ class PiFeedback(ManagedNode):
     def _watch(self) -> MeasurementWatch:
         given = self.settings
         motion = MOTION * (given.upper - given.lower)
-        return MeasurementWatch(given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time), motion)
+        return MeasurementWatch(
+            given.measurement_lower,
+            given.measurement_upper,
+            self._ticks_in(given.frozen_time),
+            motion,
+            (given.lower, given.upper),
+        )
 
     def _safety(self) -> Safety:
         given = self.settings

@@ -95,8 +95,12 @@ def test_a_measurement_that_goes_against_its_command_has_turned_until_it_goes_wi
     assert found[0] == "" and found[-1] == TURNED
     first = found.index(TURNED)
     assert 8 <= first <= 20, "8 V of the command, and what the low-pass takes"
-    assert set(faults(-gain * np.full(50, 49.0), np.full(50, 49.0), watch=watch)) == {TURNED}, "at rest nothing shows that it is well"
-    assert set(faults(-gain * (49.0 - np.arange(20)), 49.0 - np.arange(20), watch=watch)) == {TURNED}, "on the way to the safe value too"
+    assert set(faults(-gain * np.full(50, 49.0), np.full(50, 49.0), watch=watch)) == {TURNED}, (
+        "at rest nothing shows that it is well"
+    )
+    assert set(faults(-gain * (49.0 - np.arange(20)), 49.0 - np.arange(20), watch=watch)) == {TURNED}, (
+        "on the way to the safe value too"
+    )
     assert faults(gain * (29.0 + np.arange(20.0)), 29.0 + np.arange(20.0), watch=watch)[-1] == ""
 
 

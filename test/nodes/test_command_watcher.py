@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from hyst_control.control.sensor_watch import FROZEN, TURNED
 from hyst_control.nodes import reference_generator
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.message_io import Sender
@@ -35,11 +36,11 @@ TOPICS = ("reference", "feedforward", "measurement", "command")
 
 
 class Stage:
-    """A stage that moves by 1 um for 8 V, whose sensors may hang."""
+    """A stage that moves by 1 um for 8 V, whose sensors may make something else of the positions."""
 
     def __init__(self, axes, pace):
         self.axes = ("x", "y")[:axes]
-        self.frozen, self._pace = {}, pace
+        self.sensors, self._pace = {}, pace
         self.voltages = []
         """What was on the actuator, tick by tick."""
 
@@ -53,8 +54,8 @@ class Stage:
 
     def _measured(self, commands):
         rows = commands / GAIN
-        for axis, value in self.frozen.items():
-            rows[:, axis] = value
+        for axis, sensor in self.sensors.items():
+            rows[:, axis] = sensor(rows[:, axis])
         return rows
 
 
@@ -70,8 +71,9 @@ class Loop:
         ticks = np.arange(400) * PERIOD
         reference = np.repeat((5.1 + 0.5 * np.sin(2 * np.pi * 2.0 * ticks))[:, None], axes, axis=1)
         bench.listen_to_diagnostics()
+        self.generating = {"repeat": True, "lead": 4, "ramp_time": 0.4}
         self.generator = bench.add(
-            lambda **options: ReferenceGenerator(signal=reference, **options), repeat=True, lead=4, retry=0.05, **self.common
+            lambda **options: ReferenceGenerator(signal=reference, **options), **self.generating, retry=0.05, **self.common
         )
         self.feedforward = bench.add(lambda **options: Feedforward("feedforward", **options), gain=[GAIN], **self.common)
         self.settings = {
@@ -214,7 +216,7 @@ def test_reference_of_any_size_leaves_the_command_finite(loop, value):
 @pytest.mark.parametrize("reaction", ["all", "own"])
 def test_sensor_that_hangs_beside_a_live_one_takes_its_axis_to_safety(loop, reaction):
     loop = loop(axes=2, axis_fault=reaction)
-    loop.stage.frozen[0] = 4.0
+    loop.stage.sensors[0] = lambda positions: 4.0
     loop.until(lambda: loop.watcher.last[0] == SAFE)
     loop.until(lambda: loop.says("x: measurement frozen"))
     loop.go_on()
@@ -222,10 +224,50 @@ def test_sensor_that_hangs_beside_a_live_one_takes_its_axis_to_safety(loop, reac
         assert loop.watcher.last[0] == SAFE and loop.watcher.last[1] > 30.0
     else:
         loop.until(loop.safe)
-    loop.stage.frozen.clear()
+    loop.stage.sensors.clear()
     loop.until(loop.tracks)
     loop.until(loop.runs)
     loop.watcher.check()
+
+
+def flickering(positions, random=np.random.default_rng(0)):  # noqa: B008 one generator of all calls
+    return 4.0 + 1e-4 * random.integers(0, 2, len(positions))
+
+
+@pytest.mark.parametrize(("sensor", "fault"), [(flickering, FROZEN), (np.negative, TURNED)])
+def test_sensor_that_does_not_follow_or_turns_takes_the_loop_to_safety(loop, sensor, fault):
+    loop = loop()
+    loop.go_on(200)
+    loop.stage.sensors[0] = sensor
+    loop.until(lambda: fault in loop.feedback.loop.faults.present)
+    loop.until(loop.safe)
+    loop.until(lambda: loop.says(fault))
+    loop.go_on()
+    assert loop.safe()
+    loop.stage.sensors.clear()
+    loop.until(loop.tracks)
+    loop.until(loop.runs)
+    loop.watcher.check()
+
+
+def test_reference_started_again_begins_at_rest_where_the_stage_is(bench, domain, tmp_path, monkeypatch):
+    loop = Loop(bench, domain, "timer", tmp_path, safe_command=[20.0])
+    try:
+        loop.until(loop.tracks)
+        monkeypatch.setattr(loop.generator, "tick", lambda tick: None)  # as if it were killed
+        loop.until(lambda: loop.watcher.last == (20.0,) and loop.plant.measurement.sent.newest[0, 1] == 20.0 / GAIN)
+        bench.listen("reference")
+        ticks = np.arange(400) * PERIOD
+        wanted = (5.1 + 0.5 * np.sin(2 * np.pi * 2.0 * ticks))[:, None]
+        bench.add(lambda **options: ReferenceGenerator(signal=wanted, **options), **loop.generating, **loop.common)
+        loop.until(lambda: len(bench.rows("reference")) > 40)
+        begun = bench.rows("reference")[:, 1]
+        assert abs(begun[0] - 20.0 / GAIN) < 0.05 and np.abs(np.diff(begun)).max() < 0.4
+        loop.until(loop.tracks)
+        loop.watcher.check()
+        assert not loop.feedback.counts["slope above slew_limit"]
+    finally:
+        loop.close()
 
 
 def test_feedback_started_again_takes_over_from_what_is_applied(loop, monkeypatch):
