@@ -30,10 +30,10 @@ Array = NDArray[np.float64]
 class ReferenceGenerator(SignalNode):
     """Node that publishes `reference` in messages of `block` rows, at least `lead` rows ahead of the newest `measurement`.
 
-    The rows do not depend on the measurement, which only paces them; under the timer the first one is where they begin. They begin at rest
-    and end at rest (`ramp_time`). After its end the signal keeps its last value, or starts again with `repeat`. A kind of signal has
-    parameters of its own (`hyst excite --list`), which are parameters of the node as well; when they are changed while it runs, the
-    signal goes over into the new one within `transition` without a jump (`records.signal_change`).
+    The rows do not depend on the measurement, which only paces them; under the timer the first one is where they begin. They begin at
+    rest (`ramp_time`) and may end at rest (`end_ramp_time`). After its end the signal keeps its last value, or starts again with
+    `repeat`. A kind of signal has parameters of its own (`hyst excite --list`), which are parameters of the node as well; when they are
+    changed while it runs, the signal goes over into the new one within `transition` without a jump (`records.signal_change`).
     """
 
     FURTHER = "and the parameters of the kind of signal, live: hyst excite --list"
@@ -63,9 +63,12 @@ class ReferenceGenerator(SignalNode):
             "ramp_time",
             0.1,
             "s",
-            "time of the ramp from rest to the signal, and to rest at the signal's end, where it is not at rest by itself; 0 for none",
+            "time of the ramp from rest to the signal, where it does not begin at rest by itself; 0 for none",
             0.0,
             1e4,
+        ),
+        Setting(
+            "end_ramp_time", 0.0, "s", "time before the signal's end within which it is brought to rest; 0 for not at all", 0.0, 1e4
         ),
         Setting(
             "ramp_from",
@@ -92,7 +95,8 @@ class ReferenceGenerator(SignalNode):
         self._next: Array | None = None  # signal of parameters that are being changed
         super().__init__(name, **options)
         rows = self._checked(self._described() if signal is None else signal)
-        self._signal = ChangingSignal(rows, self.settings.repeat, round(self.settings.ramp_time / self.period))
+        ramps = (round(seconds / self.period) for seconds in (self.settings.ramp_time, self.settings.end_ramp_time))
+        self._signal = ChangingSignal(rows, self.settings.repeat, *ramps)
         self._signal.begin_at(np.zeros(len(self.axes)))
         self._waiting_since: float | None = None  # s, for a position to begin at, under the timer
         self._end = 0

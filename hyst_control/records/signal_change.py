@@ -33,8 +33,8 @@ class ChangingSignal:
 
         row_k = a_k + w(min(k - n + 1, fade) / fade) (b_k - a_k),   w(x) = x^3 (10 - 15 x + 6 x^2)
 
-    whose slope and curvature do not jump, and which never leaves the range of the two. In this way a signal also begins at rest, and ends
-    at rest at its last row, over `ramp` rows at least; where it is at rest by itself it stays as it is.
+    whose slope and curvature do not jump, and which never leaves the range of the two. In this way a signal also begins at rest, over
+    `ramp` rows, and ends at rest at its last row, over `end_ramp` rows; where it is at rest by itself it stays as it is.
 
     Parameters
     ----------
@@ -42,12 +42,12 @@ class ChangingSignal:
         The first signal.
     repeat : bool
         Start again at the end.
-    ramp : int
-        Rows of the ramps at its beginning and end, but at most half of it; 0 for none.
+    ramp, end_ramp : int
+        Rows of the ramps at its beginning and end, but at most half of a signal that ends; 0 for none.
     """
 
-    def __init__(self, signal: Array, repeat: bool, ramp: int = 0) -> None:
-        self._repeat, self._ramp = repeat, ramp
+    def __init__(self, signal: Array, repeat: bool, ramp: int = 0, end_ramp: int = 0) -> None:
+        self._repeat, self._ramp, self._end_ramp = repeat, ramp, end_ramp
         self._newest = signal
         self._stretches: deque[_Stretch] = deque(maxlen=MOST_STRETCHES)
         self.replace(signal, 0, 0)
@@ -78,8 +78,8 @@ class ChangingSignal:
         while self._stretches and self._stretches[-1].first >= first > 0:
             self._stretches.pop()
         self._stretches.append(_Stretch(first, signal, fade))
-        end = max(len(signal) - min(self._ramp, len(signal) // 2), first + 1)
-        if not self._repeat and end < len(signal) and not _rests(signal[-2:], signal):
+        end = max(len(signal) - min(self._end_ramp, len(signal) // 2), first + 1)
+        if self._end_ramp and not self._repeat and end < len(signal) and not _rests(signal[-2:], signal):
             self._stretches.append(_Stretch(end, signal[-1:], len(signal) - end))
 
     def rows(self, first: int, count: int) -> Array:

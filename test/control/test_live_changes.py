@@ -158,7 +158,7 @@ SINE = 3.0 + 2.0 * np.sin(np.arange(400) * 2 * np.pi / 80)[:, None]
 
 @pytest.mark.parametrize("repeat", [False, True])
 def test_a_signal_begins_at_rest_where_the_stage_is_and_ends_at_rest(repeat):
-    signal = ChangingSignal(SINE, repeat, 100)
+    signal = ChangingSignal(SINE, repeat, 100, 100)
     signal.begin_at(np.array([0.7]))
     found, k = signal.rows(0, 1000)[:, 0], np.arange(100)
     plain = SINE[np.arange(1000) % 400, 0] if repeat else np.append(SINE[:, 0], np.full(600, SINE[-1, 0]))
@@ -177,22 +177,22 @@ def test_a_signal_begins_at_rest_where_the_stage_is_and_ends_at_rest(repeat):
 
 def test_a_signal_that_is_at_rest_at_its_ends_stays_as_it_is():
     hills = (1 - np.cos(np.arange(401) * 2 * np.pi / 80))[:, None]
-    signal = ChangingSignal(hills, False, 100)
+    signal = ChangingSignal(hills, False, 100, 100)
     signal.begin_at(np.zeros(1))
     np.testing.assert_array_equal(signal.rows(0, 401), hills)
-    still = ChangingSignal(np.full((1, 1), 3.0), False, 100)
+    still = ChangingSignal(np.full((1, 1), 3.0), False, 100, 100)
     still.begin_at(np.zeros(1))
     np.testing.assert_allclose(still.rows(0, 120)[:, 0], 3.0 * betainc(3, 3, np.minimum(np.arange(120) + 1, 100) / 100), atol=1e-12)
 
 
 def test_a_signal_that_takes_the_place_of_another_ends_at_rest_too():
-    signal = ChangingSignal(SINE, False, 40)
+    signal = ChangingSignal(SINE, False, 40, 40)
     signal.begin_at(np.zeros(1))
     signal.replace(2.0 * SINE, 200, 50)
     found = signal.rows(0, 500)[:, 0]
     np.testing.assert_array_equal(found[250:360], 2.0 * SINE[250:360, 0])
     assert np.all(found[399:] == 2.0 * SINE[-1, 0]) and abs(found[399] - found[398]) < 0.02
-    late = ChangingSignal(SINE, False, 40)
+    late = ChangingSignal(SINE, False, 40, 40)
     late.replace(2.0 * SINE, 395, 50)  # no more than the ramp is left of it
     assert np.abs(np.diff(late.rows(380, 100)[:, 0])).max() < 2.0
     assert late.rows(600, 1)[0, 0] == 2.0 * SINE[-1, 0]
@@ -200,7 +200,7 @@ def test_a_signal_that_takes_the_place_of_another_ends_at_rest_too():
 
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=40), st.floats(-5, 5), st.integers(0, 30), st.booleans())
 def test_a_ramp_never_leaves_the_range_of_the_signal_and_of_where_it_begins(values, position, ramp, repeat):
-    signal = ChangingSignal(np.array(values)[:, None], repeat, ramp)
+    signal = ChangingSignal(np.array(values)[:, None], repeat, ramp, ramp)
     signal.begin_at(np.array([position]))
     found = signal.rows(0, 100)[:, 0]
     assert found.min() >= min(*values, position) - 1e-12 and found.max() <= max(*values, position) + 1e-12
