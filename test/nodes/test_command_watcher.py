@@ -250,6 +250,20 @@ def test_sensor_that_does_not_follow_or_turns_takes_the_loop_to_safety(loop, sen
     loop.watcher.check()
 
 
+def test_a_reference_that_is_too_steep_is_told_once(loop):
+    """By the feedforward of itself, by the feedback of what it asks for: with the time and the slope."""
+    loop = loop()
+    told = []
+    loop.feedforward.settings.slew_limit = SLEW
+    loop.feedforward.warn = loop.feedback.warn = lambda key, text: told.append(text) if key == "slope" else None
+    for level in (5.9, 5.0, 5.9):
+        loop.generator._signal.replace(np.full((400, 1), level), loop.generator._sent_rows, 1)
+        loop.go_on(60)
+    assert len(told) == 2 and all(re.search(r"asks for \S+ V/s at \S+ s, slew_limit is 400 V/s", text) for text in told)
+    assert loop.feedback.counts["slope above slew_limit"] == loop.feedforward.counts["slope above slew_limit"] == 1
+    loop.watcher.check()
+
+
 def test_reference_started_again_begins_at_rest_where_the_stage_is(bench, domain, tmp_path, monkeypatch):
     loop = Loop(bench, domain, "timer", tmp_path, safe_command=[20.0])
     try:
