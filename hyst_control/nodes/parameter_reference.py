@@ -130,7 +130,7 @@ def allowed(setting: Setting) -> str:
 
 
 def liveness(setting: Setting) -> str:
-    """Whether a setting may be changed live, and by which parameter it is bounded then."""
+    """Words on a setting that may be changed live, and by which parameter it is bounded then."""
     if not (setting.live and setting.wider):
         return "live" if setting.live else ""
     return f"live, at {'most' if setting.wider == 'higher' else 'least'} `{setting.bound_name}`"
