@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hyst_control.chain.c_code import Member, integers, reals
+from hyst_control.chain.c_code.c_code import Member, integers, reals
 from hyst_control.control.sensor_watch import AGAINST, FORGOTTEN, JUMP, STILL, MeasurementWatch, smoothing_share
 
 

@@ -1,4 +1,4 @@
-"""Whether what is asked for has more slope than the limit that it will meet."""
+"""Steps of a reference that are greater than the slew limit allows."""
 
 from __future__ import annotations
 

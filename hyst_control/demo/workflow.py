@@ -166,7 +166,7 @@ def tracking_reference() -> tuple[Array, list[Stretch]]:
         cycles = CYCLES[frequency] + 2  # the loops fade in over the first and out over the last
         wave = excitation.loops(SAMPLE_TIME, frequency, STROKE, cycles)
         through = np.arange(len(wave)) * SAMPLE_TIME * frequency
-        wave = OFFSET + wave * smooth_step(through) * smooth_step(cycles - through)
+        wave = np.asarray(OFFSET + wave * smooth_step(through) * smooth_step(cycles - through))
         scored, end = (round(count / frequency / SAMPLE_TIME) for count in (SCORED_CYCLES, cycles - 1))
         stretches.append(Stretch(frequency, begin + end - scored, begin + end))
         pieces += [wave, excitation.rest(SAMPLE_TIME, 0.01, OFFSET)]

@@ -1,4 +1,4 @@
-"""What is on the actuator, for the node that commands it: where it begins, and where it waits while the actuator does not follow.
+"""State of the actuator, for the node that commands it: where it begins, and where it waits while the actuator does not follow.
 
 A feedback that was started again does not know where the actuator is. What drives the actuator does: as long as it does not follow the
 command, because none arrives or because it was stopped, it publishes on `applied` what it applies (docs/safety.md).
