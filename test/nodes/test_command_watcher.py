@@ -236,7 +236,7 @@ def flickering(positions, random=np.random.default_rng(0)):  # noqa: B008 one ge
 
 @pytest.mark.parametrize(("sensor", "fault"), [(flickering, FROZEN), (np.negative, TURNED)])
 def test_sensor_that_does_not_follow_or_turns_takes_the_loop_to_safety(loop, sensor, fault):
-    loop = loop(upper=80.0)  # which leaves the command some way to run away
+    loop = loop(upper=60.0)  # which leaves the command some way to run away
     loop.go_on(200)
     loop.stage.sensors[0] = sensor
     loop.until(lambda: fault in loop.feedback.loop.faults.present)
