@@ -66,17 +66,15 @@ def signal_chain() -> None:
 
 
 def tour(folder: Path) -> None:
-    """Loops of the excitation, and the last two periods of the tracking."""
+    """Loops of the excitation, and the last two periods of the tracking before its way out."""
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
     loops.plot(excited.values["command"][::3], excited.values["measurement"][::3], lw=0.4)
     loops.set(xlabel="command (V)", ylabel="measurement (um)", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
-    reference, measurement = (tracked.values[topic][-800:, 0] for topic in ("reference", "measurement"))
+    reference, measurement = (tracked.values[topic][7200:8000, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
-    print(
-        f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over the last two periods"
-    )
+    print(f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over two periods")
     tracking.plot(time, reference, lw=2, label="reference")
     tracking.plot(time, measurement, "--", lw=1, label="measurement")
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")

@@ -118,10 +118,9 @@ class PlantNode(ManagedNode):
     def activate(self) -> None:
         if self._tick is None:
             self.reset()
-        self.once(self.advance)
 
     def advance(self) -> None:
-        if not self.active:
+        if not self.working:
             return
         rows, length = self.command.rows, self.settings.ticks
         while rows.available:
@@ -243,7 +242,7 @@ class PlantNode(ManagedNode):
         """Repeat what was sent, unless the run has gone on since the last look."""
         assert self._confirmation is not None
         self._confirmation.cancel()
-        if self.finished.done() or not self.active or self._stood_at != self._progress:
+        if self.finished.done() or not self.working or self._stood_at != self._progress:
             return
         looks = self._standstill.looks
         if self._tick:

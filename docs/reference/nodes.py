@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-from hyst_control.nodes.command_line import allowed
+from hyst_control.nodes.command_line import allowed, liveness
 from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.signal_settings import COMMON as OF_EVERY_SIGNAL
@@ -21,7 +21,9 @@ Set a parameter with `-p name:=value` behind `--ros-args`, or in a parameter fil
 in every namespace. A node refuses an unknown name, a value of the wrong type and a value out of range with one line. `--help` of every
 executable lists its parameters. You can change a parameter marked *live* while the node runs (`ros2 param set`); others are read-only then.
 
-Gains, limits and the parameters of a reference's signal change without a jump of the command:
+Limits, slew limits and timeouts can be narrowed live. They can be widened as far as `max_NAME` (`min_NAME` where a lower value protects
+less), which is read at the start; its default is the value at the start. Gains, limits and the parameters of a reference's signal change
+without a jump of the command:
 
 - A change of `kp` is bumpless: the integral compensates it.
 - Limits move to their new values at `safe_rate`. Without `ki` the command moves at `safe_rate` too.
@@ -100,7 +102,7 @@ def _row(setting: Setting) -> str:
         setting.unit,
         allowed(setting),
         default,
-        "live" if setting.live else "",
+        liveness(setting),
         setting.text,
     )
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"

@@ -260,8 +260,8 @@ class RunningPI:
         """Take `command` (A,) in V as the last one, without any change of the integral."""
         self._state[1] = command
 
-    def ramp(self, target: Array, rate: float, ticks: int = 1) -> Array:
-        """Commands (ticks, A) that go from the last one to `target` (A,) in V at no more than `rate` V/s."""
+    def ramp(self, target: Array, rate: Array | float, ticks: int = 1) -> Array:
+        """Commands (ticks, A) that go from the last one to `target` (A,) in V at no more than `rate` V/s, of all axes or of each."""
         step = rate * self.description.sample_time
         start = np.where(np.isnan(self._state[1]), target, self._state[1])
         way = target - start

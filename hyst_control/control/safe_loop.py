@@ -1,7 +1,7 @@
 """The feedback loop with its faults: which axes run, which go to their safe value, and how they come back, without ROS.
 
 Every row that comes out lies within the controller's limits, follows on the last one within its slew limit, and is finite, whatever
-comes in. An axis is in one of three states:
+comes in. An axis is in one of four states:
 
 =========  ==========================================================  =====================================================
 state      its command                                                 it ends
@@ -9,6 +9,7 @@ state      its command                                                 it ends
 running    of the controller                                           with a fault, or when the loop is disabled
 stopped    goes to its safe value at the safe rate, and stays there    when no fault was there for the recovery time, or with
                                                                        manual recovery at `restart`
+tracking   goes to what is applied, as fast as the slew limit allows   when the actuator follows its command
 returning  of the controller, taken over without a jump; without       when it is that of the controller
            integral action (which could not lead back) and in open
            loop at the safe rate
@@ -127,6 +128,8 @@ class SafeLoop:
         self.faults = AxisFaults(controller.axes)
         self.enabled = True
         """False: every axis is stopped, without a fault."""
+        self.applied: Array | None = None
+        """Voltage (A,) of the axes whose actuator does not follow the command, NaN of the others; None while all follow."""
         self._away = np.zeros(controller.axes, bool)  # stopped, or returning
         self._well = True  # no axis is away or has a fault
         self._overflowed: tuple[int, ...] = ()
@@ -219,15 +222,21 @@ class SafeLoop:
         if self._limits is not None:
             self._move_limits()
         last = self.controller.command
-        found = self.watch.check(measurement[0], last)
-        if self._well and self.enabled and not fault and not found and not self._overflowed:
+        found: Sequence[str] = ()
+        if self.applied is None:
+            asked = reference if self._well else np.where(self._away, measurement, reference)  # of a stopped axis nothing is asked
+            found = self.watch.check(measurement[0], last, asked[0])
+        else:  # what is measured is no answer to the command
+            self.watch.forget()
+        if self._well and self.enabled and self.applied is None and not fault and not found and not self._overflowed:
             command, feedback = self.controller.step(reference, measurement, feedforward)
             self._overflowed = self.controller.overflowed
             return command, feedback
         running = self._running(fault, found, 1)
         if not running.any():
             return self.stopped(1)
-        return self._partly(running, last, reference, measurement, feedforward)
+        tracking = running & np.isfinite(self.applied) if self.applied is not None else np.zeros_like(running)
+        return self._partly(running & ~tracking, tracking, last, reference, measurement, feedforward)
 
     def open(self, feedforward: Array, fault: str = "") -> tuple[Array, Array]:
         """Command and feedback (zeros) of successive ticks in open loop.
@@ -312,8 +321,10 @@ class SafeLoop:
         self._well = not stopped.any() and not self.away
         return ~stopped
 
-    def _partly(self, running: Mask, last: Array, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
-        """Closed loop in which axes are stopped, or return."""
+    def _partly(
+        self, running: Mask, tracking: Mask, last: Array, reference: Array, measurement: Array, feedforward: Array
+    ) -> tuple[Array, Array]:
+        """Closed loop in which axes are stopped, track what is applied, or return."""
         controller = self.controller
         back = running & self._away
         now = reference[0], measurement[0], feedforward[0]
@@ -326,8 +337,10 @@ class SafeLoop:
             if not controller.description.ki:
                 controller.resume(last, *now, back)
             controller.hold(np.where(led, last, wanted))
-            ramped = controller.ramp(np.where(running, wanted, self._safe), self.rate)[0]
-            command[0] = np.where(led, ramped, wanted)
+            target, rate = np.where(running, wanted, self._safe), np.full(len(last), self.rate)
+            if self.applied is not None:
+                target[tracking], rate[tracking] = self.applied[tracking], controller.description.slew_limit or np.inf
+            command[0] = np.where(led, controller.ramp(target, rate)[0], wanted)
             controller.hold(command[0])
             feedback[0][~running] = 0.0
         self._away = ~running | led & (command[0] != wanted)

@@ -38,7 +38,7 @@ def run_processes(
     bag = folder / "bag"
     common = {"rate_hz": 1.0 / sample_time, "axes": list(axes), "unit": unit}
     settings: dict[str, dict[str, Any]] = {
-        "reference_generator": {"signal": str(signal), "block": block, "lead": max(lead, block)},
+        "reference_generator": {"signal": str(signal), "block": block, "lead": max(lead, block), "ramp_time": 0.0},
         feedforward: {},
         "pi_feedback": {"feedback": False},
         "plant": {"ticks": ticks, "wait_for_recorder": True},

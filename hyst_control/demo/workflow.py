@@ -28,6 +28,7 @@ from hyst_control.identify.workflow import Result, identify_bags
 from hyst_control.model_file import Model
 from hyst_control.records import excitation
 from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.waveforms import smooth_step
 from hyst_control.reporting.provenance import provenance
 from hyst_control.reporting.tables import Table
 
@@ -156,14 +157,18 @@ def diagnose_withheld(work: Path, model: Path, plant: str) -> dict[str, Any]:
 
 
 def tracking_reference() -> tuple[Array, list[Stretch]]:
-    """Build the reference: from 0 to the offset, then loops of 4 um at each frequency with rests between."""
-    pieces = [excitation.cosine_ramp(SAMPLE_TIME, 0.0, OFFSET, 0.05), excitation.rest(SAMPLE_TIME, 0.02, OFFSET)]
+    """Build the reference: from 0 to the offset, then loops of 4 um at each frequency with rests between, all of limited jerk."""
+    ramp = OFFSET * smooth_step(np.arange(round(0.05 / SAMPLE_TIME)) * SAMPLE_TIME / 0.05)
+    pieces = [ramp, excitation.rest(SAMPLE_TIME, 0.02, OFFSET)]
     stretches = []
     for frequency in FREQUENCIES:
         begin = sum(len(piece) for piece in pieces)
-        wave = OFFSET + excitation.loops(SAMPLE_TIME, frequency, STROKE, CYCLES[frequency])
-        scored = int(round(SCORED_CYCLES / frequency / SAMPLE_TIME))
-        stretches.append(Stretch(frequency, begin + len(wave) - scored, begin + len(wave)))
+        cycles = CYCLES[frequency] + 2  # the loops fade in over the first and out over the last
+        wave = excitation.loops(SAMPLE_TIME, frequency, STROKE, cycles)
+        through = np.arange(len(wave)) * SAMPLE_TIME * frequency
+        wave = np.asarray(OFFSET + wave * smooth_step(through) * smooth_step(cycles - through))
+        scored, end = (round(count / frequency / SAMPLE_TIME) for count in (SCORED_CYCLES, cycles - 1))
+        stretches.append(Stretch(frequency, begin + end - scored, begin + end))
         pieces += [wave, excitation.rest(SAMPLE_TIME, 0.01, OFFSET)]
     return np.concatenate(pieces)[:, None], stretches
 

@@ -19,14 +19,14 @@ import numpy as np
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
 from hyst_control.chain.parameter import Array
-from hyst_control.control import pi_c_code
+from hyst_control.control import pi_c_code, sensor_watch_c_code
 from hyst_control.control.pi import PI, RunningPI
 from hyst_control.control.safe_loop import OVERFLOW, SafeLoop, Safety
-from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, MeasurementWatch
+from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
 from hyst_control.errors import InputError
 from hyst_control.export.c_source import Slot
 
-FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW)
+FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)
 """Faults by their code."""
 
 
@@ -149,7 +149,11 @@ class Controller(Filter):
         self.loop = SafeLoop(
             self.controller,
             MeasurementWatch(
-                given.measurement_lower, given.measurement_upper, self.frozen, MOTION * (self.pi.upper - self.pi.lower)
+                given.measurement_lower,
+                given.measurement_upper,
+                self.frozen,
+                MOTION * (self.pi.upper - self.pi.lower),
+                (self.pi.lower, self.pi.upper),
             ),
             Safety(self.safe, given.safe_rate, self.recovery, given.recovery == "manual", given.axis_fault == "all"),
         )
@@ -202,9 +206,7 @@ class Controller(Filter):
         limits = {
             "safe": reals(self.safe, "V, command of a stopped loop"),
             "safe_step": reals(self.loop.rate * self.pi.sample_time, "V, on the way to it, in a step"),
-            "measurement_lower": reals(self.response.measurement_lower, "measurement unit"),
-            "measurement_upper": reals(self.response.measurement_upper, "measurement unit"),
-            "motion": reals(MOTION * (self.pi.upper - self.pi.lower), "V, beyond which a constant measurement is frozen"),
+            **sensor_watch_c_code.constants(self.loop.watch),
         }
         table = {} if learned is None else {"learned": reals(learned, "V, one period")}
         state: dict[str, Member] = {
@@ -212,9 +214,7 @@ class Controller(Filter):
             "reference": reals(np.zeros(axes), "newest finite one"),
             "measurement": reals(np.zeros(axes), "newest finite one"),
             "ring": reals(self.ring, "references of the ticks to come"),
-            "watched": reals(np.zeros(axes), "measurement that was the same; NaN before the first"),
-            "least": reals(np.zeros(axes), "V, command meanwhile"),
-            "most": reals(np.zeros(axes), "V, command meanwhile"),
+            **sensor_watch_c_code.state(axes),
             "age": integers([0, 0], "ticks without a finite reference, measurement"),
             "known": integers([0, 0], "1 once there was a reference, a measurement"),
             "begun": integers(0, "1 once the feedforward is settled"),
@@ -223,7 +223,6 @@ class Controller(Filter):
             "enabled": integers(0, "last enable"),
             "fault": integers(np.zeros(axes), ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))),
             "well": integers(np.zeros(axes), "ticks since a fault was last found"),
-            "same": integers(np.zeros(axes), "ticks of a frozen measurement"),
             "place": integers(0, "in the ring"),
             "row": integers(0, "in the learned period"),
         }
@@ -236,6 +235,7 @@ class Controller(Filter):
             "ADD_LEARNED": "/* nothing is learned */" if learned is None else ADD_LEARNED,
             "RESUME": pi_c_code.RESUME.strip(),
             "STEP_PI": pi_c_code.STEP.strip(),
+            "WATCH": sensor_watch_c_code.WATCH.strip(),
         }
         step = STEP
         for name, text in texts.items():
@@ -243,7 +243,7 @@ class Controller(Filter):
         return CCode(
             "controller",
             step,
-            SETTLE,
+            SETTLE + sensor_watch_c_code.SETTLE.lstrip(),
             {
                 "AHEAD": self.ahead,
                 "TIMEOUT": self.timeout,
@@ -251,11 +251,12 @@ class Controller(Filter):
                 "AUTOMATIC": int(self.response.recovery == "automatic"),
                 "STOP_ALL": int(self.response.axis_fault == "all"),
                 "FROZEN": self.frozen,
+                "SLOW": SLOW * self.frozen,
                 "ROWS": 0 if learned is None else len(learned),
             },
             {**pi_c_code.constants(self.controller), **limits, **table},
             state,
-            (*pi_c_code.FUNCTIONS, FINITE),
+            (*pi_c_code.FUNCTIONS, FINITE, sensor_watch_c_code.RANGES),
             parts,
         )
 
@@ -314,12 +315,10 @@ for (int i = 0; i < 2; i++) {
 }
 for (int i = 0; i < AXES; i++) {
     s->overflowed[i] = R(0.0);
-    s->watched[i] = (real)NAN;
     s->away[i] = 0;
     s->overflow[i] = 0;
     s->fault[i] = 0;
     s->well[i] = 0;
-    s->same[i] = 0;
 }
 s->saturated = 0;
 s->begun = 0;
@@ -391,28 +390,8 @@ if ((s->known[0] != 0) && (s->known[1] != 0)) {
     int stopped = 0;
     for (int i = 0; i < AXES; i++) {
         last[i] = s->command[i];
-        if (measurement[i] != s->watched[i]) {
-            s->watched[i] = measurement[i];
-            s->same[i] = 0;
-            s->least[i] = last[i];
-            s->most[i] = last[i];
-        } else {
-            s->least[i] = (last[i] < s->least[i]) ? last[i] : s->least[i];
-            s->most[i] = (last[i] > s->most[i]) ? last[i] : s->most[i];
-            if (((s->most[i] - s->least[i]) > p->motion) && (s->same[i] < FROZEN)) {
-                s->same[i] = s->same[i] + 1;
-            }
-        }
-        int found = 0;
-        if (stale != 0) {
-            found = stale;
-        } else if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_upper)) {
-            found = 3;
-        } else if ((FROZEN > 0) && (s->same[i] >= FROZEN)) {
-            found = 4;
-        } else {
-            found = (s->overflow[i] != 0) ? 5 : 0;
-        }
+        @WATCH@
+        const int found = (stale != 0) ? stale : ((watched != 0) ? watched : ((s->overflow[i] != 0) ? 5 : 0));
         s->overflow[i] = 0;
         if (found != 0) {
             s->fault[i] = found;

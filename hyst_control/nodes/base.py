@@ -431,6 +431,17 @@ class SignalNode(EndingNode):
         """
         self._warnings.warn(key, text)
 
+    def look_at_slope(self, found: tuple[int, float] | None) -> None:
+        """Warn of a reference that asks for more slope than the parameter `slew_limit`, at a tick by so many V a tick."""
+        if found:
+            tick, step = found
+            self.counts["slope above slew_limit"] += 1
+            self.warn(
+                "slope",
+                f"the reference asks for {step / self.period:.3g} V/s at {tick * self.period:.6g} s, slew_limit is "
+                f"{self.settings.slew_limit:g} V/s: smooth the reference, or begin it with a ramp",
+            )
+
     def _reset(self) -> str:
         for signal in self.inputs:
             signal.forget()
@@ -445,6 +456,8 @@ class SignalNode(EndingNode):
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self.enabled = request.data
+        if self.lockstep:
+            self.once(self.advance)
         response.success, response.message = True, "enabled" if request.data else "disabled"
         return response
 

@@ -94,7 +94,7 @@ def _listed(settings: Iterable[Setting]) -> str:
     lines = []
     for setting in settings:
         values = allowed(setting).replace("`", "").replace("…", "to")
-        facts = [setting.unit, values, f"default {_shown(setting.default)}", "live" if setting.live else ""]
+        facts = [setting.unit, values, f"default {_shown(setting.default)}", liveness(setting).replace("`", "")]
         lines.append(f"  {setting.name}  [{'; '.join(fact for fact in facts if fact)}]")
         lines += textwrap.wrap(setting.text, WIDTH, initial_indent="      ", subsequent_indent="      ")
     return "\n".join(lines)
@@ -116,3 +116,10 @@ def allowed(setting: Setting) -> str:
         return ""
     lower, upper = ("any" if limit is None else f"{limit:g}" for limit in (setting.lower, setting.upper))
     return f"{lower} … {upper}"
+
+
+def liveness(setting: Setting) -> str:
+    """Words on a setting that may be changed live, and on the parameter that bounds it then."""
+    if not (setting.live and setting.wider):
+        return "live" if setting.live else ""
+    return f"live, {'at most' if setting.wider == 'higher' else 'at least'} `{setting.bound_name}`"

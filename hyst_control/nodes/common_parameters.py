@@ -27,7 +27,7 @@ COMMON = (
     Setting("block", 1, "samples", "samples per message, and per tick of the timer", 1, 1_000_000),
     Setting("axes", ("x",), "", "names of the axes"),
     Setting("unit", "um", "", "unit of reference and measurement", choices=("um", "mrad")),
-    Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True),
+    Setting("timeout", 0.1, "s", "age from which an input is stale, under the timer", 1e-4, 1e3, live=True, wider="higher"),
     Setting(
         "ahead",
         1.0,
@@ -36,6 +36,7 @@ COMMON = (
         1e-3,
         1e9,
         live=True,
+        wider="higher",
     ),
     Setting(
         "backwards",

@@ -9,6 +9,7 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
 from hyst_control.control.loop import Compensator
+from hyst_control.control.slope_demand import SlopeDemand
 from hyst_control.control.static_gain import Proportional
 from hyst_control.errors import InputError
 from hyst_control.export.backend import CompiledFeedforward
@@ -68,6 +69,7 @@ def settings_of(kind: str) -> tuple[Setting, ...]:
             0.0,
             1e12,
         ),
+        Setting("slew_limit", 0.0, "V/s", "slope of the feedforward above which the node warns, 0 for never", 0.0, 1e12),
         Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6),
         BACKEND,
         Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
@@ -111,6 +113,7 @@ class Feedforward(SignalNode):
         self._compensator.process(np.zeros((1, len(self.axes))))
         self._next: int | None = None  # tick of the next row out of the compensator
         self._due = 0
+        self._demand = SlopeDemand()
         self.feedforward = self.output("feedforward", "V")
         self.reference = self.input("reference", self.unit)
         try:
@@ -147,6 +150,7 @@ class Feedforward(SignalNode):
 
     def _publish(self, start: int, rows: Array) -> None:
         """Send rows within what other nodes take: in lockstep they would wait for ever for one that they dropped."""
+        self.look_at_slope(self._demand.exceeds(start, rows, self.settings.slew_limit * self.period))
         self.feedforward.send(start, np.clip(rows, -LARGEST_VALUE, LARGEST_VALUE))
 
     def tick(self, tick: int) -> None:
@@ -165,6 +169,7 @@ class Feedforward(SignalNode):
 
     def reset(self) -> None:
         self._next = None
+        self._demand = SlopeDemand()
         self.feedforward.clear()
         if self._learning:
             self._learning.reset()

@@ -107,6 +107,8 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         """Carry out the transition from this `state`."""
         self.active = self.ever_active = True
         self.activate()
+        if self.lockstep:  # what has come before may be all that is needed
+            self.once(self.advance)
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:

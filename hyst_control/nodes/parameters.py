@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -35,6 +35,11 @@ class Setting:
         Allowed values; empty for all.
     live : bool
         True when it may be changed while the node runs; otherwise it is read once at the start.
+    wider : str
+        "higher" or "lower": the direction in which the value protects less. A live change may go that way as far as the value at the
+        start, or as `max_NAME` (`min_NAME`) given at the start; "" where neither direction does.
+    off : bool
+        True when 0 switches the protection off, which is the widest of all.
     """
 
     name: str
@@ -45,6 +50,30 @@ class Setting:
     upper: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
+    wider: str = ""
+    off: bool = False
+
+    @property
+    def bound_name(self) -> str:
+        """Name of the parameter that bounds live changes."""
+        return f"{'max' if self.wider == 'higher' else 'min'}_{self.name}"
+
+    def bound(self, value: Any) -> Setting:
+        """Parameter that bounds live changes; by default the `value` at the start."""
+        return replace(self, name=self.bound_name, default=value, text=f"widest {self.name} of a live change", live=False, wider="")
+
+    def refuse_wider(self, value: Any, bound: Any) -> None:
+        """Raise `InputError` when a value protects less than the bound does."""
+        if self._width(value) > self._width(bound):
+            raise InputError(
+                f"{self.name}: a live change may not widen it beyond {bound:g}{self._unit()}, got {value:g}: restart the node, with "
+                f"{self.bound_name} for live changes"
+            )
+
+    def _width(self, value: Any) -> float:
+        if self.off and not value:
+            return math.inf
+        return float(value if self.wider == "higher" else -value)
 
     def convert(self, value: Any) -> Any:
         """Convert a value to the type of the default.
@@ -149,11 +178,14 @@ def declare(
     for setting in further(values):
         setattr(values, setting.name, _declared(node, setting))
         table[setting.name] = setting
+    bounds = _declared_bounds(node, table.values(), values)
     _refuse_unknown(node, elsewhere)
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         try:
             new = {each.name: table[each.name].convert(each.value) for each in parameters if each.name in table}
+            for name in bounds.keys() & new.keys():
+                table[name].refuse_wider(new[name], bounds[name])
             if new:
                 check_change(new)
         except InputError as error:
@@ -180,6 +212,23 @@ def _declared(node: Node, setting: Setting) -> Any:
         raise InputError(f"{node.get_name()}: parameter {error}") from None
     except Exception as error:
         raise InputError(f"{node.get_name()}: parameter {setting.name}: {error}") from None
+
+
+def _declared_bounds(node: Node, settings: Iterable[Setting], values: SimpleNamespace) -> dict[str, Any]:
+    """Bounds of the live changes by parameter; one that is narrower than the value at the start is refused."""
+    bounds = {}
+    for setting in settings:
+        if setting.wider and setting.live:
+            value = getattr(values, setting.name)
+            bounds[setting.name] = _declared(node, setting.bound(value))
+            try:
+                setting.refuse_wider(value, bounds[setting.name])
+            except InputError:
+                raise InputError(
+                    f"{node.get_name()}: parameter {setting.bound_name}: is narrower than {setting.name}, {value:g}, got "
+                    f"{bounds[setting.name]:g}"
+                ) from None
+    return bounds
 
 
 def _refuse_unknown(node: Node, elsewhere: Collection[str]) -> None:

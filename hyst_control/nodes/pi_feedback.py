@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 from hyst_control.control.pi import PI, RunningPI
 from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
+from hyst_control.control.slope_demand import SlopeDemand
 from hyst_control.errors import InputError
 from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.managed import AUTOSTART, ManagedNode
@@ -22,11 +23,13 @@ from hyst_control.nodes.rival_watch import RivalWatch
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.nodes.takeover import Takeover
+from hyst_control.records.actuator_following import CLOSE
 from hyst_control.records.signal_message import label_for
 
 Array = NDArray[np.float64]
 
 ENDING, RIVAL = "the node is ending", "another node publishes command"
+NOT_FOLLOWED = "the actuator does not follow the command: the feedback tracks what is applied"
 LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")
 """Parameters of the controller's law."""
 TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
@@ -59,9 +62,19 @@ class PiFeedback(ManagedNode):
             "roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9, live=True
         ),
         Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6, live=True),
-        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True),
-        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True),
-        Setting("slew_limit", 0.0, "V/s", "greatest slope of the command, 0 for none", 0.0, 1e12, live=True),
+        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True, wider="lower"),
+        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True, wider="higher"),
+        Setting(
+            "slew_limit",
+            0.0,
+            "V/s",
+            "greatest slope of the command, 0 for none",
+            0.0,
+            1e12,
+            live=True,
+            wider="higher",
+            off=True,
+        ),
         Setting(
             "start",
             "rest",
@@ -78,6 +91,7 @@ class PiFeedback(ManagedNode):
             1e-6,
             1e12,
             live=True,
+            wider="lower",
         ),
         Setting(
             "axis_fault",
@@ -95,7 +109,16 @@ class PiFeedback(ManagedNode):
             choices=("safe", "silent", "warn"),
             live=True,
         ),
-        Setting("rival_time", 0.5, "s", "time for which such a publisher must be silent until that is over", 0.05, 1e6, live=True),
+        Setting(
+            "rival_time",
+            0.5,
+            "s",
+            "time for which such a publisher must be silent until that is over",
+            0.05,
+            1e6,
+            live=True,
+            wider="lower",
+        ),
         Setting(
             "takeover_time",
             2.0,
@@ -120,9 +143,10 @@ class PiFeedback(ManagedNode):
             0.0,
             1e6,
             live=True,
+            wider="lower",
         ),
-        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True),
-        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True),
+        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True, wider="lower"),
+        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True, wider="higher"),
         Setting(
             "frozen_time",
             0.1,
@@ -131,6 +155,8 @@ class PiFeedback(ManagedNode):
             0.0,
             1e6,
             live=True,
+            wider="higher",
+            off=True,
         ),
         BACKEND,
         AUTOSTART,
@@ -143,6 +169,8 @@ class PiFeedback(ManagedNode):
             0,
             1_000_000,
             live=True,
+            wider="higher",
+            off=True,
         ),
     )
 
@@ -179,10 +207,6 @@ class PiFeedback(ManagedNode):
         self.begin()
         self.start_timer(0.5)
 
-    def activate(self) -> None:
-        if self.lockstep:
-            self.once(self.advance)
-
     def advance(self) -> None:
         if not self.ever_active:
             return
@@ -206,6 +230,7 @@ class PiFeedback(ManagedNode):
         fault = self._fault_of_loop()
         ahead = rows[0].take(count)
         others = [each.take(count) for each in rows[1:]]
+        self._ask(first, ahead, others[0] if others else None)
         if self.measurement is None:
             self._publish(first, *self.loop.open(ahead, fault))
         elif count == 1:
@@ -235,12 +260,15 @@ class PiFeedback(ManagedNode):
                 if self._newest is not None and (count := max(tick + self.settings.block - first, 0)):
                     self._publish(first, *self.loop.stopped_by(fault, count))
             elif rows.available:
-                start = rows.start
-                self._publish(start, *self.loop.open(rows.take(rows.available)))
+                start, ahead = rows.start, rows.take(rows.available)
+                self._ask(start, ahead)
+                self._publish(start, *self.loop.open(ahead))
         else:
             newest = [row[None] for signal in self.inputs if (row := signal.rows.newest(tick)) is not None]
             fault = self._timing_fault(tick)
             if len(newest) == len(self.inputs):
+                self._ask(tick - rows.behind(tick), newest[0], newest[1])
+                self.loop.applied = self._takeover.apart(self.command.sent, CLOSE * (self.settings.upper - self.settings.lower))
                 self._publish(tick, *self.loop.closed(newest[1], newest[2], newest[0], fault))
             elif self._newest is not None:  # nothing came since a reset
                 self._publish(tick, *self.loop.stopped_by(fault, 1))
@@ -259,6 +287,9 @@ class PiFeedback(ManagedNode):
         else:
             self.loop.restart(np.zeros(len(self.axes)) if timed or self.settings.start == "rest" else None, away=False)
             self._newest, self._from = None, 0
+        self._demand = SlopeDemand(
+            None if self.loop.away or np.isnan(self.loop.controller.command).any() else self.loop.controller.command
+        )
         self.loop.enabled = self.working
         self._saturated = self._saturated_ticks = self._longest_saturation = 0
         self.command.clear()
@@ -306,6 +337,8 @@ class PiFeedback(ManagedNode):
             return fault
         if self._rival_active:
             return RIVAL
+        if self.loop.applied is not None:
+            return NOT_FOLLOWED
         return "saturated" if longest >= self._ticks_in(self.settings.saturation_time) else ""
 
     def status(self) -> dict[str, Any]:
@@ -334,7 +367,13 @@ class PiFeedback(ManagedNode):
     def _watch(self) -> MeasurementWatch:
         given = self.settings
         motion = MOTION * (given.upper - given.lower)
-        return MeasurementWatch(given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time), motion)
+        return MeasurementWatch(
+            given.measurement_lower,
+            given.measurement_upper,
+            self._ticks_in(given.frozen_time),
+            motion,
+            (given.lower, given.upper),
+        )
 
     def _safety(self) -> Safety:
         given = self.settings
@@ -415,6 +454,11 @@ class PiFeedback(ManagedNode):
             self.counts["faults"] += 1
             self._reported = raised
             self.warn(self._present_fault, f"{self._present_fault}: the command goes to its safe value")
+
+    def _ask(self, first: int, ahead: Array, reference: Array | None = None) -> None:
+        """Warn once of a reference that asks for more slope than the slew limit, by its feedforward and by the proportional part."""
+        asked = ahead if reference is None else ahead + self.settings.kp * reference
+        self.look_at_slope(self._demand.exceeds(first, asked, self.settings.slew_limit * self.period))
 
     def _fill(self, first: int) -> None:
         """Publish the command that was held during missed ticks, so that the record is complete, under the timer."""

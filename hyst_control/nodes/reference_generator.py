@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from hyst_control.nodes.parameters import Setting
 from hyst_control.nodes.run import main as run_main
 from hyst_control.nodes.signal_ports import Input
 from hyst_control.nodes.signal_settings import NOT_GIVEN, signal_settings
+from hyst_control.nodes.takeover import DISCOVERY
 from hyst_control.records import excitation
 from hyst_control.records.array_files import read_array
 from hyst_control.records.foreign_rows import LARGEST_VALUE
@@ -28,9 +30,10 @@ Array = NDArray[np.float64]
 class ReferenceGenerator(SignalNode):
     """Node that publishes `reference` in messages of `block` rows, at least `lead` rows ahead of the newest `measurement`.
 
-    The rows do not depend on the measurement, which only paces them. After its end the signal keeps its last value, or starts again
-    with `repeat`. A kind of signal has parameters of its own (`hyst excite --list`), which are parameters of the node as well; when they
-    are changed while it runs, the signal goes over into the new one within `transition` without a jump (`records.signal_change`).
+    The rows do not depend on the measurement, which only paces them; under the timer the first one is where they begin. They begin at
+    rest (`ramp_time`) and may end at rest (`end_ramp_time`). After its end the signal keeps its last value, or starts again with
+    `repeat`. A kind of signal has parameters of its own (`hyst excite --list`), which are parameters of the node as well; when they are
+    changed while it runs, the signal goes over into the new one within `transition` without a jump (`records.signal_change`).
     """
 
     FURTHER = "and the parameters of the kind of signal, live: hyst excite --list"
@@ -56,6 +59,24 @@ class ReferenceGenerator(SignalNode):
             1e4,
             live=True,
         ),
+        Setting(
+            "ramp_time",
+            0.1,
+            "s",
+            "time of the ramp from rest to the signal, where it does not begin at rest by itself; 0 for none",
+            0.0,
+            1e4,
+        ),
+        Setting(
+            "end_ramp_time", 0.0, "s", "time before the signal's end within which it is brought to rest; 0 for not at all", 0.0, 1e4
+        ),
+        Setting(
+            "ramp_from",
+            "position",
+            "",
+            "begin at the first measurement (position), or at 0 (zero), as a drive in V does; in lockstep a run begins at rest at 0",
+            choices=("position", "zero"),
+        ),
         Setting("retry", 0.2, "s", "time after which the first rows are published again if no measurement arrives", 1e-3, 60.0),
     )
 
@@ -73,7 +94,11 @@ class ReferenceGenerator(SignalNode):
         """
         self._next: Array | None = None  # signal of parameters that are being changed
         super().__init__(name, **options)
-        self._signal = ChangingSignal(self._checked(self._described() if signal is None else signal), self.settings.repeat)
+        rows = self._checked(self._described() if signal is None else signal)
+        ramps = (round(seconds / self.period) for seconds in (self.settings.ramp_time, self.settings.end_ramp_time))
+        self._signal = ChangingSignal(rows, self.settings.repeat, *ramps)
+        self._signal.begin_at(np.zeros(len(self.axes)))
+        self._waiting_since: float | None = None  # s, for a position to begin at, under the timer
         self._end = 0
         self._origin: int | None = None
         self._sent = 0  # rows of the signal, under the timer
@@ -111,11 +136,14 @@ class ReferenceGenerator(SignalNode):
         self._send_again(max(0, min(tick, source.rows.awaited - 2 * self.settings.block)))
 
     def tick(self, tick: int) -> None:
+        position = self.measurement.rows.newest(tick)
         self.measurement.rows.skip_to(tick)  # only lockstep is paced by it
         if not self.enabled:
-            self._origin = None
+            self._origin = self._waiting_since = None
             return
         if self._origin is None:
+            if not self._begins_at(position):
+                return
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
         first = max(tick - self.tick_timer.missed, self._origin)
@@ -123,8 +151,18 @@ class ReferenceGenerator(SignalNode):
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
     def reset(self) -> None:
-        self._end, self._origin = 0, None
+        self._end, self._origin, self._waiting_since = 0, None, None
         self.reference.clear()
+
+    def _begins_at(self, position: Array | None) -> bool:
+        """Begin where the stage is, under the timer; False while that is waited for, no longer than a plant takes to be discovered."""
+        now = time.monotonic()
+        self._waiting_since = now if self._waiting_since is None else self._waiting_since
+        if self.settings.ramp_from == "position" and self.settings.ramp_time:
+            if position is None and now - self._waiting_since < DISCOVERY:
+                return False
+            self._signal.begin_at(np.zeros(len(self.axes)) if position is None else position.copy())
+        return True
 
     def _start_off(self) -> None:
         if self.measurement.rows.end is None:

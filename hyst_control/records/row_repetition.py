@@ -79,8 +79,13 @@ class SentRows:
 
     def since(self, tick: int) -> Array | None:
         """Rows (N, C) from this tick on, as far back as they are kept, or None when there are none."""
-        begin = max(tick - (self.end - self.count), 0)
-        return np.concatenate(self._blocks)[begin:] if begin < self.count else None
+        blocks, start = [], self.end
+        for block in reversed(self._blocks):
+            if start <= tick:
+                break
+            blocks.append(block)
+            start -= len(block)
+        return np.concatenate(blocks[::-1])[max(tick - start, 0) :] if blocks else None
 
     @property
     def newest(self) -> Array | None:

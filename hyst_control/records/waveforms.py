@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,13 @@ def sine(
         Rows (N,), signal unit.
     """
     return offset + amplitude * np.sin(2 * np.pi * frequency * sample_times(duration, sample_time) + phase)
+
+
+def smooth_step(through: NDArray[np.floating[Any]]) -> Array:
+    """Weight from 0 to 1 where its argument goes from 0 to 1, whose slope and curvature are 0 at both ends: its jerk is limited."""
+    x = np.clip(np.asarray(through, dtype=np.float64), 0.0, 1.0)
+    weight: Array = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    return weight
 
 
 def cosine_ramp(sample_time: float, start: float, stop: float, duration: float) -> Array:

@@ -6,6 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import betainc
 
 from hyst_control.control.pi import PI
 from hyst_control.control.safe_loop import SafeLoop, Safety
@@ -131,11 +134,10 @@ def test_a_signal_gives_way_to_another_without_a_jump():
     found = signal.rows(0, 1000)
     np.testing.assert_array_equal(found[:at], old[:at])
     np.testing.assert_allclose(found[at + fade :], new[at + fade :], rtol=0, atol=1e-15)
-    distance = old[at - 1, 0] - new[at - 1, 0]
-    steepest = np.abs(np.diff(new[:, 0])).max() + abs(distance) * np.pi / (2 * fade)
-    assert np.abs(np.diff(found[at - 1 : at + fade + 1, 0])).max() <= steepest
-    weight = 0.5 * (1 + np.cos(np.pi * 37 / fade))
-    assert found[at + 36, 0] == pytest.approx(new[at + 36, 0] + weight * distance)
+    weight = betainc(3, 3, np.minimum(rows - at + 1, fade).clip(0) / fade)[
+        :, None
+    ]  # the integral of a bump that is 0 with its slope
+    np.testing.assert_allclose(found, old + weight * (new - old), rtol=0, atol=1e-12)
     for step in (1, 13, 999):  # however the rows are asked for
         cut = [signal.rows(first, min(step, 1000 - first)) for first in range(0, 1000, step)]
         np.testing.assert_array_equal(np.concatenate(cut), found)
@@ -148,4 +150,58 @@ def test_a_signal_may_change_again_during_a_change_and_repeats():
     signal.replace(np.full((7, 1), -2.0), 25, 20)
     found = signal.rows(0, 80)
     np.testing.assert_array_equal(found[:25], before)
-    assert np.abs(np.diff(found[:, 0])).max() <= 10.0 * np.pi / 40 and found[-1, 0] == -2.0
+    assert np.abs(np.diff(found[:, 0])).max() <= 10.0 * 1.875 / 20 and found[-1, 0] == -2.0
+
+
+SINE = 3.0 + 2.0 * np.sin(np.arange(400) * 2 * np.pi / 80)[:, None]
+
+
+@pytest.mark.parametrize("repeat", [False, True])
+def test_a_signal_begins_at_rest_where_the_stage_is_and_ends_at_rest(repeat):
+    signal = ChangingSignal(SINE, repeat, 100, 100)
+    signal.begin_at(np.array([0.7]))
+    found, k = signal.rows(0, 1000)[:, 0], np.arange(100)
+    plain = SINE[np.arange(1000) % 400, 0] if repeat else np.append(SINE[:, 0], np.full(600, SINE[-1, 0]))
+    np.testing.assert_allclose(found[:100], 0.7 + betainc(3, 3, (k + 1) / 100) * (plain[:100] - 0.7), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found[100:300], plain[100:300])
+    steepest = np.abs(np.diff(SINE[:, 0])).max()
+    assert abs(found[0] - 0.7) < 0.01 * steepest and abs(found[1] - found[0]) < 0.01 * steepest
+    if not repeat:
+        assert found[399] == plain[399] and abs(found[399] - found[398]) < 0.01 * steepest
+        assert np.all(found[400:] == plain[399])
+    else:
+        np.testing.assert_array_equal(found[300:], plain[300:])
+    jerk = np.abs(np.diff(found, 3)).max()
+    assert jerk < 1.5 * np.abs(np.diff(SINE[:, 0], 3)).max() + 60 * 5.0 / 100**3, "of the sine, and of the ramp of 5 um"
+
+
+def test_a_signal_that_is_at_rest_at_its_ends_stays_as_it_is():
+    hills = (1 - np.cos(np.arange(401) * 2 * np.pi / 80))[:, None]
+    signal = ChangingSignal(hills, False, 100, 100)
+    signal.begin_at(np.zeros(1))
+    np.testing.assert_array_equal(signal.rows(0, 401), hills)
+    still = ChangingSignal(np.full((1, 1), 3.0), False, 100, 100)
+    still.begin_at(np.zeros(1))
+    np.testing.assert_allclose(still.rows(0, 120)[:, 0], 3.0 * betainc(3, 3, np.minimum(np.arange(120) + 1, 100) / 100), atol=1e-12)
+
+
+def test_a_signal_that_takes_the_place_of_another_ends_at_rest_too():
+    signal = ChangingSignal(SINE, False, 40, 40)
+    signal.begin_at(np.zeros(1))
+    signal.replace(2.0 * SINE, 200, 50)
+    found = signal.rows(0, 500)[:, 0]
+    np.testing.assert_array_equal(found[250:360], 2.0 * SINE[250:360, 0])
+    assert np.all(found[399:] == 2.0 * SINE[-1, 0]) and abs(found[399] - found[398]) < 0.02
+    late = ChangingSignal(SINE, False, 40, 40)
+    late.replace(2.0 * SINE, 395, 50)  # no more than the ramp is left of it
+    assert np.abs(np.diff(late.rows(380, 100)[:, 0])).max() < 2.0
+    assert late.rows(600, 1)[0, 0] == 2.0 * SINE[-1, 0]
+
+
+@given(st.lists(st.floats(-5, 5), min_size=1, max_size=40), st.floats(-5, 5), st.integers(0, 30), st.booleans())
+def test_a_ramp_never_leaves_the_range_of_the_signal_and_of_where_it_begins(values, position, ramp, repeat):
+    signal = ChangingSignal(np.array(values)[:, None], repeat, ramp, ramp)
+    signal.begin_at(np.array([position]))
+    found = signal.rows(0, 100)[:, 0]
+    assert found.min() >= min(*values, position) - 1e-12 and found.max() <= max(*values, position) + 1e-12
+    np.testing.assert_array_equal(np.concatenate([signal.rows(k, 1) for k in range(100)])[:, 0], found)

@@ -20,9 +20,9 @@ PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 1e-2, -5.0, 20.0, 300.0, 100.0, 2.0
 STEP = SLEW * PERIOD * (1 + 1e-9)
 
 
-def made(axes=2, kp=1.0, ki=50.0, roll_off=0.0, start=0.0, **safety):
+def made(axes=2, kp=1.0, ki=50.0, roll_off=0.0, start=0.0, frozen=0, **safety):
     controller = PI(kp, ki, PERIOD, LOWER, UPPER, SLEW, roll_off=roll_off).start(axes)
-    watch = MeasurementWatch(-100.0, 100.0, 4, 0.5)
+    watch = MeasurementWatch(-100.0, 100.0, frozen, 0.5)
     loop = SafeLoop(controller, watch, Safety(np.full(axes, SAFE), RATE, **{"recovery_ticks": 3, **safety}))
     loop.restart(np.full(axes, start), away=False)
     return loop
@@ -37,6 +37,7 @@ EVENTS = st.lists(
         st.tuples(st.just("stopped"), st.integers(1, 4)),
         st.tuples(st.just("enabled"), st.booleans()),
         st.tuples(st.just("restart"), st.booleans()),
+        st.tuples(st.just("applied"), st.one_of(st.none(), PAIR)),
         st.tuples(st.just("safety"), st.booleans(), st.booleans()),
     ),
     max_size=60,
@@ -46,7 +47,7 @@ EVENTS = st.lists(
 @settings(max_examples=300, deadline=None)
 @given(EVENTS, st.sampled_from([0.0, 50.0, 1e12]), st.sampled_from([0.0, 1.0, 1e9]), st.sampled_from([0.0, 20.0]))
 def test_every_row_is_finite_within_the_limits_and_follows_on_the_last_one(events, ki, kp, roll_off):
-    loop, last = made(kp=kp, ki=ki, roll_off=roll_off), np.zeros(2)
+    loop, last = made(kp=kp, ki=ki, roll_off=roll_off, frozen=4), np.zeros(2)
     for kind, *given_values in events:
         rows = np.empty((0, 2))
         with np.errstate(all="ignore"):
@@ -61,6 +62,8 @@ def test_every_row_is_finite_within_the_limits_and_follows_on_the_last_one(event
                 rows, _ = loop.stopped_by("", given_values[0])
             elif kind == "enabled":
                 loop.enabled = given_values[0]
+            elif kind == "applied":
+                loop.applied = None if given_values[0] is None else np.array(given_values[0])
             elif kind == "restart":
                 loop.restart(loop.controller.command, away=given_values[0])
             else:
@@ -76,7 +79,7 @@ def test_every_row_is_finite_within_the_limits_and_follows_on_the_last_one(event
 @given(st.lists(st.tuples(PAIR, PAIR, PAIR), max_size=20), st.booleans())
 def test_it_recovers_from_whatever_has_come(events, stop_all):
     """However bad the inputs were, after the recovery time with sound ones the loop runs, and tracks."""
-    loop = made(stop_all=stop_all)
+    loop = made(stop_all=stop_all, frozen=4)
     with np.errstate(all="ignore"):
         for signals in events:
             loop.closed(*(np.array([signal]) for signal in signals))
@@ -176,6 +179,33 @@ def test_watchdog_goes_to_its_safe_value_stays_there_and_meets_the_command_again
     assert falling[-1] == SAFE
     fast = [float(watchdog.apply(np.array([8.0 + 6.0 * np.sin(2.1 * k)]))[0]) for k in range(60)]
     assert watchdog.following and fast[-1] == 8.0 + 6.0 * np.sin(2.1 * 59)
+
+
+@pytest.mark.parametrize("ki", [50.0, 0.0])
+def test_an_axis_whose_actuator_does_not_follow_tracks_what_is_applied(ki):
+    """It goes there within the slew limit, waits, and goes on from there: by its integral, or at the safe rate without one."""
+    loop, calm = made(kp=2.0, ki=ki, start=10.0), np.full((1, 2), 1.0)
+    other = []
+
+    def run(ticks):
+        rows = np.concatenate([loop.closed(5 * calm, 4 * calm + 1e-3 * k, 8 * calm)[0] for k in range(ticks)])
+        other.append(rows[:, 1])
+        return rows[:, 0]
+
+    before = run(5)
+    loop.applied = np.array([-1.0, np.nan])
+    tracked = run(20)
+    assert np.abs(np.diff([before[-1], *tracked])).max() <= STEP
+    np.testing.assert_array_equal(tracked[8:], -1.0)
+    assert loop.away and loop.faults.present == ["", ""], "it is no fault"
+    loop.applied = None
+    back = run(200)
+    error = 1.0
+    assert abs(back[0] - tracked[-1]) <= max(ki * PERIOD * error, RATE * PERIOD if not ki else 0.0) * (1 + 1e-9)
+    assert back[-1] > 9.0 and not loop.away
+    plain = made(kp=2.0, ki=ki, start=10.0)
+    rows = [plain.closed(5 * calm, 4 * calm + 1e-3 * k, 8 * calm)[0][0, 1] for n in (5, 20, 200) for k in range(n)]
+    np.testing.assert_array_equal(np.concatenate(other), rows, "the other axis goes on as if nothing was")
 
 
 def test_watchdog_passes_fresh_commands_unchanged():

@@ -25,7 +25,9 @@ WITHOUT = [name for name in EFFECTS if name not in RIVALS]
 def documented(tmp_path, monkeypatch):
     """The page's file as a module; the catalogue and the known stages are as before afterwards."""
     (source,) = [
-        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S) if "class CrossoverDeadBand" in block
+        block
+        for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+        if "class CrossoverDeadBand" in block
     ]
     (tmp_path / "documented_effect.py").write_text(source, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

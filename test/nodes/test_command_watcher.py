@@ -11,12 +11,15 @@ import pytest
 from command_watcher import CommandWatcher
 from loop_case import MODEL, RUNNING, recorded
 from pipeline_thread import ProcessesBesideThread
+from rclpy.parameter import Parameter
 from rclpy.task import Future
+from std_srvs.srv import SetBool
 
+from hyst_control.control.sensor_watch import FROZEN, TURNED
 from hyst_control.nodes import reference_generator
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.message_io import Sender
-from hyst_control.nodes.pi_feedback import RIVAL, PiFeedback
+from hyst_control.nodes.pi_feedback import NOT_FOLLOWED, RIVAL, PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.run import spin
@@ -33,23 +36,26 @@ TOPICS = ("reference", "feedforward", "measurement", "command")
 
 
 class Stage:
-    """A stage that moves by 1 um for 8 V, whose sensors may hang."""
+    """A stage that moves by 1 um for 8 V, whose sensors may make something else of the positions."""
 
     def __init__(self, axes, pace):
         self.axes = ("x", "y")[:axes]
-        self.frozen, self._pace = {}, pace
+        self.sensors, self._pace = {}, pace
+        self.voltages = []
+        """What was on the actuator, tick by tick."""
 
     def reset(self, command):
         return self._measured(np.asarray(command, dtype=float)[None])[0]
 
     def step(self, commands):
         time.sleep(self._pace)  # in lockstep as fast as the watcher reads
+        self.voltages.extend(commands[:, 0])
         return self._measured(commands)
 
     def _measured(self, commands):
         rows = commands / GAIN
-        for axis, value in self.frozen.items():
-            rows[:, axis] = value
+        for axis, sensor in self.sensors.items():
+            rows[:, axis] = sensor(rows[:, axis])
         return rows
 
 
@@ -65,8 +71,9 @@ class Loop:
         ticks = np.arange(400) * PERIOD
         reference = np.repeat((5.1 + 0.5 * np.sin(2 * np.pi * 2.0 * ticks))[:, None], axes, axis=1)
         bench.listen_to_diagnostics()
+        self.generating = {"repeat": True, "lead": 4, "ramp_time": 0.4}
         self.generator = bench.add(
-            lambda **options: ReferenceGenerator(signal=reference, **options), repeat=True, lead=4, retry=0.05, **self.common
+            lambda **options: ReferenceGenerator(signal=reference, **options), **self.generating, retry=0.05, **self.common
         )
         self.feedforward = bench.add(lambda **options: Feedforward("feedforward", **options), gain=[GAIN], **self.common)
         self.settings = {
@@ -82,14 +89,17 @@ class Loop:
             **changes,
         }
         self.feedback = bench.add(PiFeedback, **self.settings)
-        self.plant = bench.add(
+        self.add_plant()
+        self.recorder = bench.add(Recorder, output=str(folder / "bag"), **self.common)
+
+    def add_plant(self):
+        self.plant = self.bench.add(
             lambda **options: PlantNode(plant=self.stage, **options),
             safe_command=[PLANT_SAFE],
             safe_rate=SAFE_RATE,
             retry=0.05,
             **self.common,
         )
-        self.recorder = bench.add(Recorder, output=str(folder / "bag"), **self.common)
 
     def until(self, condition, timeout=30.0):
         """Looks from within the executor, which in lockstep always has something to do and would not come back by itself."""
@@ -206,7 +216,7 @@ def test_reference_of_any_size_leaves_the_command_finite(loop, value):
 @pytest.mark.parametrize("reaction", ["all", "own"])
 def test_sensor_that_hangs_beside_a_live_one_takes_its_axis_to_safety(loop, reaction):
     loop = loop(axes=2, axis_fault=reaction)
-    loop.stage.frozen[0] = 4.0
+    loop.stage.sensors[0] = lambda positions: 4.0
     loop.until(lambda: loop.watcher.last[0] == SAFE)
     loop.until(lambda: loop.says("x: measurement frozen"))
     loop.go_on()
@@ -214,10 +224,64 @@ def test_sensor_that_hangs_beside_a_live_one_takes_its_axis_to_safety(loop, reac
         assert loop.watcher.last[0] == SAFE and loop.watcher.last[1] > 30.0
     else:
         loop.until(loop.safe)
-    loop.stage.frozen.clear()
+    loop.stage.sensors.clear()
     loop.until(loop.tracks)
     loop.until(loop.runs)
     loop.watcher.check()
+
+
+def flickering(positions, random=np.random.default_rng(0)):  # noqa: B008 one generator of all calls
+    return 4.0 + 1e-4 * random.integers(0, 2, len(positions))
+
+
+@pytest.mark.parametrize(("sensor", "fault"), [(flickering, FROZEN), (np.negative, TURNED)])
+def test_sensor_that_does_not_follow_or_turns_takes_the_loop_to_safety(loop, sensor, fault):
+    loop = loop(upper=60.0)  # which leaves the command some way to run away
+    loop.go_on(200)
+    loop.stage.sensors[0] = sensor
+    loop.until(lambda: fault in loop.feedback.loop.faults.present)
+    loop.until(loop.safe)
+    loop.until(lambda: loop.says(fault))
+    loop.go_on()
+    assert loop.safe()
+    loop.stage.sensors.clear()
+    loop.until(loop.tracks)
+    loop.until(loop.runs)
+    loop.watcher.check()
+
+
+def test_a_reference_that_is_too_steep_is_told_once(loop):
+    """By the feedforward of itself, by the feedback of what it asks for: with the time and the slope."""
+    loop = loop()
+    told = []
+    loop.feedforward.settings.slew_limit = SLEW
+    loop.feedforward.warn = loop.feedback.warn = lambda key, text: told.append(text) if key == "slope" else None
+    for level in (5.9, 5.0, 5.9):
+        loop.generator._signal.replace(np.full((400, 1), level), loop.generator._sent_rows, 1)
+        loop.go_on(60)
+    assert len(told) == 2 and all(re.search(r"asks for \S+ V/s at \S+ s, slew_limit is 400 V/s", text) for text in told)
+    assert loop.feedback.counts["slope above slew_limit"] == loop.feedforward.counts["slope above slew_limit"] == 1
+    loop.watcher.check()
+
+
+def test_reference_started_again_begins_at_rest_where_the_stage_is(bench, domain, tmp_path, monkeypatch):
+    loop = Loop(bench, domain, "timer", tmp_path, safe_command=[20.0])
+    try:
+        loop.until(loop.tracks)
+        monkeypatch.setattr(loop.generator, "tick", lambda tick: None)  # as if it were killed
+        loop.until(lambda: loop.watcher.last == (20.0,) and loop.plant.measurement.sent.newest[0, 1] == 20.0 / GAIN)
+        bench.listen("reference")
+        ticks = np.arange(400) * PERIOD
+        wanted = (5.1 + 0.5 * np.sin(2 * np.pi * 2.0 * ticks))[:, None]
+        bench.add(lambda **options: ReferenceGenerator(signal=wanted, **options), **loop.generating, **loop.common)
+        loop.until(lambda: len(bench.rows("reference")) > 40)
+        begun = bench.rows("reference")[:, 1]
+        assert abs(begun[0] - 20.0 / GAIN) < 0.05 and np.abs(np.diff(begun)).max() < 0.4
+        loop.until(loop.tracks)
+        loop.watcher.check()
+        assert not loop.feedback.counts["slope above slew_limit"]
+    finally:
+        loop.close()
 
 
 def test_feedback_started_again_takes_over_from_what_is_applied(loop, monkeypatch):
@@ -239,6 +303,63 @@ def test_feedback_started_again_takes_over_from_what_is_applied(loop, monkeypatc
     loop.watcher.check()
     if loop.schedule == "lockstep":  # nothing moves while no command comes: the run goes on as if nothing had been
         assert np.all(np.diff([tick for tick, _ in loop.watcher.command()]) == 1)
+
+
+def test_plant_started_again_beside_a_running_loop_goes_on_with_it(loop, monkeypatch):
+    loop = loop()
+    for _ in range(3):
+        for name in ("advance", "tick", "_confirm"):  # as if it were killed
+            monkeypatch.setattr(loop.plant, name, lambda *_: None)
+        loop.add_plant()
+        loop.go_on()
+        loop.until(loop.tracks)
+    loop.watcher.check()
+
+
+def test_limits_that_a_peer_wants_wider_hold(loop):
+    loop = loop()
+    before = dict(vars(loop.feedback.settings))
+    for name, value in (("upper", 1e6), ("lower", -1e6), ("slew_limit", 0.0), ("timeout", 1000.0), ("safe_rate", 1e-6)):
+        assert not loop.feedback.set_parameters([Parameter(name, value=value)])[0].successful
+    sender = loop.sender("reference")
+    for _ in range(3):
+        sender.send(np.array([[loop.now() + 5 * PERIOD, 1e6]]))
+        loop.go_on(20)
+    assert vars(loop.feedback.settings) == before
+    loop.until(loop.tracks)
+    loop.watcher.check()
+
+
+@pytest.mark.parametrize("how", ["stop", "deactivate"])
+def test_stage_stopped_alone_is_tracked_and_goes_on_without_a_jump(loop, how):
+    """In lockstep the run stands still meanwhile: nothing can wind up."""
+    loop = loop()
+    loop.plant._stop() if how == "stop" else loop.plant.trigger_deactivate()
+    if loop.schedule == "timer":
+        loop.until(lambda: loop.watcher.applied and loop.watcher.applied[-1] == (PLANT_SAFE,))
+        loop.until(lambda: loop.says(NOT_FOLLOWED))
+        loop.go_on(150)
+        assert all(abs(values[0] - PLANT_SAFE) < 0.5 for _, values in loop.watcher.command()[-100:])
+    else:
+        looks = [-1]
+
+        def stands_still():
+            looks.append(loop.plant._tick)
+            return len(looks) > 100 and looks[-100] == looks[-1]
+
+        loop.until(stands_still)
+    ticks = len(loop.stage.voltages)
+    if how == "stop":
+        loop.bench.probe.create_client(SetBool, "/plant/enable").call_async(SetBool.Request(data=True))
+    else:
+        loop.plant.trigger_activate()
+    loop.until(lambda: len(loop.stage.voltages) > ticks + 200)
+    loop.until(loop.tracks)
+    loop.until(loop.runs)
+    on_it = np.array(loop.stage.voltages[ticks - 100 :])
+    assert np.abs(np.diff(on_it)).max() <= SLEW * PERIOD * (1 + 1e-9)
+    assert on_it.max() < 46.0, "what the reference asks for, and no more"
+    loop.watcher.check()
 
 
 @pytest.mark.parametrize("limits", [(20.0, 80.0), (-80.0, -20.0)])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from loop_case import recorded
+from scipy.special import betainc
 
 from hyst_control.config_files import config_folders, config_path
 from hyst_control.errors import InputError
@@ -35,7 +36,8 @@ def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
     assert ended.returncode == 0, ended.stderr
     rows = recorded(tmp_path / "bag")
     time = np.arange(count) / 20000.0
-    np.testing.assert_allclose(rows["reference"][:, 1], 3.0 + 2.0 * np.sin(2 * np.pi * 10.0 * time), atol=1e-9)
+    ramp = betainc(3, 3, np.arange(1, count + 1) / 2000)  # from rest at 0
+    np.testing.assert_allclose(rows["reference"][:, 1], ramp * (3.0 + 2.0 * np.sin(2 * np.pi * 10.0 * time)), atol=1e-9)
     np.testing.assert_allclose(rows["feedforward"][:, 1], 10.0 * rows["reference"][:, 1], atol=1e-9)
     assert all(len(signal) == count for signal in rows.values())
 

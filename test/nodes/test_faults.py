@@ -228,8 +228,18 @@ def test_the_truth_plant_is_parametrised_by_ros_parameters(bench):
     np.testing.assert_array_equal(bench.rows("measurement")[:401, 1:], np.concatenate([first[None], expected.step(rows)]))
 
 
+def test_commands_that_were_there_before_a_plant_of_the_timer_take_it_nowhere(bench):
+    """Restarted beside a running loop: it has the time of the clock, not that of the rows that wait for it."""
+    node = bench.add(PlantNode, model=MODEL, schedule="timer", rate_hz=200.0)
+    now = round(time.monotonic() * 200.0)
+    node.source_clocks.look_at(now / 200.0, 1.0)  # as at a tick
+    node.command.receive("t[s],x[V]", np.column_stack([np.arange(now, now + 100) / 200.0, np.full(100, 5.0)]))
+    bench.until(lambda: node.counts["ticks"] >= 10)
+    assert abs(node._tick - time.monotonic() * 200.0) < 50
+
+
 def test_live_change_is_checked_and_applied_and_the_rest_is_read_only(bench):
-    node = bench.add(PiFeedback)
+    node = bench.add(PiFeedback, max_timeout=2.0)
 
     def change(name, value):
         return node.set_parameters([Parameter(name, value=value)])[0]

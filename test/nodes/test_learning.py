@@ -44,7 +44,7 @@ def settings(folder, **learning):
     return parameters(
         folder,
         TICKS,
-        reference_generator={"repeat": True},
+        reference_generator={"repeat": True, "ramp_time": 0.0},
         hampi_feedforward=learning,
         pi_feedback={"roll_off": ROLL_OFF},
         recorder={"topics": [*SIGNALS, "learned"]},

@@ -246,7 +246,7 @@ def test_saturated_drive_is_told(bench):
 
 
 def test_safe_rate_and_recovery_may_change_while_running_and_the_backend_may_not(bench):
-    loop = Loop(bench)
+    loop = Loop(bench, min_safe_rate=100.0)
     bench.until(loop.tracks)
     results = loop.node.set_parameters(
         [

@@ -12,9 +12,11 @@ import pytest
 from loop_case import MODEL
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
+from scipy.special import betainc
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
+from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes import command_line
 from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.ending_node import EndingNode
@@ -98,8 +100,61 @@ def test_what_cannot_act_live_is_read_only_and_what_is_accepted_acts(bench):
     assert node.loop.controller.description == law and node.settings.kp == 2.5
 
 
+STARTED = {
+    PiFeedback: {
+        "lower": 10.0,
+        "upper": 50.0,
+        "slew_limit": 400.0,
+        "safe_rate": 200.0,
+        "timeout": 0.25,
+        "ahead": 1.0,
+        "frozen_time": 0.1,
+        "overrun_ticks": 100,
+        "measurement_lower": -1.0,
+        "measurement_upper": 20.0,
+        "recovery_time": 0.1,
+        "rival_time": 0.5,
+    },
+    PlantNode: {"timeout": 0.25, "ahead": 1.0},
+    SimulatedStage: {"timeout": 0.25, "ahead": 1.0},
+}
+NEEDED = {PiFeedback: {}, PlantNode: {"model": MODEL}, SimulatedStage: {"model": MODEL}}
+LOWER_IS_WIDER = ("lower", "measurement_lower", "safe_rate", "recovery_time", "rival_time")
+ZERO_IS_NONE = ("slew_limit", "frozen_time", "overrun_ticks")
+
+
+@pytest.mark.parametrize("kind", STARTED)
+def test_what_protects_the_actuator_may_be_narrowed_live_but_not_widened(bench, kind):
+    """Limits, slew and timeouts, of every node that has any."""
+    node = bench.add(kind, schedule="timer", rate_hz=100.0, **NEEDED[kind], **STARTED[kind])
+    assert set(STARTED[kind]) == {each.name for each in (*COMMON, *kind.SETTINGS) if each.live and each.wider}
+    name = node.get_name()
+    for parameter, value in STARTED[kind].items():
+        lower = parameter in LOWER_IS_WIDER
+        wider, narrower = (type(value)(value + (-change if lower else change) * 0.2 * abs(value)) for change in (1.0, -1.0))
+        for beyond in (wider, *([type(value)(0)] if parameter in ZERO_IS_NONE else [])):
+            [(successful, reason)] = changed(bench, name, **{parameter: beyond})
+            assert not successful and f"{parameter}: a live change may not widen it beyond {value:g}" in reason
+            assert f"{'min' if lower else 'max'}_{parameter}" in reason
+        assert changed(bench, name, **{parameter: narrower}) == [(True, "")]
+        assert changed(bench, name, **{parameter: value}) == [(True, "")], "back to what it was started with"
+    assert vars(node.settings).items() >= STARTED[kind].items()
+
+
+def test_a_bound_given_at_the_start_allows_to_widen_as_far_as_it_says(bench, ros_context):
+    node = bench.add(PiFeedback, upper=50.0, max_upper=80.0, max_slew_limit=0.0, slew_limit=100.0, rate_hz=RATE)
+    assert changed(bench, "pi_feedback", upper=80.0, slew_limit=0.0) == 2 * [(True, "")]
+    [(successful, reason)] = changed(bench, "pi_feedback", upper=80.1)
+    assert not successful and "80 [V], got 80.1" in reason and node.settings.upper == 80.0
+    [(successful, reason)] = changed(bench, "pi_feedback", max_upper=1e6)
+    assert not successful and "read-only" in reason
+    given = [Parameter("upper", value=50.0), Parameter("max_upper", value=40.0)]
+    with pytest.raises(InputError, match="parameter max_upper: is narrower than upper, 50, got 40"):
+        PiFeedback(context=ros_context, parameter_overrides=given)
+
+
 def test_gains_that_are_compiled_in_are_refused(bench):
-    node = bench.add(PiFeedback, kp=1.0, ki=10.0, backend="c", rate_hz=RATE)
+    node = bench.add(PiFeedback, kp=1.0, ki=10.0, backend="c", min_safe_rate=5.0, rate_hz=RATE)
     [(successful, reason)] = changed(bench, "pi_feedback", kp=2.0)
     assert not successful and "backend: c" in reason
     assert node.settings.kp == 1.0 and changed(bench, "pi_feedback", safe_rate=7.0) == [(True, "")]
@@ -107,7 +162,7 @@ def test_gains_that_are_compiled_in_are_refused(bench):
 
 def test_the_reference_goes_over_to_a_new_amplitude_without_a_jump(bench):
     """Lockstep: every row is compared with the closed form, also those that are sent again."""
-    node = bench.add(ReferenceGenerator, rate_hz=RATE, transition=0.1, **SINE)
+    node = bench.add(ReferenceGenerator, rate_hz=RATE, transition=0.1, ramp_time=0.0, **SINE)
     bench.listen("reference")
     measurement = bench.sender("measurement", "t[s],x[um]")
     bench.until(lambda: bench.heard["reference"])
@@ -121,8 +176,7 @@ def test_the_reference_goes_over_to_a_new_amplitude_without_a_jump(bench):
     bench.until(lambda: node._end >= 400)
     ticks = np.arange(400)
     old, new = (3.0 + amplitude * np.sin(2 * np.pi * 5.0 * ticks / RATE) for amplitude in (2.0, 0.5))
-    weight = 0.5 * (1 + np.cos(np.pi * np.minimum(ticks - first + 1, 100) / 100))
-    expected = np.where(ticks < first, old, new + weight * (old[first - 1] - new[first - 1]))
+    expected = old + betainc(3, 3, np.clip(ticks - first + 1, 0, 100) / 100) * (new - old)
     np.testing.assert_allclose(node.rows(0, 400)[:, 0], expected, atol=1e-12)
     bench.until(lambda: any(round(block[-1, 0] * RATE) >= 399 for block in bench.heard["reference"]))
     for block in bench.heard["reference"]:
