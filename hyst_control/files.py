@@ -73,11 +73,11 @@ def check_outputs(outputs: Mapping[str, str | Path | None], inputs: Iterable[str
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[BinaryIO]:
+def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
     """Open `path` to write a file that appears under its name only when the block has ended without an exception.
 
-    A new file gets the permissions that the user's umask leaves, one that was there keeps its own. Devices, FIFOs and what a symbolic
-    link names are written through. Raises `InputError` where the file cannot be written.
+    A new file gets the permissions that the user's umask leaves, one that was there keeps its own; a private one is its owner's alone.
+    Devices, FIFOs and what a symbolic link names are written through. Raises `InputError` where the file cannot be written.
     """
     try:
         target = _target(path)
@@ -89,12 +89,12 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
                 yield device
             return
         part = target.with_name(f".{target.name[:200]}-{secrets.token_hex(6)}.part")
-        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if private else 0o666)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
     try:
         with os.fdopen(handle, "wb") as file:
-            if mode is not None:
+            if mode is not None and not private:
                 os.fchmod(file.fileno(), stat.S_IMODE(mode))
             yield file
         os.replace(part, target)
@@ -120,16 +120,16 @@ def _first_line(error: Exception) -> str:
     return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write `text` to the file at `path` completely or not at all. Raises `InputError` when it cannot be written."""
+def write_text(path: str | Path, text: str, private: bool = False) -> None:
+    """Write `text` to the file at `path` completely or not at all, where `private` for its owner alone; `InputError` when it cannot be."""
     data = text.encode("utf-8", "backslashreplace")  # a file's name may hold bytes that are no text
-    with replacing(path) as file:
+    with replacing(path, private) as file:
         file.write(data)
 
 
-def write_json(path: str | Path, document: Any) -> None:
-    """Write a JSON `document` to the file at `path`; NaN and infinity are refused with a `ValueError`."""
-    write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+def write_json(path: str | Path, document: Any, private: bool = False) -> None:
+    """Write a JSON `document` at `path`, `private` or not as `write_text` does; NaN and infinity are refused with a `ValueError`."""
+    write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n", private)
 
 
 def _target(path: str | Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import deque
@@ -17,6 +18,20 @@ SETBACK = 0.5
 """s by which a time goes back when a loop was started anew; less is a row that came twice."""
 LOST_AFTER = 5.0
 """s after which a node that says nothing is called lost: diagnostics come once a second."""
+
+MOST_EVENTS = 200
+"""Events that are kept."""
+NUMBER = re.compile(r"[0-9][0-9.e+-]*")
+
+
+@dataclass(frozen=True)
+class LoopEvent:
+    """A fault that a node's diagnostics told of, or the end of it; `when` in s since the epoch."""
+
+    when: float
+    node: str
+    words: str
+    fault: bool
 
 
 @dataclass(frozen=True)
@@ -47,6 +62,18 @@ class NodeState:
     def lost(self) -> bool:
         """True when the node has been silent for long."""
         return time.monotonic() - self.heard > LOST_AFTER
+
+    @property
+    def fault(self) -> str:
+        """The node's trouble in a few words; "" when it has none."""
+        return "silent" if self.lost else self.message if self.warns else ""
+
+    @property
+    def rate(self) -> tuple[float, float] | None:
+        """Ticks per second, and those that it should make (NaN in lockstep); None for a node that does not tick."""
+        if self.lost or self.values.get("ticks", "0") == "0":
+            return None
+        return float(self.values.get("rate [Hz]", "nan")), float(self.values.get("set rate [Hz]", "nan"))
 
 
 class Trace:
@@ -138,6 +165,9 @@ class LiveState:
         """Gap of every judged window, in % of the range, and its alarm (0 or 1)."""
         self.answers: deque[str] = deque(maxlen=5)
         """Requests to the nodes and their answers, the newest last."""
+        self.events: deque[LoopEvent] = deque(maxlen=MOST_EVENTS)
+        """Faults of the nodes and their ends, the newest last."""
+        self._faults: dict[str, tuple[str, float]] = {}  # of each node: its fault with "…" for numbers, and since when
         self._lock = threading.Lock()
         self._turn: tuple[tuple[str, ...], Array] = ((), np.zeros((0, 1)))
         self._nodes: dict[str, NodeState] = {}
@@ -168,7 +198,7 @@ class LiveState:
             return [self._nodes[name] for name in sorted(self._nodes)]
 
     def set_node(self, node: NodeState) -> None:
-        """Replace the diagnostics of a node.
+        """Replace the diagnostics of a node, and note what has changed.
 
         Parameters
         ----------
@@ -176,4 +206,33 @@ class LiveState:
             The newest ones.
         """
         with self._lock:
+            before = self._nodes.get(node.name)
             self._nodes[node.name] = node
+        if before is not None and not (before.warns or node.warns):
+            brief = int(node.values.get("faults", 0)) - int(before.values.get("faults", 0))
+            if brief > 0:
+                self._note(node.name, f"{brief} fault{'s' * (brief > 1)}, over within a second", fault=True)
+        self._compare(node)
+
+    def forget_node(self, name: str) -> None:
+        """Show the node `name` no more, as it was ended on purpose."""
+        with self._lock:
+            self._nodes.pop(name, None)
+            self._faults.pop(name, None)
+
+    def look(self) -> None:
+        """Note which nodes have fallen silent."""
+        for node in self.nodes:
+            self._compare(node)
+
+    def _compare(self, node: NodeState) -> None:
+        """Note a fault that is not the one of before: numbers that go on make no other one."""
+        now = time.time()
+        before, since = self._faults.get(node.name, ("", now))
+        kind = NUMBER.sub("…", node.fault)
+        if kind != before:
+            self._faults[node.name] = kind, now
+            self._note(node.name, node.fault or f"{node.message} again, after {now - since:.1f} s", bool(kind))
+
+    def _note(self, name: str, words: str, fault: bool) -> None:
+        self.events.append(LoopEvent(time.time(), name, words, fault))

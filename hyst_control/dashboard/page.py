@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -16,7 +16,7 @@ from bokeh.models.widgets import Button, Div
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from hyst_control.dashboard.live_state import LiveState, Trace
+from hyst_control.dashboard.live_state import LiveState, LoopEvent, NodeState, Trace
 from hyst_control.reporting.html_page import COLORS
 from hyst_control.reporting.templates import render
 
@@ -41,6 +41,9 @@ DASHES = ("solid", "dashed", "dotdash", "dotted")
 """Lines of the axes, in order."""
 PANELS = (("reference", "measurement"), ("error",), ("command",))
 """Subjects that share a figure over time."""
+WRAP = {"flex-wrap": "wrap"}
+WIDE = "1 1 20rem"
+"""Width of a figure in a row: as wide as there is room, below the others where that is too little."""
 TEMPLATE = Path(__file__).parent / "templates" / "dashboard.html"
 
 
@@ -119,8 +122,10 @@ class _Window:
         self._status = Div(name="status", text="", sizing_mode="stretch_width")
         self._answers = Div(name="answers", text="", sizing_mode="stretch_width")
         self._nodes = Div(name="nodes", text="", sizing_mode="stretch_width")
-        self._over_time = column(name="over_time", sizing_mode="stretch_width")
-        self._beside = row(Div(text=""), Div(text=NO_GAP), name="beside", sizing_mode="stretch_width")
+        self._numbers = Div(name="numbers", text="", styles={"flex": "1 1 11rem"})
+        self._events = Div(name="events", text="", sizing_mode="stretch_width")
+        self._over_time = column(name="over_time", sizing_mode="stretch_width", styles={"flex": "20 1 20rem"})
+        self._beside = row(Div(text=""), Div(text=NO_GAP), name="beside", sizing_mode="stretch_width", styles=WRAP)
         self._record = Button(label="record", name="record", width=110)
         self._record.on_click(actions.record)
         buttons = [
@@ -131,11 +136,12 @@ class _Window:
         ]
         document.add_root(
             column(
-                row(*buttons, name="buttons"),
+                row(*buttons, name="buttons", styles=WRAP),
                 self._status,
                 self._answers,
-                self._over_time,
+                row(self._over_time, self._numbers, name="curves", sizing_mode="stretch_width", styles=WRAP),
                 self._beside,
+                self._events,
                 self._nodes,
                 sizing_mode="stretch_width",
                 name="dashboard",
@@ -165,7 +171,10 @@ class _Window:
         self._turn_on()
         _set(self._status, render("dashboard/templates/status.html", **self._status_values()))
         _set(self._answers, render("dashboard/templates/answers.html", answers=list(self._state.answers)))
-        _set(self._nodes, render("dashboard/templates/nodes.html", nodes=self._state.nodes))
+        nodes = self._state.nodes
+        _set(self._nodes, render("dashboard/templates/nodes.html", nodes=nodes))
+        _set(self._numbers, render("dashboard/templates/numbers.html", numbers=_numbers(nodes)))
+        _set(self._events, render("dashboard/templates/events.html", events=_told(self._state.events)))
         label = "end recording" if self._actions.recording else "record"
         if self._record.label != label:
             self._record.label = label
@@ -185,6 +194,7 @@ class _Window:
             "silent": age > SILENT_AFTER,
             "ever": bool(np.isfinite(age)),
             "age": age,
+            "nodes": self._state.nodes,
             "alarm": bool(len(values)) and bool(values[-1]) and self._state.gap.age < 10.0,
             "recording": self._actions.recording,
         }
@@ -240,6 +250,7 @@ class _Window:
             for index in range(axes):
                 command, measurement = columns[1 + index], columns[1 + axes + index]
                 drawn.line(command, measurement, source=self._turn, color=SUBJECTS["measurement"], line_dash=DASHES[index % 4])
+            drawn.styles = {"flex": WIDE}
             self._beside.children = [drawn, *self._beside.children[1:]]
 
     def _draw_gap(self) -> None:
@@ -248,6 +259,7 @@ class _Window:
         drawn.y_range = DataRange1d(start=0.0)
         drawn.line("t", "nrmse[%]", source=self._gap.source, color=SUBJECTS["gap"], line_width=1.5)
         drawn.scatter("t", "nrmse[%]", source=self._alarm, color=ALARM, size=7)
+        drawn.styles = {"flex": WIDE}
         self._beside.children = [*self._beside.children[:1], drawn]
 
     def _mark_alarms(self) -> None:
@@ -255,6 +267,28 @@ class _Window:
         alarms = data["alarm[]"] > 0
         if np.count_nonzero(alarms) or len(self._alarm.data["t"]):
             self._alarm.data = {name: data[name][alarms] for name in ("t", "nrmse[%]")}
+
+
+def _numbers(nodes: Sequence[NodeState]) -> list[tuple[str, str]]:
+    """Numbers of the last second, with what they are of: the errors, then the rate of the node that keeps its own least."""
+    errors = [
+        (key.replace("[", "(").replace("]", ")"), value)
+        for node in nodes
+        if not node.lost
+        for key, value in node.values.items()
+        if key.startswith(("rms error ", "peak error "))
+    ]
+    ticking = [(*node.rate, node.name) for node in nodes if node.rate is not None]
+    timed = [(made / wanted, made, wanted, name) for made, wanted, name in ticking if wanted > 0.0]
+    if timed:
+        _, made, wanted, name = min(timed)
+        return [*errors, (f"rate (Hz) of {wanted:g}, {name}", f"{made:.0f}")]
+    return [*errors, *[(f"rate (Hz), {name}", f"{made:.0f}") for made, _, name in ticking[:1]]]
+
+
+def _told(events: Iterable[LoopEvent]) -> list[tuple[str, LoopEvent]]:
+    """Events with their times of day, the newest first."""
+    return [(time.strftime("%H:%M:%S", time.localtime(event.when)), event) for event in reversed(list(events))]
 
 
 def _set(div: Div, text: str) -> None:
@@ -283,6 +317,8 @@ def _figure(x: str, y: str, height: int) -> Any:
 def _quiet_legend(drawn: Any) -> None:
     drawn.add_layout(drawn.legend[0], "above")
     drawn.legend.orientation = "horizontal"
+    if len(drawn.legend[0].items) > 2:
+        drawn.legend.ncols = 2  # on a telephone there is room for no more
     drawn.legend.background_fill_alpha = 0.0
     drawn.legend.border_line_color = None
     drawn.legend.label_text_color = NEUTRAL

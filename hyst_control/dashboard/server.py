@@ -15,6 +15,7 @@ from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
 from tornado.httpserver import HTTPServer
+from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
@@ -22,6 +23,8 @@ from hyst_control.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 32
+HTTP_PORT = 80
+"""Port that browsers leave out of an address."""
 REMEDY = "set --port to a free one, or leave it out"
 
 
@@ -29,7 +32,8 @@ class LiveServer:
     """Server of one page.
 
     Everything lies below the token: page, scripts and websocket. What is asked for without it is refused with status 403. A websocket is
-    refused as well when another site's page asks for it, and when its session was not begun by this server.
+    refused as well when another site's page asks for it, and when its session was not begun by this server. A request whose Host header
+    is another than the page's address is refused too: a foreign name may be made to resolve to this machine.
 
     Parameters
     ----------
@@ -54,7 +58,7 @@ class LiveServer:
         except (OSError, OverflowError) as error:
             raise InputError(f"--port: {port}: {getattr(error, 'strerror', None) or error}: {REMEDY}") from None
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
-        tornado = BokehTornado(
+        tornado = _OwnHost(
             {"/": Application(FunctionHandler(fill))},
             prefix=self.token,
             extra_websocket_origins=[f"{LOOPBACK}:{self.port}"],
@@ -62,6 +66,7 @@ class LiveServer:
             sign_sessions=True,
             default_handler_class=_Forbidden,
         )
+        tornado.hosts = frozenset({f"{LOOPBACK}:{self.port}"} | ({LOOPBACK} if self.port == HTTP_PORT else set()))
         http = HTTPServer(tornado)
         http.add_sockets(sockets)
         self._loop = IOLoop.current()
@@ -83,6 +88,17 @@ class LiveServer:
     def end(self) -> None:
         """End `run`; may be called from any thread."""
         self._loop.add_callback(self._loop.stop)
+
+
+class _OwnHost(BokehTornado):
+    """Application that answers to requests for its own address only."""
+
+    hosts: frozenset[str] = frozenset()
+
+    def find_handler(self, request: HTTPServerRequest, **options: Any) -> Any:
+        if request.host in self.hosts:
+            return super().find_handler(request, **options)
+        return self.get_handler_delegate(request, _Forbidden)
 
 
 class _Forbidden(RequestHandler):

@@ -503,6 +503,7 @@ class SignalNode(EndingNode):
             **({} if self.lockstep else {"offset to ROS time [s]": f"{self.offset_to_ros_time:.6f}"}),
             **self.source_clocks.entries(),
             "rate [Hz]": f"{(ticks - ticks_before) / (now - before):.1f}",
+            **({} if self.lockstep else {"set rate [Hz]": f"{1.0 / self.tick_timer.interval:.1f}"}),
             "ticks": ticks,
             "jitter [us]": f"{self.tick_timer.jitter.take() * 1e6:.1f}",
             **health.entries,

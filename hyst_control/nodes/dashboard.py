@@ -148,6 +148,10 @@ class DashboardNode(EndingNode):
         """
         self._state.answers.append(words)
 
+    def forget(self, name: str) -> None:
+        """Show a node of this namespace no more, as it was ended on purpose."""
+        self._state.forget_node(f"{self.get_namespace()}/{name}".lstrip("/"))
+
     def leave(self) -> None:
         """End the spinning of the node."""
         self._asked.put("")
@@ -175,6 +179,7 @@ class DashboardNode(EndingNode):
             elif not self.ended.done():
                 self.ended.set_result(None)
         now = time.monotonic()
+        self._state.look()
         self._look_for_a_view(now)
         for deadline, words, answer in list(self._pending):
             if answer.done() or now > deadline:
@@ -256,6 +261,7 @@ class LoopActions:
         begun = Path(self._bag).is_dir()
         if recorder.poll() is None:
             return f"{'Recording' if begun else 'Starting to record'} to {self._bag}."
+        self._node.forget(self._name)
         if not begun and recorder.returncode < 0:
             self._node.say("nothing was recorded: it was ended before it had begun")
         else:

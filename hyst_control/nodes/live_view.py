@@ -28,6 +28,27 @@ TURN_ROWS = 500
 """Most rows of a message on `live_turn`."""
 
 
+class _Errors:
+    """Rms and peak of the errors (N, A) since they were last taken; rows without a reference (NaN) are left out."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._squares: Array = np.zeros(1)
+        self._peak: Array = np.zeros(1)
+
+    def add(self, errors: Array) -> None:
+        known = errors[np.isfinite(errors).all(axis=1)]
+        if len(known):
+            self._count += len(known)
+            self._squares = self._squares + np.sum(known**2, axis=0)
+            self._peak = np.maximum(self._peak, np.abs(known).max(axis=0))
+
+    def take(self) -> dict[str, Array]:
+        found = {"rms": np.sqrt(self._squares / self._count), "peak": self._peak} if self._count else {}
+        self._count, self._squares, self._peak = 0, np.zeros(1), np.zeros(1)
+        return found
+
+
 class LiveView(SignalNode):
     """Node that publishes the loop's signals with fewer rows, for a page or for anybody who looks on.
 
@@ -71,10 +92,20 @@ class LiveView(SignalNode):
         self._forget()
 
     def status(self) -> dict[str, Any]:
-        return {"rows seen": self._seen, "rows published": self._published, **self._poll_times.entries("poll")}
+        counted = {"rows seen": self._seen, "rows published": self._published, **self._poll_times.entries("poll")}
+        return counted | self._error_figures()
+
+    def _error_figures(self) -> dict[str, str]:
+        """Rms and peak of the error of each axis since the last diagnostics; nothing without a reference."""
+        return {
+            f"{what} error {axis} [{self.unit}]": f"{value:.4g}"
+            for what, values in self._errors.take().items()
+            for axis, value in zip(self.axes, values)
+        }
 
     def _forget(self) -> None:
         self._extremes.reset()
+        self._errors = _Errors()
         self._newest: deque[Array] = deque()  # blocks (N, 1 + 2 A) of time, command and measurement
         self._newest_rows = self._polls = self._seen = self._published = 0
 
@@ -110,7 +141,9 @@ class LiveView(SignalNode):
         """Publish the extremes of new rows (N, A) of the three signals, and now and then the newest stretch for the loop."""
         self._seen += len(ticks)
         self._polls += 1
-        kept, rows = self._extremes.add(ticks, np.hstack([references, commands, measured, references - measured]))
+        errors = references - measured
+        self._errors.add(errors)
+        kept, rows = self._extremes.add(ticks, np.hstack([references, commands, measured, errors]))
         if len(kept) and self._live.publisher.get_subscription_count():
             self._published += len(kept)
             self._live.send(np.column_stack([kept * self.period, rows]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import http.client
+import json
 import os
 import re
 import signal
@@ -31,10 +32,11 @@ raise SystemExit(main(sys.argv[1:]))
 """
 SEEN = """() => {
   const page = Bokeh.documents[0], named = name => page.get_model_by_name(name);
-  const words = name => named(name).text.replace(/<[^>]*>/g, " ").replace(/\\s+/g, " ").trim();
+  const words = name => named(name).text.replace(/<style>[^]*?<\\/style>|<[^>]*>/g, " ").replace(/\\s+/g, " ").trim();
   const drawn = name => named(name) ? named(name).renderers[0].data_source : null;
   const error = drawn("error"), loop = drawn("loop"), gap = drawn("gap");
   return { status: words("status"), answers: words("answers"), nodes: words("nodes"), record: named("record").label,
+    events: words("events"), numbers: words("numbers"),
     time: error ? error.data.t[error.data.t.length - 1] : -1,
     columns: error ? Object.keys(error.data) : [],
     command: error ? error.data["command_x[V]"][error.data.t.length - 1] : NaN,
@@ -134,7 +136,7 @@ def test_a_browser_shows_the_loop_and_its_buttons_act(running, tmp_path):
         first = until(look, lambda seen: seen["time"] > 0 and seen["loop"] > 10 and seen["gap"] > 0)
         assert {"t", "reference_x[um]", "command_x[V]", "measurement_x[um]", "error_x[um]"} <= set(first["columns"])
         until(look, lambda seen: seen["time"] > first["time"] + 0.5)  # curves move
-        until(look, lambda seen: "Running." in seen["status"])
+        until(look, lambda seen: seen["status"] == "Running." or "ticks missed" in seen["status"])
         until(
             look,
             lambda seen: all(re.search(rf"\b{name} {RUNNING}", seen["nodes"]) for name in ("pi_feedback", "plant", "diagnosis")),
@@ -145,7 +147,8 @@ def test_a_browser_shows_the_loop_and_its_buttons_act(running, tmp_path):
         until(look, lambda seen: seen["command"] > 5.0)
         press("stop")
         until(look, lambda seen: all(f"stop {name}: stopped" in seen["answers"] for name in ("pi_feedback", "plant")))
-        until(look, lambda seen: seen["command"] == 0.0)
+        until(look, lambda seen: seen["command"] == 0.0 and "pi_feedback: stopped" in seen["status"])
+        assert "pi_feedback: stopped" in look()["events"] and re.search(r"rms error x \(um\) [0-9.]+ peak", look()["numbers"])
         press("enable")
         until(look, lambda seen: seen["command"] > 5.0 and "enable pi_feedback: enabled" in seen["answers"])
         press("reset")
@@ -179,7 +182,10 @@ def upgrade(origin):
 
 
 def test_nobody_gets_in_without_the_token(domain, tmp_path):
-    with dashboard(tmp_path) as (url, _):
+    address = tmp_path / "address.json"
+    address.write_text("of an earlier page")  # readable by all
+    with dashboard(tmp_path, "--json", str(address)) as (url, _):
+        assert json.loads(address.read_text())["url"] == url and address.stat().st_mode & 0o777 == 0o600
         parts = urlsplit(url)
         token = parts.path.strip("/")
         assert parts.hostname == "127.0.0.1" and len(token) >= 40
@@ -188,6 +194,9 @@ def test_nobody_gets_in_without_the_token(domain, tmp_path):
         for path in ("/", "/wrong/", f"/{token[:-1]}/", f"/x{token}/", "/ws", "/wrong/ws", "/static/js/bokeh.min.js", "/metadata"):
             assert answer(url, path) == 403, path
             assert answer(url, path, upgrade(own)) == 403, path
+        for host in ("elsewhere.example", f"elsewhere.example:{parts.port}", "127.0.0.1", f"127.0.0.1.x.example:{parts.port}"):
+            for path in ("", "ws", "static/js/bokeh.min.js"):  # by a name that was made to resolve to here
+                assert answer(url, f"/{token}/{path}", {"Host": host}.items()) == 403, (host, path)
         assert answer(url, f"/{token}/ws", upgrade(foreign)) == 403
         assert answer(url, f"/{token}/ws", upgrade(f"http://127.0.0.1:{parts.port + 1}")) == 403
         assert answer(url, f"/{token}/ws", upgrade(own)) == 101  # and its session, which this server did not begin, is refused

@@ -64,3 +64,22 @@ def test_a_loop_that_begins_anew_is_shown_anew(bench):
         for sender in senders:
             sender.send(np.column_stack([start + np.arange(20) / RATE, np.ones(20)]))
         bench.until(lambda start=start: len(bench.rows("live")) and abs(bench.rows("live")[-1, 0] - start) < 0.1)
+
+
+def test_the_error_is_told_over_every_tick(bench, signals):
+    """Rms and peak are those of all rows, not of the published extremes."""
+    time, values = signals
+    node = bench.add(LiveView, rate_hz=RATE)
+    units = {"reference": "um", "command": "V", "measurement": "um"}
+    senders = {topic: bench.sender(topic, f"t[s],x[{unit}]") for topic, unit in units.items()}
+    bench.until(lambda: all(each.publisher.get_subscription_count() for each in senders.values()))
+    node._errors.take()
+    node.status = dict  # the diagnostics take the figures as well: here the test does
+    for topic, sender in senders.items():
+        sender.send(np.column_stack([time, values[topic]]))
+    bench.until(lambda: node._seen == len(time))
+    error = values["reference"] - values["measurement"]
+    told = node._error_figures()
+    assert float(told["rms error x [um]"]) == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3)
+    assert float(told["peak error x [um]"]) == pytest.approx(np.abs(error).max(), rel=1e-3)
+    assert node._error_figures() == {}
