@@ -44,6 +44,7 @@ setup(
     extras_require={
         "dashboard": ["bokeh", "tornado"],
         "fleet": ["distributed", "bokeh", "pyarrow"],
+        "frames": ["pandas", "xarray"],
         "parquet": ["pyarrow"],
         "pi": ["pipython"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them

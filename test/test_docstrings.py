@@ -22,7 +22,8 @@ SOURCES = {
     for path in sorted((ROOT / package).rglob("*.py"))
 }
 QUESTIONS = ("What", "Where", "How", "Whether", "Which", "When", "Who", "Why")
-API = re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / "api.md").read_text(encoding="utf-8"), re.M)
+PAGES = ("api.md", "extension_api.md")
+API = [name for page in PAGES for name in re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.M)]
 
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -11,6 +11,7 @@ SOURCES = sorted(path for package in ("hyst_control", "hyst_plant_sim", "evaluat
 ROS = {"rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces"}
 ROOMS = (  # from the top of the house down: a room imports from itself and from those below it
     "cli",
+    "api",
     "hardware",
     "nodes",
     "dashboard",

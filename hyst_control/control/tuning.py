@@ -89,6 +89,10 @@ class Tuning:
         loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
         return np.asarray(np.abs(1.0 / (1.0 + loops)).max(axis=0))
 
+    def step(self, model: Model, length: int) -> Array:
+        """Measurement (length, A) of `model` in the linear loop when the reference jumps from 0 to 1."""
+        return _step(model, self.kp, self.ki, self.roll_off, self.sample_time, length)
+
     def table(self, model: Model) -> Table:
         """The result as rows, for the command line and the JSON."""
         table, unit = Table("tune"), model.units["measurement"]

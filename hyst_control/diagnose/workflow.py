@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,48 @@ from hyst_control.progress import step
 from hyst_control.records.array_files import read_array
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
-from hyst_control.reporting.provenance import provenance
+from hyst_control.reporting.provenance import Origin, provenance
+from hyst_control.reporting.signal_figures import Line, Panel, thinned
+
+
+@dataclass(frozen=True)
+class GapResult:
+    """A diagnosed gap: its report, and what the page is drawn from."""
+
+    document: dict[str, Any]  # The gap report
+    words: str  # The same in words
+    diagnosis: Diagnosis | None = None  # None where the record is no measurement of its command
+    better: Model | None = None  # The model with the effects added; None where none was named
+
+    def panels(self) -> list[Panel]:
+        """Measured against simulated signals and the gap, of every piece and axis, with the effects added where there are some."""
+        if self.diagnosis is None:
+            raise InputError("the record is no measurement of its command: there is no gap to draw")
+        from hyst_control.diagnose.report.page import traces_of
+
+        model, panels = self.diagnosis.model, []
+        unit = model.units["measurement"]
+        for piece in traces_of(self.diagnosis, self.better):
+            curves = {"simulated": piece.simulated}
+            if piece.augmented is not None:
+                curves["with the effects"] = piece.augmented
+            for index, axis in enumerate(model.axes):
+                label = f" {axis}" if len(model.axes) > 1 else ""
+                drawn = {"measured": piece.measured, **curves}
+                left = {name: piece.measured - values for name, values in curves.items()}
+                for title, signals in (("measurement", drawn), ("gap", left)):
+                    lines = tuple(Line(name, *thinned(piece.time, values[:, index])) for name, values in signals.items())
+                    panels.append(Panel("time [s]", f"{title}{label} [{unit}]", lines))
+        return panels
+
+    def write_page(self, path: str | Path, origins: Sequence[Origin] = ()) -> None:
+        """Write the HTML page of the gap."""
+        if self.diagnosis is None:
+            write_invalid_page(str(path), self.document, origins)
+            return
+        from hyst_control.diagnose.report.page import write_page
+
+        write_page(Path(path), self.document, self.diagnosis, self.better, origins)
 
 
 def diagnose_bags(
@@ -48,51 +89,66 @@ def diagnose_bags(
     learned_residual: bool = False,
 ) -> str:
     """Diagnose bags and write what is asked for."""
-    for name in without:
-        if name not in EFFECTS:
-            raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     for path in (json, report, augmented):
         if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
             raise InputError(f"{path}: {Path(os.path.realpath(path)).parent} is no folder: choose one that exists")
     if learned_residual and augmented is None:
         raise InputError("--learned-residual: is a stage of the augmented model: give --augmented with the file to write")
+    for name in without:
+        if name not in EFFECTS:
+            raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     nominal = None if model is None else load_model(model)
-    records = [read_bag(bag, namespace, unit) for bag in bags]
-    clean = [read_bag(bag, namespace, unit) for bag in baseline]
-    coming = None if on is None else _command(on, namespace, unit)
-    if nominal is not None and (refused := invalid_report(records, nominal)) is not None:
-        if report is not None:
-            write_invalid_page(report, refused[0], provenance([("record", bags), ("model", [] if model is None else [model])]))
-        if json is not None:
-            write_json(json, refused[0])
-        return refused[1]
-    document, diagnosis, better = diagnosed(
-        records, nominal, seed, without, cache, augmented, progress, warm_up, clean, learned_residual
+    gap = diagnose_records(
+        [read_bag(bag, namespace, unit) for bag in bags],
+        nominal,
+        [read_bag(bag, namespace, unit) for bag in baseline],
+        seed=seed,
+        without=without,
+        cache=cache,
+        augmented=augmented,
+        progress=progress,
+        warm_up=warm_up,
+        learned_residual=learned_residual,
+        coming=None if on is None else (str(on), _command(on, namespace, unit)),
     )
+    written = [augmented] if augmented is not None and gap.better is not None else []
+    if gap.better is not None:
+        for path in written:
+            save_model(gap.better, path)
+    if json is not None:
+        write_json(json, gap.document)
+    if report is not None:
+        files: list[tuple[str, Sequence[str | Path]]] = [
+            ("record", bags),
+            ("model", [] if model is None else [model]),
+            ("clean records", baseline),
+            ("augmented model", written),
+            ("report as JSON", [] if json is None else [json]),
+        ]
+        names = [("seed", str(seed)), *([] if nominal is None else [("model's name", nominal.name)])]
+        gap.write_page(report, provenance(files, names))
+    return gap.words
+
+
+def diagnose_records(
+    records: Sequence[Record],
+    model: Model | None,
+    baseline: Sequence[Record] = (),
+    *,
+    coming: tuple[str, NDArray[np.float64]] | None = None,
+    **settings: Any,
+) -> GapResult:
+    """Diagnose records that are measurements of their command; say so of those that are none."""
+    # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
+    if model is not None and (refused := invalid_report(records, model)) is not None:
+        return GapResult(*refused)
+    document, diagnosis, better = diagnosed(records, model, baseline=baseline, **settings)
     if coming is not None:
         try:
-            document["foreseen"] = {"command": str(on), **foresee(diagnosis, coming).document()}
+            document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}
         except InputError as error:
-            raise InputError(f"--on {on}: {error}") from None
-    if augmented is not None and better is not None:
-        save_model(better, augmented)
-    if json is not None:
-        write_json(json, document)
-    if report is not None:
-        from hyst_control.diagnose.report.page import write_page
-
-        origins = provenance(
-            [
-                ("record", bags),
-                ("model", [] if model is None else [model]),
-                ("clean records", baseline),
-                ("augmented model", [augmented] if augmented is not None and better is not None else []),
-                ("report as JSON", [] if json is None else [json]),
-            ],
-            [("seed", str(seed)), *([] if nominal is None else [("model's name", nominal.name)])],
-        )
-        write_page(Path(report), document, diagnosis, better, origins)
-    return in_words(document)
+            raise InputError(f"--on {coming[0]}: {error}") from None
+    return GapResult(document, in_words(document), diagnosis, better)
 
 
 def diagnosed(

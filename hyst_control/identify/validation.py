@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from hyst_control.identify.workflow import TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.record import Record
 from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.reporting.tables import Table
@@ -87,14 +88,26 @@ def validate_bags(
     table = Table(source)
     for bag in bags:
         progress.step(f"read {bag}")
-        for data in map(
-            with_beginning, datasets_of(aligned_by_reception(read_bag(bag, namespace, unit), TOPICS), hold, start, True)
-        ):
-            for name, model in loaded.items():
-                progress.step(f"{name} on {data.name}")
-                check_pair(name, model, data)
-                add_rows(table, name, model, data)
+        table.rows += validate_record(loaded, read_bag(bag, namespace, unit), source, hold, start).rows
     return table
+
+
+def validate_record(
+    models: Mapping[str, Model], record: Record, source: str = "validate", hold: str | None = None, start: str = "auto"
+) -> Table:
+    """Score models by name on a record; the table is that of `validate_bags`."""
+    table = Table(source)
+    for data in compared_stretches(record, hold, start):
+        for name, model in models.items():
+            progress.step(f"{name} on {data.name}")
+            check_pair(name, model, data)
+            add_rows(table, name, model, data)
+    return table
+
+
+def compared_stretches(record: Record, hold: str | None = None, start: str = "auto") -> list[Dataset]:
+    """Gapless stretches of a record with the memory that each begins with, as models are compared on them."""
+    return [with_beginning(data) for data in datasets_of(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)]
 
 
 def check_pair(name: str, model: Model, data: Dataset) -> None:

@@ -77,29 +77,33 @@ class Result:
 
     def text(self) -> str:
         """Summarize the fit in a few lines."""
-        report = self.fit.report
-        lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
-        for row in report["records"]:
-            lines.append(
-                f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_own_zero']:.3f} % without the "
-                f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
-                f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
-            )
-        lines += [
-            f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])
-            for row in report.get("beginnings", [])
-        ]
-        if "held_out_nrmse" in report:
-            lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
-        if "tried" in report:
-            lines += choice_lines(report["tried"])
-        lines += [f"  note: {note}" for note in report["notes"]]
         written = "no model is written (--force writes it)" if self.output is None else f"written: {self.output}"
-        return "\n".join([*lines, f"  {written}"])
+        return f"{fit_text(self.fit.report)}\n  {written}"
 
     def document(self) -> Report:
         """The fit report."""
         return self.fit.report
+
+
+def fit_text(report: Report) -> str:
+    """Summarize a fit in a few lines."""
+    lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
+    for row in report["records"]:
+        lines.append(
+            f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_own_zero']:.3f} % without the "
+            f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
+            f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
+        )
+    lines += [
+        f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])
+        for row in report.get("beginnings", [])
+    ]
+    if "held_out_nrmse" in report:
+        lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
+    if "tried" in report:
+        lines += choice_lines(report["tried"])
+    lines += [f"  note: {note}" for note in report["notes"]]
+    return "\n".join(lines)
 
 
 def identify_bags(
@@ -164,11 +168,40 @@ def identify_bags(
         if named:
             raise InputError(f"figure: shows the choice between families, of which {family} is named: leave the figure out")
         check_writable(figure)
-    datasets: list[Dataset] = []
-    notes: list[str] = []
+    records = []
     for bag in bags:
         progress.step(f"read {bag}")
-        record = aligned_by_reception(read_bag(bag, namespace, unit), TOPICS)
+        records.append(read_bag(bag, namespace, unit))
+    fit = identify_records(records, family, method=method, hold=hold, start=start, allow_gaps=allow_gaps, force=force, **given)
+    fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags]})
+    keep = force or fit.report["verdict"] != NOTHING
+    if keep:
+        save_model(fit.model, output)
+    if json_path is not None:
+        write_json(json_path, fit.report)
+    if figure is not None:
+        from hyst_control.identify.assess.choice_figure import write_choice  # takes a second
+
+        write_choice(figure, fit.report["tried"])
+    return Result(fit, Path(output) if keep else None, strict)
+
+
+def identify_records(
+    records: Sequence[Record],
+    family: str | None = None,
+    *,
+    method: str = "joint",
+    hold: str | None = None,
+    start: str = "auto",
+    allow_gaps: bool = False,
+    force: bool = False,
+    **options: object,
+) -> Fit:
+    """Identify a model from records, and judge what it explains of them; the parameters are those of `identify_bags`."""
+    datasets: list[Dataset] = []
+    notes: list[str] = []
+    for record in records:
+        record = aligned_by_reception(record, TOPICS)
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps, notes)
     looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
@@ -176,7 +209,7 @@ def identify_bags(
     if not force:
         refuse_invalid(trials)
     found = check_records(trials) if force else []
-    fit = identified(datasets, family, method, **given)
+    fit = identified(datasets, family, method, **options)
     begun = [with_beginning(data) for data in datasets]
     shares = explained_shares(begun, [residual(fit.model, data) for data in begun])
     differing = [each.text() for each in disagreements(fit.model, begun)]
@@ -187,20 +220,9 @@ def identify_bags(
         *notes,
         *differing,
         *fit.report["notes"],
-        *([BY_THEMSELVES] if not named and len(fit.model.axes) > 1 else []),
+        *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 else []),
     ]
-    judged: Report = {**fit.report, "verdict": verdict, "explained": shares, "bags": [str(bag) for bag in bags], "notes": notes}
-    fit = replace(fit, report=judged)
-    keep = force or verdict != NOTHING
-    if keep:
-        save_model(fit.model, output)
-    if json_path is not None:
-        write_json(json_path, fit.report)
-    if figure is not None:
-        from hyst_control.identify.assess.choice_figure import write_choice  # takes a second
-
-        write_choice(figure, fit.report["tried"])
-    return Result(fit, Path(output) if keep else None, strict)
+    return replace(fit, report={**fit.report, "verdict": verdict, "explained": shares, "notes": notes})
 
 
 def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:

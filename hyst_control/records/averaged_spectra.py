@@ -42,7 +42,7 @@ class Spectra:
     power: Array
 
     @classmethod
-    def of(cls, command: Array, measurement: Array, length: int) -> Spectra:
+    def of(cls, command: Array, measurement: Array, length: int, periodic: bool = False) -> Spectra:
         """Spectra averaged over segments of `length` samples that overlap by half, after the mean of the whole record is removed.
 
         Parameters
@@ -53,6 +53,8 @@ class Spectra:
             Measurement (N, A), measurement unit.
         length
             Samples per segment.
+        periodic
+            A segment is a period of both: none overlaps another, and there is no window, so that nothing leaks.
 
         Returns
         -------
@@ -60,11 +62,12 @@ class Spectra:
             Auto, cross and power spectra at length // 2 + 1 frequencies.
         """
         command, measurement = command - command.mean(axis=0), measurement - measurement.mean(axis=0)
-        window = np.hanning(length)[:, None]
+        window = np.ones((length, 1)) if periodic else np.hanning(length)[:, None]
+        step = length if periodic else max(length // 2, 1)
         lines, axes = length // 2 + 1, command.shape[1]
         auto, cross = np.zeros((lines, axes, axes), complex), np.zeros((lines, axes, axes), complex)
         power = np.zeros((lines, axes))
-        for begin in range(0, len(command) - length + 1, max(length // 2, 1)):
+        for begin in range(0, len(command) - length + 1, step):
             part = slice(begin, begin + length)
             u, y = np.fft.rfft(command[part] * window, axis=0), np.fft.rfft(measurement[part] * window, axis=0)
             auto += u[:, :, None].conj() * u[:, None, :]
@@ -103,6 +106,12 @@ class Spectra:
         apart = self.independent
         found[apart] = np.linalg.solve(self.auto[apart], self.cross[apart])
         return found
+
+    @property
+    def coherence(self) -> Array:
+        """Share (F, A) of each measurement's power that the commands together make; 0 where they are not independent."""
+        made = np.einsum("fab,fab->fb", self.transfer.conj(), self.cross).real
+        return np.asarray(np.clip(made / np.maximum(self.power, 1e-300), 0.0, 1.0), dtype=np.float64)
 
     def path(self, index: int) -> tuple[Complex, Array]:
         """Cross spectrum (F,) of the command and the measurement of axis `index`, and the share (F,) of its power made so.

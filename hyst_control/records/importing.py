@@ -15,13 +15,12 @@ from typing import IO
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import foreign_reader
 from hyst_control.records.array_files import KINDS, read_arrays
 from hyst_control.records.bag_writer import BagWriter
 from hyst_control.records.decompression import Budget
-from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing
+from hyst_control.records.record import Array, Record, Signal, axis_names, check_times, commonest_step, increasing
 from hyst_control.records.row_store import RowStore, blocks, empty_rows
 from hyst_control.records.signal_message import Encoder, label_for
 
@@ -66,6 +65,7 @@ _SCALED_UNIT = re.compile(r"(?P<scale>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*\
 _MATRIX_COLUMN = re.compile(r"(?P<name>.+)\(:,(?P<number>\d{1,6})\)")
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
 _UNIT_CELL = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
+_UNIT_BEHIND = re.compile(r"\s*(\([^()]*\)|\[[^\[\]]*\])\s*$")
 _DECIMAL_COMMAS = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?(\s+[-+]?\d+,\d+([eE][-+]?\d+)?)+")
 
 
@@ -106,16 +106,7 @@ def parse_columns(text: str) -> list[Column]:
             raise InputError(
                 f"columns: must be topic=column[unit], separated by commas (command=1[V],measurement=5[um]), got {rest!r}"
             )
-        known = TIME_UNITS if match["topic"] == TIME else UNITS
-        scaled = _SCALED_UNIT.fullmatch(match["unit"].strip())
-        unit, scale = (scaled["unit"], float(scaled["scale"])) if scaled else (match["unit"].strip(), 1.0)
-        if unit not in known:
-            raise InputError(
-                f"columns: {match['topic']}: unit {match['unit']!r} is not known, must be one of {', '.join(known)}, with a number "
-                "before it where one in the file stands for so much ([5um/V])"
-            )
-        if not (scale and np.isfinite(scale)):
-            raise InputError(f"columns: {match['topic']}: the number in {match['unit']!r} must be finite and not 0")
+        unit, scale = unit_and_scale(match["topic"], match["unit"])
         if match["topic"] in (column.topic for column in found):
             raise InputError(f"columns: {match['topic']} stands twice: join its axes with + (measurement=2+3[um])")
         found.append(Column(match["topic"], tuple(part.strip() for part in match["columns"].split("+")), unit, scale))
@@ -123,6 +114,21 @@ def parse_columns(text: str) -> list[Column]:
     if not found:
         raise InputError("columns: is empty: name command and measurement (command=1[V],measurement=5[um])")
     return found
+
+
+def unit_and_scale(topic: str, text: str) -> tuple[str, float]:
+    """Unit of a topic's column and the size of one in the file, of a text such as "mV" or "5um/V"; `InputError` where it is not known."""
+    known = TIME_UNITS if topic == TIME else UNITS
+    scaled = _SCALED_UNIT.fullmatch(text.strip())
+    unit, scale = (scaled["unit"], float(scaled["scale"])) if scaled else (text.strip(), 1.0)
+    if unit not in known:
+        raise InputError(
+            f"columns: {topic}: unit {text!r} is not known, must be one of {', '.join(known)}, with a number "
+            "before it where one in the file stands for so much ([5um/V])"
+        )
+    if not (scale and np.isfinite(scale)):
+        raise InputError(f"columns: {topic}: the number in {text!r} must be finite and not 0")
+    return unit, scale
 
 
 def import_table(
@@ -175,7 +181,7 @@ def import_table(
     notes = [f"{path}: columns are numbered from 0, since a column 0 is named"] if not first else []
 
     def picked(column: Column, factor: float) -> Array:
-        wanted = [index for name in column.columns for index in _indices(path, name, names, table.shape[1], first)]
+        wanted = [index for name in column.columns for index in column_indices(path, name, names, table.shape[1], first)]
         scaled = empty_rows(end - begin, len(wanted))
         bad, first_bad, finite = 0, 0, True
         for part in blocks(end - begin):
@@ -469,10 +475,13 @@ def _named(array: Array) -> Array:
     return array.reshape(-1, 1) if array.ndim == 2 and len(array) == 1 else _table(array)
 
 
-def _indices(path: Path, name: str, names: Sequence[str], width: int, first: int) -> list[int]:
-    """Numbers from 0 of the columns of this name or number; a matrix has several."""
+def column_indices(path: str | Path, name: str, names: Sequence[str], width: int, first: int = 1) -> list[int]:
+    """Numbers from 0 of the columns of this name, with its unit or without, or of this number; a matrix has several."""
     if name in names:
         return [index for index, other in enumerate(names) if other == name]
+    bare = [_UNIT_BEHIND.sub("", other) for other in names]
+    if bare.count(_UNIT_BEHIND.sub("", name)) == 1:
+        return [bare.index(_UNIT_BEHIND.sub("", name))]
     if name.isdecimal():
         if not first <= int(name) < first + width:
             raise InputError(f"{path}: column {name} of {width}: number them from {first} to {width - 1 + first}")

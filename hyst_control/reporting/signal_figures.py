@@ -8,16 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from hyst_control.errors import InputError
 from hyst_control.files import replacing
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.html_page import COLORS, Page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -36,6 +39,7 @@ class Line:
     # x, y: Points (N,)
     x: Annotated[Array, "N"]
     y: Annotated[Array, "N"]
+    dots: bool = False  # Drawn as dots
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,8 @@ class Panel:
     x_title: str
     y_title: str
     lines: tuple[Line, ...]  # The curves
-    logarithmic: bool = False  # Both axes logarithmic
+    logarithmic: str = ""  # Axes with a logarithmic scale: "x" or "xy"
+    y_range: tuple[float, float] | None = None  # Ends of the vertical axis; None: those of the curves
 
 
 def over_time(record: Record) -> list[Panel]:
@@ -75,7 +80,8 @@ def over_each_other(record: Record, horizontal: str, vertical: str) -> list[Pane
         if axis and axis not in signal.axes:
             raise InputError(f"{record.source}: {topic} has no axis {axis}, its axes are {', '.join(signal.axes)}")
         chosen = [signal.axes.index(axis)] if axis else list(range(len(signal.axes)))
-        picked.append((signal.unit, [f"{topic}.{signal.axes[i]}" for i in chosen], values[:, chosen]))
+        names = [name for name, _ in _columns(topic, signal)]
+        picked.append((signal.unit, [names[i] for i in chosen], values[:, chosen]))
     (x_unit, x_names, x), (y_unit, y_names, y) = picked
     if x.shape[1] != y.shape[1]:
         raise InputError(f"{horizontal} has {x.shape[1]} axes, {vertical} {y.shape[1]}: name one of each, as measurement.x")
@@ -88,6 +94,8 @@ def over_each_other(record: Record, horizontal: str, vertical: str) -> list[Pane
 
 def spectra(record: Record) -> list[Panel]:
     """Draw the amplitude spectral density of every signal (Welch's method, Hann windows), signals of the same unit together."""
+    from scipy.signal import welch  # takes a second
+
     record.check(list(record.signals))
     panels = []
     for unit in dict.fromkeys(signal.unit for signal in record.signals.values()):
@@ -99,7 +107,7 @@ def spectra(record: Record) -> list[Panel]:
             for name, column in _columns(topic, signal):
                 frequency, density = welch(column, rate, nperseg=max(2, 2 * len(column) // SEGMENTS), detrend="constant")
                 lines.append(Line(name, *thinned(frequency[1:], np.sqrt(density[1:]))))
-        panels.append(Panel("frequency [Hz]", f"[{unit}/√Hz]", tuple(lines), True))
+        panels.append(Panel("frequency [Hz]", f"[{unit}/√Hz]", tuple(lines), "xy"))
     return panels
 
 
@@ -131,22 +139,31 @@ def _columns(topic: str, signal: Signal) -> list[tuple[str, Array]]:
     return [(f"{topic}.{axis}" if several else topic, signal.values[:, index]) for index, axis in enumerate(signal.axes)]
 
 
+def draw(panels: Sequence[Panel], figure: Figure, title: str) -> list[Axes]:
+    """Draw panels below each other into a figure of matplotlib; the axes, one a panel."""
+    figure.set_size_inches(9.0, 1.0 + 3.2 * len(panels))
+    figure.set_layout_engine("constrained")
+    figure.suptitle(title)
+    drawn = list(figure.subplots(len(panels), squeeze=False)[:, 0])
+    for panel, axes in zip(panels, drawn, strict=True):
+        for index, line in enumerate(panel.lines):
+            look = {"marker": ".", "linestyle": "", "markersize": 3.0} if line.dots else {"linewidth": 1.0}
+            axes.plot(line.x, line.y, color=COLORS[(index + 1) % len(COLORS)], label=line.name, **look)
+        axes.set(xlabel=panel.x_title, ylabel=panel.y_title)
+        axes.set(**{f"{axis}scale": "log" for axis in panel.logarithmic}, ylim=panel.y_range)
+        if len(panel.lines) > 1:
+            axes.legend(loc="best", frameon=False)
+        axes.grid(alpha=0.3)
+    return drawn
+
+
 def _write_picture(panels: Sequence[Panel], path: Path, title: str, ending: str) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 1.0 + 3.2 * len(panels)), layout="constrained")
+    figure = Figure()
     FigureCanvasAgg(figure)
-    figure.suptitle(title)
-    for panel, axes in zip(panels, figure.subplots(len(panels), squeeze=False)[:, 0], strict=True):
-        for index, line in enumerate(panel.lines):
-            axes.plot(line.x, line.y, color=COLORS[(index + 1) % len(COLORS)], linewidth=1.0, label=line.name)
-        axes.set(xlabel=panel.x_title, ylabel=panel.y_title)
-        if panel.logarithmic:
-            axes.set(xscale="log", yscale="log")
-        if len(panel.lines) > 1:
-            axes.legend(loc="best", frameon=False)
-        axes.grid(alpha=0.3)
+    draw(panels, figure, title)
     with replacing(path) as file:
         figure.savefig(file, format=ending, dpi=120)
 
@@ -159,9 +176,14 @@ def _write_page(panels: Sequence[Panel], path: Path, title: str) -> None:
         figure = go.Figure()
         for index, line in enumerate(panel.lines):
             colour = COLORS[(index + 1) % len(COLORS)]
-            figure.add_trace(go.Scattergl(x=line.x, y=line.y, name=line.name, line={"color": colour, "width": 1.3}))
-        scale = "log" if panel.logarithmic else "linear"
-        figure.update_xaxes(title_text=panel.x_title, type=scale)
-        figure.update_yaxes(title_text=panel.y_title, type=scale)
+            look = (
+                {"mode": "markers", "marker": {"color": colour, "size": 4}}
+                if line.dots
+                else {"line": {"color": colour, "width": 1.3}}
+            )
+            figure.add_trace(go.Scattergl(x=line.x, y=line.y, name=line.name, **look))
+        scales = {axis: "log" if axis in panel.logarithmic else "linear" for axis in "xy"}
+        figure.update_xaxes(title_text=panel.x_title, type=scales["x"])
+        figure.update_yaxes(title_text=panel.y_title, type=scales["y"], range=panel.y_range)
         page.figure(figure)
     page.write(path)

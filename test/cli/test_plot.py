@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from hyst_control.chain import Chain
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
+from hyst_control.control.model_figures import bode_of
+from hyst_control.model_file import Model, save_model, simulate
+from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra, thinned
@@ -96,3 +101,50 @@ def test_what_cannot_be_drawn_is_said(record, tmp_path, monkeypatch, capsys, wor
     assert main(["plot", "bag", *words]) == 2
     assert said in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+@pytest.fixture
+def stage(tmp_path):
+    """A first-order stage, as a model file and as its record."""
+    model = Model("stage", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain((TransferFunction([0.1], [1e-3, 1.0]),)))
+    save_model(model, tmp_path / "model.yaml")
+    command = 50.0 + np.random.default_rng(0).normal(0.0, 5.0, (8000, 1))
+    time = np.arange(len(command)) / RATE
+    signals = {"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, simulate(model, command), ("x",), "um")}
+    write_bag(tmp_path / "bag", Record(signals, "bag"))
+    return tmp_path, model
+
+
+def test_a_frequency_response_is_that_of_the_stage(stage):
+    folder, model = stage
+    measured, computed = bode_of(model, read_bag(folder / "bag"))[0].lines
+    w = 2 * np.pi * computed.x
+    # A held command and a sample later: the transform of exp(-t / 1 ms) sampled.
+    pole, z = np.exp(-1.0 / (RATE * 1e-3)), np.exp(1j * w / RATE)
+    np.testing.assert_allclose(computed.y, np.abs(0.1 * (1.0 - pole) / (z - pole)), rtol=1e-9)
+    near = np.interp(measured.x, computed.x, computed.y)
+    assert measured.dots and np.median(np.abs(measured.y / near - 1.0)) < 0.03
+
+
+@pytest.mark.parametrize(
+    "words", [["bag", "--bode"], ["bag", "--bode", "--model", "model.yaml"], ["bag", "--model", "model.yaml"], ["model.yaml"]]
+)
+def test_frequency_responses_and_models_are_drawn(stage, words, monkeypatch):
+    monkeypatch.chdir(stage[0])
+    for ending in ("png", "html"):
+        assert main(["plot", *words, "--output", f"out.{ending}"]) == 0
+        assert (stage[0] / f"out.{ending}").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["model.yaml", "--spectrum"], "of a model the frequency response is drawn"),
+        (["bag", "--model", "model.yaml", "--xy"], "are about command and measurement"),
+        (["bag", "--bode", "--signals", "command"], "are about command and measurement"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(stage, words, said, monkeypatch, capsys):
+    monkeypatch.chdir(stage[0])
+    assert main(["plot", *words]) == 2
+    assert said in capsys.readouterr().err and not list(stage[0].glob("*.png"))

@@ -104,7 +104,7 @@ def test_the_command_line_tells_what_is_foreseen(answer, tmp_path, capsys, monke
     case, record, model, document, diagnosis, better = answer("pea_published")
     command = run_case(replace(case, excitation="multisine"))["command"]
 
-    def known(records, nominal, *_):
+    def known(records, nominal, **_):
         np.testing.assert_array_equal(records[0].signal("command").values, record.signal("command").values)
         assert nominal == model
         return dict(document), diagnosis, better

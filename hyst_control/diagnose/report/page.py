@@ -74,7 +74,7 @@ def write_page(
     path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
 ) -> None:
     """Write the page of a diagnosis."""
-    pieces, unit = _traces(diagnosis, better), document["gap"]["unit"]
+    pieces, unit = traces_of(diagnosis, better), document["gap"]["unit"]
     signals = [
         figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 620)
         for index, piece in enumerate(pieces)
@@ -110,7 +110,7 @@ def write_page(
     )
 
 
-def _traces(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
+def traces_of(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
     """The first pieces, whole, in the measurement's unit."""
     problem, found = diagnosis.problem, []
     for index, piece in enumerate(problem.pieces[: max(MOST_FIGURES // len(diagnosis.model.axes), 1)]):

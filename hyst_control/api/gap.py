@@ -1,0 +1,132 @@
+"""Gaps between a model and the machine, for scripts and notebooks."""
+
+from __future__ import annotations
+
+import tempfile
+import webbrowser
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyst_control import model_file, progress
+from hyst_control.api.model import Model
+from hyst_control.api.record import Record
+from hyst_control.api.shown import Shown, drawn, pandas, promoted
+from hyst_control.diagnose.workflow import GapResult, diagnose_records
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Gap(GapResult, Shown):
+    """The gap between model and machine, and the effects that explain it.
+
+    Parameters
+    ----------
+    document
+        The gap report, as `hyst diagnose --json` writes it.
+    words
+        The same in words.
+    diagnosis
+        What the page is drawn from; None where the record is no measurement of its command.
+    better
+        The model with the effects added; None where none was named.
+
+    Examples
+    --------
+    >>> gap = hc.diagnose(record, model)
+    >>> gap.verdict
+    'no_gap'
+    """
+
+    @property
+    def verdict(self) -> str:
+        """no_gap, effects, ambiguous, parameters or unknown."""
+        return str(self.document["verdict"])
+
+    @property
+    def model(self) -> Model | None:
+        """The model with the effects added; None where none was named."""
+        return None if self.better is None else promoted(Model, self.better)
+
+    def summary(self) -> str:
+        """The report in words."""
+        return self.words
+
+    def to_frame(self) -> Any:
+        """The parameters of the effects as a pandas DataFrame, a row a parameter."""
+        rows = [
+            {"effect": effect["name"], "axis": ", ".join(effect["axis"]), "probability": effect["probability"], "parameter": name}
+            | {"value": row["value"], "lower": row["ci90"][0], "upper": row["ci90"][1], "unit": row["unit"]}
+            for effect in self.document["effects"]
+            for name, row in effect["parameters"].items()
+        ]
+        columns = ["effect", "axis", "probability", "parameter", "value", "lower", "upper", "unit"]
+        return pandas().DataFrame(rows, columns=columns)
+
+    def plot(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw measured against simulated signals and the gap, with and without the effects; written to `path` where one is given."""
+        return drawn(self.panels(), self.words.partition("\n")[0], path)
+
+    def save(self, path: str | Path) -> None:
+        """Write the page of the gap (HTML) to the file at `path`."""
+        self.write_page(path)
+
+    def show(self) -> Path:
+        """Open the page of the gap in the browser; the file it is in."""
+        path = Path(tempfile.mkdtemp(prefix="hyst-gap-")) / "gap.html"
+        self.write_page(path)
+        webbrowser.open(path.as_uri())
+        return path
+
+
+def diagnose(
+    records: Record | Sequence[Record],
+    model: model_file.Model | None = None,
+    baseline: Sequence[Record] = (),
+    *,
+    without: Sequence[str] = (),
+    warm_up: float = 0.0,
+    seed: int = 0,
+    verbose: bool = True,
+) -> Gap:
+    """Find the effects that explain why a machine differs from its model.
+
+    Parameters
+    ----------
+    records
+        Records of today.
+    model
+        The model; None: the clean record of the same command in `baseline` is the prediction.
+    baseline
+        Clean records of the same stage: what the model leaves on them is its own error.
+    without
+        Effects that are left out.
+    warm_up
+        Time at the beginning of each record that does not count, s.
+    seed
+        Seed of the simulated records and of the resampling.
+    verbose
+        Show the progress on a terminal.
+
+    Returns
+    -------
+    Gap
+        Verdict, effects with their sizes, and the model with them added.
+
+    Raises
+    ------
+    InputError
+        Model and records differ in axes or units, or an effect does not exist.
+
+    Examples
+    --------
+    >>> hc.diagnose(record, model, warm_up=0.1).verdict
+    'no_gap'
+    """
+    given = [records] if isinstance(records, Record) else list(records)
+    with progress.shown(verbose):
+        found = diagnose_records(given, model, list(baseline), without=without, warm_up=warm_up, seed=seed, progress=verbose)
+    return promoted(Gap, found)

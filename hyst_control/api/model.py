@@ -1,0 +1,389 @@
+"""Models for scripts and notebooks: identified from records, scored, drawn, inverted, and handed to other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hyst_control import model_file, progress
+from hyst_control.api.record import Record, from_arrays
+from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, table_frame
+from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.stage import Array
+from hyst_control.control.feedforward import Compensator, build_compensator, drive_limits
+from hyst_control.control.linearization import hysteresis_slopes, linearised
+from hyst_control.control.model_figures import beside, bode_of
+from hyst_control.control.state_space import state_space
+from hyst_control.control.whole_inverse import lifted_inverse
+from hyst_control.errors import InputError
+from hyst_control.identify.assess.explained_share import NOTHING
+from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.data.dataset import Report
+from hyst_control.identify.validation import compared_stretches, validate_record
+from hyst_control.identify.workflow import fit_text, identify_records
+from hyst_control.reporting.tables import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from scipy.signal import StateSpace
+
+KINDS = ("hampi", "mhl")
+"""Compensators that a model is inverted by where they fit it: of the hysteresis and the dynamics, and of the mirror's with its rate."""
+
+
+@dataclass(frozen=True)
+class Score(Shown):
+    """Errors of a model on a record.
+
+    Parameters
+    ----------
+    table
+        NRMSE, NME and RMSE of every axis, on the whole record and by frequency and amplitude.
+    r2
+        Coefficient of determination of the worst axis: 1 for a perfect model, 0 for one that is no better than a constant.
+
+    Examples
+    --------
+    >>> score = model.score(record)
+    >>> score.nrmse < 0.1, score.r2 > 0.999
+    (True, True)
+    """
+
+    table: Table
+    r2: float
+
+    @property
+    def nrmse(self) -> float:
+        """Rms error in % of the measured range, of the worst axis."""
+        return max(row.value for row in self.table.rows if row.table == "validation" and row.quantity == "nrmse")
+
+    def __float__(self) -> float:
+        return self.r2
+
+    def summary(self) -> str:
+        """The table as text."""
+        return f"{self.table.text()}\nR2 {self.r2:.6f}"
+
+    def to_frame(self) -> Any:
+        """The table as a pandas DataFrame."""
+        return table_frame(self.table)
+
+
+@dataclass(frozen=True)
+class Model(model_file.Model, Shown):
+    """A model of a stage: the chain from command to measurement, and what is known about it.
+
+    Parameters
+    ----------
+    name, axes, units, sample_time, chain, hold, valid, noise, tolerance, uncertainty, discrepancy
+        As in the model file.
+    report
+        Errors and parameters of the fit; None of a model that was loaded.
+
+    Examples
+    --------
+    >>> model.units["measurement"]
+    'um'
+    >>> simulated = model.simulate(command, rate=1000)
+    >>> len(simulated) == len(command)
+    True
+    >>> system = model.linear(rate=1000)                # scipy.signal; control.ss(system.A, system.B, system.C, system.D, system.dt)
+    >>> len(model.bode(record))                         # magnitude, phase and coherence
+    3
+    >>> len(model.plot(record))                         # signals, residual, loops and correlations
+    4
+    """
+
+    report: Report | None = field(default=None, compare=False)
+
+    def summary(self) -> str:
+        """The chain, its range, and the fit where there was one."""
+        stages = " -> ".join(stage.name for stage in self.chain.stages)
+        lines = [
+            f"{self.name}: {', '.join(self.axes)}, V to {self.units['measurement']}, {1.0 / self.sample_time:g} Hz",
+            f"  {stages}",
+        ]
+        if "command" in self.valid:
+            lines.append(f"  valid for commands {_range(self.valid['command'])} V")
+        return "\n".join(lines if self.report is None else [*lines, fit_text(self.report)])
+
+    def to_frame(self) -> Any:
+        """The parameters as a pandas DataFrame: those of the fit with their standard errors, or all numbers of the chain."""
+        if self.report is not None:
+            return pandas().DataFrame(self.report["parameters"])
+        numbers = chain_coordinates(self.chain.stages, self.axes)
+        return pandas().DataFrame([{"name": name, "value": each.value, "unit": each.unit} for name, each in numbers.items()])
+
+    def simulate(self, command: ArrayLike, rate: float | None = None, *, seed: int | None = None) -> Record:
+        """Simulate the stage, at rest at the first command.
+
+        Parameters
+        ----------
+        command
+            Command (N,) or (N, A), V.
+        rate
+            Sample rate, Hz; the model's by default.
+        seed
+            Add the model's noise, drawn with this seed; none by default.
+
+        Returns
+        -------
+        Record
+            Command and measurement.
+        """
+        rows = rows_of("command", command)
+        if rows.shape[1] != len(self.axes):
+            raise InputError(f"command: has {rows.shape[1]} columns, the model {len(self.axes)} axes")
+        rate = 1.0 / self.sample_time if rate is None else rate
+        measurement = np.array(model_file.simulate(self, rows, 1.0 / rate))
+        if seed is not None:
+            sigma = np.asarray(self.noise.get("sigma", 0.0), dtype=float)
+            measurement += sigma * np.random.default_rng(seed).standard_normal(measurement.shape)
+        return from_arrays(
+            rows, measurement, rate, unit=self.units["measurement"], axes=self.axes, hold=self.hold, source=self.name
+        )
+
+    def score(self, record: Record) -> Score:
+        """Score the model on a record that it was not fitted to.
+
+        Parameters
+        ----------
+        record
+            The record.
+
+        Returns
+        -------
+        Score
+            Errors; as a number the coefficient of determination.
+        """
+        table = validate_record({self.name: self}, record, "score")
+        shares = []
+        for data in compared_stretches(record):
+            error = residual(self, data)
+            shares.append(1.0 - np.mean(error**2, axis=0) / np.var(data.measurement[-len(error) :], axis=0))
+        return Score(table, float(np.min(shares)))
+
+    def plot(self, record: Record, path: str | Path | None = None) -> list[Axes]:
+        """Draw measured and simulated signals, what is left, the loops, and how what is left correlates.
+
+        Parameters
+        ----------
+        record
+            The record.
+        path
+            File to write as well: .png, .svg, .pdf or .html.
+
+        Returns
+        -------
+        list of Axes
+            The axes of matplotlib.
+        """
+        return drawn(beside(self, record), f"{self.name} on {record.source}", path)
+
+    def bode(self, record: Record | None = None, path: str | Path | None = None) -> list[Axes]:
+        """Draw the frequency response, the hysteresis replaced by its mean slope, over that of a record where one is given.
+
+        Parameters
+        ----------
+        record
+            Record whose response and coherence are drawn beside it.
+        path
+            File to write as well: .png, .svg, .pdf or .html.
+
+        Returns
+        -------
+        list of Axes
+            The axes of matplotlib.
+        """
+        return drawn(bode_of(self, record), self.name, path)
+
+    def linear(self, rate: float | None = None) -> StateSpace:
+        """The linear part as a discrete system of scipy, from the held command to the measurement, delays included.
+
+        The hysteresis is replaced by its mean slope.
+
+        Parameters
+        ----------
+        rate
+            Sample rate, Hz; the model's by default.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+            For python-control: ``control.ss(system.A, system.B, system.C, system.D, system.dt)``.
+        """
+        from scipy.signal import StateSpace
+
+        sample_time = self.sample_time if rate is None else 1.0 / rate
+        mean, _ = hysteresis_slopes(self)
+        return StateSpace(*state_space(linearised(self, mean), len(self.axes), sample_time), dt=sample_time)
+
+    def inverse(self, rate: float | None = None, *, limits: tuple[ArrayLike, ArrayLike] | None = None) -> Inverse:
+        """The feedforward of the model: a function from a reference to the command.
+
+        Parameters
+        ----------
+        rate
+            Sample rate, Hz; the model's by default.
+        limits
+            Lower and upper limit of the command, V; the model's valid range by default.
+
+        Returns
+        -------
+        Inverse
+            Of hysteresis and dynamics.
+        """
+        sample_time = self.sample_time if rate is None else 1.0 / rate
+        drive_limits(self, limits)
+        for kind in KINDS:
+            try:
+                return Inverse(self, sample_time, limits, build_compensator(self, kind, sample_time=sample_time, limits=limits))
+            except InputError:
+                continue
+        return Inverse(self, sample_time, limits)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model file (YAML) to `path`, which the commands and nodes read."""
+        model_file.save_model(self, path)
+
+
+@dataclass(frozen=True)
+class Inverse:
+    """Feedforward of a model: called with a reference, it gives the command.
+
+    Parameters
+    ----------
+    model
+        The model that is inverted.
+    sample_time
+        Sample time, s.
+    limits
+        Lower and upper limit of the command, V; None: the model's.
+    compensator
+        The streaming compensator that the node `hampi_feedforward` runs; None: the model has none, and is inverted over the whole
+        reference by iterations.
+
+    Examples
+    --------
+    >>> feedforward = model.inverse()
+    >>> reference = 2 - np.cos(2 * np.pi * 50 * np.arange(5000) / 50e3)     # begins at rest
+    >>> error = model.simulate(feedforward(reference)).signal("measurement").values[:, 0] - reference
+    >>> bool(np.abs(error).max() < 0.03)
+    True
+    """
+
+    model: Model
+    sample_time: float
+    limits: tuple[ArrayLike, ArrayLike] | None = None
+    compensator: Compensator | None = None
+
+    def __call__(self, reference: ArrayLike) -> Array:
+        """Command (N, A), V, of a reference (N,) or (N, A) in the measurement unit that begins at rest."""
+        rows = rows_of("reference", reference)
+        if rows.shape[1] != len(self.model.axes):
+            raise InputError(f"reference: has {rows.shape[1]} columns, the model {len(self.model.axes)} axes")
+        if self.compensator is None:
+            return lifted_inverse(self.model, rows, sample_time=self.sample_time, limits=self.limits).command
+        ahead = self.compensator.preview
+        self.compensator.settle(rows[0])
+        return self.compensator.process(np.concatenate([rows, np.repeat(rows[-1:], ahead, axis=0)]))[ahead:]
+
+
+def identify(
+    records: Record | Sequence[Record],
+    family: str | None = None,
+    *,
+    method: str = "joint",
+    start: str = "auto",
+    allow_gaps: bool = False,
+    force: bool = False,
+    verbose: bool = True,
+    **options: Any,
+) -> Model:
+    """Identify a model from one record or several of one stage.
+
+    Parameters
+    ----------
+    records
+        Command and measurement.
+    family
+        Model family, such as "hampi" or "linear"; None: the best of several on held-out data.
+    method
+        "joint": from all at once; "paper", where the family has it: in its paper's sequence.
+    start
+        "settled" at the first command, "unknown", or "auto", found from the record.
+    allow_gaps
+        Use the stretches between lost samples.
+    force
+        Fit records, too, that are no measurement of their command.
+    verbose
+        Print what was tried.
+    **options
+        Options of the family, as `hyst identify --help` lists them.
+
+    Returns
+    -------
+    Model
+        The model, with the report of the fit.
+
+    Raises
+    ------
+    InputError
+        The records do not determine a model, or an option does not exist.
+
+    Examples
+    --------
+    >>> found = hc.identify(record, family="pi", operators=4, verbose=False)
+    >>> found.report["family"], found.score(record).nrmse < 4
+    ('pi', True)
+    """
+    given = [records] if isinstance(records, Record) else list(records)
+    with progress.shown(verbose):
+        fit = identify_records(given, family, method=method, start=start, allow_gaps=allow_gaps, force=force, **options)
+    if fit.report["verdict"] == NOTHING and not force:
+        raise InputError(fit.report["notes"][0])
+    if verbose:
+        print(fit_text(fit.report))
+    return promoted(Model, fit.model, report=fit.report)
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model file, or a shipped model by its name.
+
+    Parameters
+    ----------
+    path
+        YAML file, or a name such as "pea_hampi".
+
+    Returns
+    -------
+    Model
+        The model.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or makes no sense.
+
+    Examples
+    --------
+    >>> import hyst_control as hc
+    >>> print(hc.load_model("pea_hampi"))
+    pea_hampi: x, V to um, 50000 Hz
+      modified_prandtl_ishlinskii -> transfer_function
+      valid for commands 0 to 50 V
+    """
+    from hyst_control.config_files import config_path
+
+    named = str(path)
+    shipped = not Path(path).exists() and named.isidentifier()
+    return promoted(Model, model_file.load_model(config_path(f"models/{named}.yaml") if shipped else path))
+
+
+def _range(valid: Any) -> str:
+    return ", ".join(f"{low:g} to {high:g}" for low, high in np.reshape(np.asarray(valid, dtype=float), (-1, 2)))

@@ -1,0 +1,499 @@
+"""Records for scripts and notebooks: read from files or arrays, cut, drawn, and handed to pandas and xarray."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, xarray
+from hyst_control.errors import InputError
+from hyst_control.records import record as records
+from hyst_control.records.bag_reader import read_bag as read_signals
+from hyst_control.records.excitation import build
+from hyst_control.records.importing import UNITS, Column, column_indices, import_table, unit_and_scale, write_bag
+from hyst_control.reporting.frequency_figures import bode_of_record
+from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TOPICS = ("command", "measurement")
+_WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
+
+
+@dataclass(frozen=True)
+class Record(records.Record, Shown):
+    """Signals of one run with their units: `command`, `measurement`, and whatever else was recorded.
+
+    Parameters
+    ----------
+    signals
+        Signals by name.
+    source
+        Where they come from.
+    notes
+        Sentences on what was met while reading.
+    hold
+        The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled).
+
+    Examples
+    --------
+    >>> import numpy as np, hyst_control as hc
+    >>> u = 50 + 40 * np.sin(2 * np.pi * 5 * np.arange(1000) / 1000)
+    >>> record = hc.from_arrays(u, 0.1 * u, rate=1000)
+    >>> print(record)
+    arrays: 1 s at 1000 Hz
+      command: 1000 samples of x in V, 10 to 90
+      measurement: 1000 samples of x in um, 1 to 9
+    >>> first, rest = record.split(0.7)
+    >>> len(first), len(rest)
+    (700, 300)
+    """
+
+    def __len__(self) -> int:
+        return len(self.signal("measurement").time)
+
+    def summary(self) -> str:
+        """Length, rate and every signal's axes, unit and range."""
+        rate = 1.0 / self.sample_time(TOPICS) if set(TOPICS) <= set(self.signals) else np.nan
+        lines = [f"{self.source}: {len(self) / rate:.6g} s at {rate:g} Hz" if rate == rate else self.source]
+        lines += [
+            f"  {name}: {len(signal.time)} samples of {', '.join(signal.axes)} in {signal.unit}, "
+            f"{signal.values.min():.4g} to {signal.values.max():.4g}"
+            for name, signal in self.signals.items()
+        ]
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+    def split(self, share: float) -> tuple[Record, Record]:
+        """Cut the record in two, such as one to identify from and one to test on.
+
+        Parameters
+        ----------
+        share
+            Share of the samples that the first part gets, 0 to 1.
+
+        Returns
+        -------
+        tuple of Record
+            The two parts, with their own times.
+
+        Raises
+        ------
+        InputError
+            A part would be empty.
+        """
+        time = self.signal("measurement").time
+        count = round(share * len(time)) if 0.0 < share < 1.0 else 0
+        if not 0 < count < len(time):
+            raise InputError(f"share: must leave samples on both sides, got {share!r} of {len(time)} samples")
+        middle = 0.5 * float(time[count - 1] + time[count])
+        return self.between(None, middle), self.between(middle, None)
+
+    def between(self, begin: float | None, end: float | None) -> Record:
+        """The part of the record from the sample time `begin` to `end`, s; None for the record's own."""
+        return promoted(Record, super().between(begin, end))
+
+    def plot(self, path: str | Path | None = None, *, kind: str = "time") -> list[Axes]:
+        """Draw the record.
+
+        Parameters
+        ----------
+        path
+            File to write as well: .png, .svg, .pdf or .html.
+        kind
+            "time", "loops" (measurement over command) or "spectra".
+
+        Returns
+        -------
+        list of Axes
+            The axes of matplotlib.
+        """
+        kinds = {
+            "time": lambda: over_time(self),
+            "loops": lambda: over_each_other(self, *TOPICS),
+            "spectra": lambda: spectra(self),
+        }
+        if kind not in kinds:
+            raise InputError(f"kind: must be one of {', '.join(kinds)}, got {kind!r}")
+        return drawn(kinds[kind](), self.source, path)
+
+    def bode(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw the frequency response from command to measurement, with the coherence, and write it to a file where `path` is given."""
+        return drawn(bode_of_record(self), self.source, path)
+
+    def to_frame(self) -> Any:
+        """The signals as a pandas DataFrame over time in s, a column an axis: "command [V]", or "command.x [V]" of several axes."""
+        columns = [
+            pandas().Series(values, index=signal.time, name=f"{name} [{signal.unit}]")
+            for topic, signal in self.signals.items()
+            for name, values in zip(_names(topic, signal), signal.values.T, strict=True)
+        ]
+        return pandas().concat(columns, axis=1).rename_axis("time [s]")
+
+    def to_xarray(self) -> Any:
+        """The signals as an xarray Dataset over time and axis, with their units as attributes."""
+        of = xarray()
+        arrays = {
+            topic: of.DataArray(
+                signal.values,
+                coords={"time": signal.time, "axis": list(signal.axes)},
+                dims=("time", "axis"),
+                attrs={"units": signal.unit},
+            )
+            for topic, signal in self.signals.items()
+        }
+        return of.Dataset(arrays, attrs={"source": self.source, "hold": self.hold})
+
+    def save(self, path: str | Path) -> None:
+        """Write the record as a bag at `path`, which `read_bag` and the commands read."""
+        write_bag(path, self)
+
+
+def read_csv(
+    path: str | Path,
+    command: str | Sequence[str],
+    measurement: str | Sequence[str],
+    rate: float | None = None,
+    *,
+    time: str | None = None,
+    rows: tuple[int, int | None] = (0, None),
+    hold: str = "zoh",
+) -> Record:
+    r"""Read a record from a text table: CSV or white space, .gz too.
+
+    Parameters
+    ----------
+    path
+        The file.
+    command, measurement
+        Column and unit, such as "u [V]" or "pos [5um/V]" (a sensor of 5 um/V); several for several axes. A column is named as in the
+        file's header, with its unit there or without, or numbered from 1.
+    rate
+        Sample rate, Hz; None where `time` is given.
+    time
+        Column of sample times with its unit, such as "t [s]".
+    rows
+        First row and one past the last.
+    hold
+        The command between samples: "zoh" (held by a DAC) or "foh" (a smooth source was sampled).
+
+    Returns
+    -------
+    Record
+        Command in V, measurement in um or mrad.
+
+    Raises
+    ------
+    InputError
+        A column or unit is not known, or the file cannot be read.
+
+    Examples
+    --------
+    >>> import hyst_control as hc
+    >>> with open("ramp.csv", "w") as file:
+    ...     _ = file.write("u [V],y [nm]\n" + "".join(f"{k % 9},{100 * (k % 9)}\n" for k in range(90)))
+    >>> record = hc.read_csv("ramp.csv", command="u [V]", measurement="y [nm]", rate=5000)
+    >>> print(record)
+    ramp.csv: 0.018 s at 5000 Hz
+      command: 90 samples of x in V, 0 to 8
+      measurement: 90 samples of x in um, 0 to 0.8
+    """
+    columns = [_column("command", command), _column("measurement", measurement)]
+    return promoted(Record, import_table(path, columns if time is None else [*columns, _column("time", time)], rate, rows, hold))
+
+
+def read_mat(
+    path: str | Path,
+    command: str | Sequence[str],
+    measurement: str | Sequence[str],
+    rate: float | None = None,
+    *,
+    time: str | None = None,
+    rows: tuple[int, int | None] = (0, None),
+    hold: str = "zoh",
+    variable: str | None = None,
+) -> Record:
+    """Read a record from a MATLAB file, or from .npy and .npz.
+
+    Parameters
+    ----------
+    path
+        The file.
+    command, measurement, rate, time, rows, hold
+        As `read_csv` has them; a column is an array of the file, or one column of a matrix as "y(:,2) [um]".
+    variable
+        Array in which columns are numbered, where there are several.
+
+    Returns
+    -------
+    Record
+        Command in V, measurement in um or mrad.
+
+    Raises
+    ------
+    InputError
+        An array or unit is not known, or the file cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.io, hyst_control as hc
+    >>> scipy.io.savemat("ramp.mat", {"u": np.arange(90.0), "y": 1e-7 * np.arange(90.0)})
+    >>> record = hc.read_mat("ramp.mat", command="u [V]", measurement="y [m]", rate=5000)
+    >>> record.signal("measurement").unit, round(float(record.signal("measurement").values[-1, 0]), 6)
+    ('um', 8.9)
+    """
+    columns = [_array("command", command), _array("measurement", measurement)]
+    return promoted(
+        Record, import_table(path, columns if time is None else [*columns, _array("time", time)], rate, rows, hold, variable)
+    )
+
+
+def read_bag(path: str | Path, *, namespace: str | None = None, unit: str = "unknown") -> Record:
+    """Read a record from a ROS 2 bag.
+
+    Parameters
+    ----------
+    path
+        rosbag2 directory, or a single .mcap or .db3 file.
+    namespace
+        Namespace of the topics, where the bag holds several plants.
+    unit
+        Unit of the measurement, um or mrad, in a bag whose messages have no layout.
+
+    Returns
+    -------
+    Record
+        Its signals.
+
+    Raises
+    ------
+    InputError
+        The bag cannot be read.
+
+    Examples
+    --------
+    >>> import numpy as np, hyst_control as hc
+    >>> hc.from_arrays(np.arange(90.0), np.arange(90.0), rate=1000).save("ramp_bag")
+    >>> len(hc.read_bag("ramp_bag"))
+    90
+    """
+    return promoted(Record, read_signals(path, namespace, unit))
+
+
+def from_arrays(
+    command: ArrayLike,
+    measurement: ArrayLike,
+    rate: float,
+    *,
+    command_unit: str = "V",
+    unit: str = "um",
+    axes: Sequence[str] | None = None,
+    hold: str = "zoh",
+    source: str = "arrays",
+) -> Record:
+    """Make a record of arrays.
+
+    Parameters
+    ----------
+    command, measurement
+        Samples (N,) of one axis, or (N, A).
+    rate
+        Sample rate, Hz.
+    command_unit, unit
+        Units of command and measurement, such as "mV" and "nm".
+    axes
+        Names of the axes; x, y, … by default.
+    hold
+        The command between samples: "zoh" (held by a DAC) or "foh" (a smooth source was sampled).
+    source
+        Name of the record.
+
+    Returns
+    -------
+    Record
+        Command in V, measurement in um or mrad.
+
+    Raises
+    ------
+    InputError
+        The arrays differ in shape, or a unit is not known.
+
+    Examples
+    --------
+    >>> import numpy as np, hyst_control as hc
+    >>> record = hc.from_arrays(np.arange(90.0), 1e3 * np.arange(90.0), rate=1000, unit="nm")
+    >>> float(record.signal("measurement").values[-1, 0])
+    89.0
+    """
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
+    rows = [rows_of(name, values) for name, values in zip(TOPICS, (command, measurement), strict=True)]
+    if rows[0].shape != rows[1].shape:
+        raise InputError(f"measurement: has shape {rows[1].shape}, command {rows[0].shape}: give both of the same samples and axes")
+    names = records.axis_names(rows[0].shape[1]) if axes is None else tuple(axes)
+    if len(names) != rows[0].shape[1]:
+        raise InputError(f"axes: {len(names)} names for {rows[0].shape[1]} columns")
+    time = records.regular_times(len(rows[0]), 1.0 / rate)
+    signals = {}
+    for topic, values, given in zip(TOPICS, rows, (command_unit, unit), strict=True):
+        if given not in UNITS:
+            raise InputError(f"unit: {given!r} is not known, must be one of {', '.join(UNITS)}")
+        known, factor = UNITS[given]
+        signals[topic] = records.Signal(time, factor * values, names, known)
+    return Record(signals, source, hold=hold)
+
+
+def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Sequence[str], rate: float | None = None) -> Record:
+    """Make a record of a pandas DataFrame.
+
+    Parameters
+    ----------
+    frame
+        The frame, a row a sample.
+    command, measurement
+        Column and unit, such as "u [V]"; several for several axes.
+    rate
+        Sample rate, Hz; None: the index holds sample times in s.
+
+    Returns
+    -------
+    Record
+        Command in V, measurement in um or mrad.
+
+    Raises
+    ------
+    InputError
+        A column or unit is not known, or the index tells no rate.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd, hyst_control as hc
+    >>> frame = pd.DataFrame({"u": np.arange(90.0), "y": np.arange(90.0)}, index=np.arange(90) / 1000)
+    >>> record = hc.from_pandas(frame, command="u [V]", measurement="y [um]")
+    >>> record.to_frame().columns.tolist()
+    ['command [V]', 'measurement [um]']
+    """
+    chosen = [_column(topic, given) for topic, given in zip(TOPICS, (command, measurement), strict=True)]
+    columns = [str(name) for name in frame.columns]
+    values = []
+    for column in chosen:
+        picked = [index for name in column.columns for index in column_indices("frame", name, columns, len(columns))]
+        values.append(column.scale * np.asarray(frame.iloc[:, picked], dtype=float))
+    if rate is None:
+        time = np.asarray(frame.index, dtype=float)
+        if len(time) < 2 or not records.increasing(time):
+            raise InputError("rate: is missing: give it in Hz, or make times in s, which increase, the frame's index")
+        rate = 1.0 / records.commonest_step(time)
+    return from_arrays(values[0], values[1], rate, command_unit=chosen[0].unit, unit=chosen[1].unit, source="frame")
+
+
+def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "measurement") -> Record:
+    """Make a record of an xarray Dataset with the coordinate `time` in s and the attribute `units` of its arrays.
+
+    Parameters
+    ----------
+    dataset
+        Arrays over time, or over time and axis, as `Record.to_xarray` makes them.
+    command, measurement
+        Names of the arrays.
+
+    Returns
+    -------
+    Record
+        Command in V, measurement in um or mrad.
+
+    Raises
+    ------
+    InputError
+        An array, its unit or the time is missing.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray, hyst_control as hc
+    >>> record = hc.from_arrays(np.arange(90.0), np.arange(90.0), rate=1000)
+    >>> again = hc.from_xarray(record.to_xarray())
+    >>> bool((again.signal("command").values == record.signal("command").values).all())
+    True
+    """
+    for name in (command, measurement):
+        if name not in dataset or "units" not in dataset[name].attrs:
+            raise InputError(
+                f"{name}: has no array of this name with the attribute units: name one of {', '.join(map(str, dataset))}"
+            )
+    if "time" not in dataset.coords or len(dataset["time"]) < 2:
+        raise InputError("time: is no coordinate with two samples or more: add the sample times in s")
+    driven, measured = (dataset[name].transpose("time", ...) for name in (command, measurement))
+    return from_arrays(
+        driven.values,
+        measured.values,
+        1.0 / records.commonest_step(np.asarray(dataset["time"], dtype=float)),
+        command_unit=str(driven.attrs["units"]),
+        unit=str(measured.attrs["units"]),
+        axes=[str(name) for name in driven["axis"].values] if "axis" in driven.coords else None,
+        hold=str(dataset.attrs.get("hold", "zoh")),
+        source="dataset",
+    )
+
+
+def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) -> records.Array:
+    """Make a command to excite a stage with, as `hyst excite` does.
+
+    Parameters
+    ----------
+    signal
+        Kind, such as "diagnostic", "triangle", "multisine" or "sweep" (`hyst excite --help` lists them).
+    rate
+        Sample rate, Hz.
+    axes
+        Number of axes A.
+    **parameters
+        The kind's parameters.
+
+    Returns
+    -------
+    ndarray
+        Command (N, A), V.
+
+    Raises
+    ------
+    InputError
+        The kind or a parameter is not known.
+
+    Examples
+    --------
+    >>> import hyst_control as hc
+    >>> hc.excitation("sine", rate=1000, frequency=10, amplitude=40, offset=50, duration=1).shape
+    (1000, 1)
+    """
+    if not (np.isfinite(rate) and rate > 0):
+        raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
+    return build({"signal": signal, **parameters}, 1.0 / rate, axes)
+
+
+def _column(topic: str, given: str | Sequence[str]) -> Column:
+    """Columns of a topic from texts such as "u [V]"; a number is passed on without its unit."""
+    texts = [given] if isinstance(given, str) else list(given)
+    found = [_WITH_UNIT.fullmatch(text) for text in texts]
+    units = {match["unit"] for match in found if match}
+    if None in found or len(units) != 1:
+        raise InputError(f'{topic}: must be a column with its unit, such as "u [V]", several in one unit, got {given!r}')
+    names = [match["name"] if match["name"].isdecimal() else text for match, text in zip(found, texts, strict=True) if match]
+    return Column(topic, tuple(names), *unit_and_scale(topic, units.pop()))
+
+
+def _array(topic: str, given: str | Sequence[str]) -> Column:
+    """The same of the arrays of a file, whose names have no units."""
+    column = _column(topic, given)
+    return replace(
+        column, columns=tuple(match["name"] if (match := _WITH_UNIT.fullmatch(name)) else name for name in column.columns)
+    )
+
+
+def _names(topic: str, signal: records.Signal) -> list[str]:
+    return [f"{topic}.{axis}" if len(signal.axes) > 1 else topic for axis in signal.axes]

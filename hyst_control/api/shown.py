@@ -1,0 +1,90 @@
+"""Parts of every result: a summary in words, a table, drawings, and a look in notebooks."""
+
+from __future__ import annotations
+
+import html
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hyst_control.errors import InputError
+from hyst_control.reporting.signal_figures import Panel, draw, write_drawing
+from hyst_control.reporting.tables import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+Kind = TypeVar("Kind")
+
+
+class Shown:
+    """A result that people look at."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """The result in a few lines."""
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.summary())}</pre>"
+
+
+def drawn(panels: Sequence[Panel], title: str, path: str | Path | None) -> list[Axes]:
+    """Draw panels for a script or a notebook, into a file as well where a path is given; the axes of matplotlib."""
+    import matplotlib.pyplot
+
+    if path is not None:
+        write_drawing(panels, path, title)
+    return draw(panels, matplotlib.pyplot.figure(), title)
+
+
+def promoted(kind: type[Kind], found: Any, **more: Any) -> Kind:
+    """A dataclass of the package as one of the front door, which adds methods, and the fields `more`, to it."""
+    return kind(**{each.name: getattr(found, each.name) for each in fields(found)}, **more)
+
+
+def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Samples by axes (N, A) of an array (N,) or (N, A)."""
+    try:
+        rows = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: must be numbers") from None
+    rows = rows[:, None] if rows.ndim == 1 else rows
+    if rows.ndim != 2 or not rows.size:
+        raise InputError(f"{name}: must be samples (N,) or samples by axes (N, A), got shape {np.shape(values)}")
+    return rows
+
+
+def table_frame(table: Table) -> Any:
+    """A result table as a pandas DataFrame."""
+    return pandas().DataFrame([vars(row) for row in table.rows])
+
+
+def pandas() -> Any:
+    """The package pandas, which is needed where tables go in or out."""
+    return _package("pandas")
+
+
+def xarray() -> Any:
+    """The package xarray, likewise."""
+    return _package("xarray")
+
+
+def _package(name: str) -> ModuleType:
+    from importlib import import_module
+
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name:
+            raise
+        raise InputError(f"{name} is not installed: pip install {name}") from None

@@ -1,0 +1,110 @@
+"""Tunings of the feedback for scripts and notebooks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hyst_control import model_file
+from hyst_control.api.shown import Shown, drawn, promoted, table_frame
+from hyst_control.control import tuning
+from hyst_control.control.model_figures import tuning_panels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Tuning(tuning.Tuning, Shown):
+    """Gains of the PI feedback and what they give.
+
+    Parameters
+    ----------
+    kp, ki, sample_time, nominal, worst, settling_time, overshoot, roll_off
+        Gains (V per measurement unit, and per s), sample time (s), margins of the model and of the worst case, settling time (s) and
+        overshoot (%) of a step, and corner of the roll-off (Hz, 0 without).
+    model
+        Model that they were tuned for.
+    loop_delay
+        Further delay of the loop, ticks.
+
+    Examples
+    --------
+    >>> gains = hc.tune(model, rate=1000)
+    >>> gains.worst.gain_margin >= 6, gains.worst.phase_margin >= 45
+    (True, True)
+    >>> len(gains.plot())                               # open loop, phase, sensitivities, step
+    4
+    """
+
+    model: model_file.Model = field(kw_only=True)
+    loop_delay: int = field(default=0, kw_only=True)
+
+    def summary(self) -> str:
+        """Gains, margins and step as a table."""
+        return self.table(self.model).text()
+
+    def to_frame(self) -> Any:
+        """The table as a pandas DataFrame."""
+        return table_frame(self.table(self.model))
+
+    def plot(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw the open loop with its phase, the sensitivities and the step, and write them to a file where `path` is given."""
+        return drawn(tuning_panels(self, self.model, self.loop_delay), f"{self.model.name}: PI feedback", path)
+
+
+def tune(
+    model: model_file.Model,
+    rate: float | None = None,
+    *,
+    gain_margin: float = 6.0,
+    phase_margin: float = 45.0,
+    peak_sensitivity: float = 2.0,
+    loop_delay: int = 0,
+    roll_off: float | str = 0.0,
+    **spreads: float,
+) -> Tuning:
+    """Tune the PI feedback of a model to stability margins.
+
+    Parameters
+    ----------
+    model
+        Model of the stage.
+    rate
+        Sample rate of the loop, Hz; the model's by default.
+    gain_margin, phase_margin, peak_sensitivity
+        Least gain margin, dB, least phase margin, degrees, and greatest peak of the sensitivity.
+    loop_delay
+        Further delay of the loop, ticks.
+    roll_off
+        Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains.
+    **spreads
+        gain_spread, mode_spread and model_error: relative spreads over which the margins hold.
+
+    Returns
+    -------
+    Tuning
+        Gains and what they give.
+
+    Raises
+    ------
+    InputError
+        No controller keeps the margins, or a parameter is out of its range.
+
+    Examples
+    --------
+    >>> hc.tune(model, rate=1000, gain_margin=10).worst.gain_margin > 9.99
+    True
+    """
+    found = tuning.tune(
+        model,
+        sample_time=None if rate is None else 1.0 / rate,
+        gain_margin=gain_margin,
+        phase_margin=phase_margin,
+        peak_sensitivity=peak_sensitivity,
+        loop_delay=loop_delay,
+        roll_off=roll_off,
+        **spreads,
+    )
+    return promoted(Tuning, found, model=model, loop_delay=loop_delay)

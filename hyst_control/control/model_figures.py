@@ -1,0 +1,131 @@
+"""Drawings of a model: beside a record, its frequency response, and the loop that a tuning gives it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.control.linearization import Complex, hysteresis_slopes, linearised, sampled_response
+from hyst_control.control.tuning import Tuning, controller_response, spread_responses
+from hyst_control.errors import InputError
+from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.validation import check_pair, compared_stretches
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record
+from hyst_control.reporting.frequency_figures import Response, bode, measured_responses
+from hyst_control.reporting.signal_figures import MOST_POINTS, Line, Panel, thinned
+
+DECADES, LINES = 4.0, 400
+"""Decades below half the sample rate, and frequencies, that a response is computed at."""
+LAGS = 200
+"""Samples of the residual's correlations on either side."""
+
+
+def frequencies(sample_time: float) -> Array:
+    """Frequencies (F,), Hz, up to half the sample rate."""
+    return np.asarray(0.5 / sample_time * np.logspace(-DECADES, 0.0, LINES))
+
+
+def model_responses(model: Model, frequency: Array, sample_time: float | None = None) -> list[Response]:
+    """Response of every axis to its own held command at frequencies (F,), Hz, the hysteresis replaced by its mean slope."""
+    step = sample_time or model.sample_time
+    mean, _ = hysteresis_slopes(model)
+    z = np.exp(2j * np.pi * frequency * step)
+    found = sampled_response(linearised(model, mean), len(model.axes), step, z)
+    several = len(model.axes) > 1
+    return [
+        Response(f"{model.name} {axis}" if several else model.name, frequency, found[:, index, index])
+        for index, axis in enumerate(model.axes)
+    ]
+
+
+def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
+    """Bode plot of a model, over that of a record at the record's clock where one is given."""
+    unit = f"{model.units['measurement']}/V"
+    if record is None:
+        return bode(model_responses(model, frequencies(model.sample_time)), unit)
+    measured = record.signal("measurement")
+    if (measured.axes, measured.unit) != (model.axes, model.units["measurement"]):
+        raise InputError(f"{model.name}: has other axes or another unit than {record.source}: use a model of this plant")
+    step = record.sample_time(("command", "measurement"))
+    return bode([*measured_responses(record), *model_responses(model, frequencies(step), step)], unit)
+
+
+def beside(model: Model, record: Record) -> list[Panel]:
+    """Measured against simulated signals, what is left, the loops, and how the rest correlates, of the record's longest stretch."""
+    data = max(compared_stretches(record), key=lambda each: len(each.command))
+    check_pair(model.name, model, data)
+    error = residual(model, data)
+    begin = len(data.command) - len(error)
+    time: Array = np.arange(begin, len(data.command), dtype=float) * data.sample_time
+    measured, command = data.measurement[begin:], data.command[begin:]
+    panels = []
+    for index, axis in enumerate(data.axes):
+        name = f".{axis}" if len(data.axes) > 1 else ""
+        y, simulated, rest = measured[:, index], measured[:, index] - error[:, index], error[:, index]
+        step = max(1, len(y) // (10 * MOST_POINTS))  # a loop has no order: none of its points may be moved
+        u = command[::step, index]
+        correlations, bound = _correlations(rest, command[:, index])
+        reach = len(correlations[0]) // 2
+        lags: Array = np.arange(-reach, reach + 1, dtype=float) * data.sample_time * 1e3
+        panels += [
+            Panel(
+                "time [s]",
+                f"measurement{name} [{data.unit}]",
+                (Line("measured", *thinned(time, y)), Line("simulated", *thinned(time, simulated))),
+            ),
+            Panel("time [s]", f"residual{name} [{data.unit}]", (Line("residual", *thinned(time, rest)),)),
+            Panel(
+                f"command{name} [V]",
+                f"measurement{name} [{data.unit}]",
+                (Line("measured", u, y[::step]), Line("simulated", u, simulated[::step])),
+            ),
+            Panel(
+                "lag [ms]",
+                "correlation",
+                (
+                    Line("residual with itself", lags, correlations[0]),
+                    Line("residual with the command", lags, correlations[1]),
+                    Line("99 % of white noise", lags[[0, -1, -1, 0]], bound * np.array([1.0, 1.0, -1.0, -1.0])),
+                ),
+            ),
+        ]
+    return panels
+
+
+def _correlations(rest: Array, command: Array) -> tuple[list[Array], float]:
+    """Correlations (2 LAGS + 1,) of a residual with itself and with its command, and the size that 99 % of white noise stay within."""
+    from scipy.signal import correlate
+
+    count = len(rest)
+    lags = min(LAGS, count - 1)
+    a, b = rest - rest.mean(), command - command.mean()
+    found = []
+    for other in (a, b):
+        whole = correlate(a, other, mode="full", method="fft") / max(float(np.linalg.norm(a) * np.linalg.norm(other)), 1e-300)
+        found.append(whole[count - 1 - lags : count + lags])
+    return found, float(2.58 / np.sqrt(count))
+
+
+def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Panel]:
+    """Open loop, sensitivities and step of a tuned feedback, of every axis."""
+    frequency = frequencies(tuning.sample_time)[:-1]
+    z: Complex = np.exp(2j * np.pi * frequency * tuning.sample_time)
+    plants = spread_responses(model, tuning.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
+    loops = plants * controller_response(tuning.kp, tuning.ki, tuning.roll_off, tuning.sample_time, z)
+    magnitude, phase = bode([Response(f"loop {axis}", frequency, loop) for axis, loop in zip(model.axes, loops, strict=True)], "1")
+    closed = [
+        line
+        for axis, loop in zip(model.axes, loops, strict=True)
+        for line in (
+            Line(f"sensitivity {axis}", frequency, np.abs(1.0 / (1.0 + loop))),
+            Line(f"complementary {axis}", frequency, np.abs(loop / (1.0 + loop))),
+        )
+    ]
+    length = 400
+    if np.isfinite(tuning.settling_time):
+        length = int(np.clip(2.0 * tuning.settling_time / tuning.sample_time, 50, 200_000))
+    step = tuning.step(model, length)
+    time: Array = np.arange(length, dtype=float) * tuning.sample_time
+    steps = tuple(Line(f"step {axis}", time, step[:, index]) for index, axis in enumerate(model.axes))
+    return [magnitude, phase, Panel("frequency [Hz]", "magnitude", tuple(closed), "xy"), Panel("time [s]", "of the step", steps)]

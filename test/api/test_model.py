@@ -1,0 +1,143 @@
+"""Models of the front door: scores computed by hand, an inverse for every model, a linear system, and a record that is none."""
+
+from __future__ import annotations
+
+import webbrowser
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from scipy.signal import StateSpace, dlsim
+
+import hyst_control as hc
+from hyst_control.api.shown import promoted
+from hyst_control.chain import Chain
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.memoryless import Gain
+from hyst_control.model_file import Model
+
+RATE = 1000.0
+TIME = np.arange(3000) / RATE
+COMMAND = 30 - 25 * np.cos(2 * np.pi * 4 * TIME) * np.cos(2 * np.pi * 0.5 * TIME)
+
+
+def model(*stages, axes=("x",)):
+    units = {"command": "V", "measurement": "um"}
+    return promoted(hc.Model, Model("stage", axes, units, 1 / RATE, Chain(stages), valid={"command": [0.0, 60.0]}))
+
+
+LAG = TransferFunction([0.1], [2e-3, 1.0])
+
+
+def test_a_score_is_what_it_says():
+    stage = model(LAG)
+    record = stage.simulate(COMMAND)
+    error = 0.05 * np.random.default_rng(0).standard_normal(len(COMMAND))
+    measured = record.signal("measurement").values[:, 0] + error
+    score = stage.score(hc.from_arrays(COMMAND, measured, RATE))
+    assert score.nrmse == pytest.approx(
+        100 * np.sqrt(np.mean(error**2)) / np.ptp(measured), rel=0.03
+    )  # the first rows fill the memory
+    assert float(score) == score.r2 == pytest.approx(1 - np.mean(error**2) / np.var(measured), rel=1e-4)
+    assert "nrmse" in str(score) and "R2 0.99" in score._repr_html_()
+
+
+def test_noise_is_drawn_by_its_seed():
+    stage = promoted(
+        hc.Model, Model("stage", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain((LAG,)), noise={"sigma": 0.1})
+    )
+    silent, first, again, other = (stage.simulate(COMMAND, seed=seed).signal("measurement").values for seed in (None, 1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.std(first - silent) == pytest.approx(0.1, rel=0.1) and not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("rate", [None, 400.0])
+def test_a_linear_model_is_its_linear_system(rate):
+    stage = model(LAG, Gain(0.5))
+    system = stage.linear(rate)
+    assert isinstance(system, StateSpace) and system.dt == pytest.approx(1 / (rate or RATE))
+    _, found, _ = dlsim(system, COMMAND - COMMAND[0])
+    rows = stage.simulate(COMMAND, rate).signal("measurement").values
+    np.testing.assert_allclose(found, rows - rows[0], atol=1e-9)
+
+
+def test_what_has_no_compensator_is_inverted_over_the_whole_reference():
+    stage = hc.load_model("fsm_cubespec")
+    inverse = stage.inverse()
+    assert inverse.compensator is None
+    rate = 1 / stage.sample_time
+    lower, upper = np.array(stage.valid["command"], dtype=float).reshape(-1, 2)[0]
+    middle, reach = (
+        stage.simulate(np.full((50, len(stage.axes)), v)).signal("measurement").values[-1] for v in ((lower + upper) / 2, upper)
+    )
+    phase = 2 * np.pi * 5 * np.arange(2000) / rate
+    reference = middle + 0.2 * (reach - middle) * (1 - np.cos(phase))[:, None]
+    error = stage.simulate(inverse(reference)).signal("measurement").values - reference
+    assert np.sqrt(np.mean(error**2)) < 0.01 * np.abs(reach - middle).max()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda stage: stage.simulate(np.zeros((9, 2))), "command: has 2 columns, the model 1 axes"),
+        (lambda stage: stage.inverse()(np.zeros((9, 2))), "reference: has 2 columns"),
+        (lambda stage: hc.load_model("no_such_model"), "pea_hampi.yaml"),
+        (lambda stage: stage.bode(hc.from_arrays(COMMAND, COMMAND, RATE, unit="mrad")), "use a model of this plant"),
+        (lambda stage: hc.identify(hc.from_arrays(COMMAND, np.random.default_rng(0).standard_normal(3000), RATE)), "noise"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(call, words):
+    with pytest.raises(hc.InputError, match=words) as raised:
+        call(model(LAG))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_model_comes_back_from_its_file(tmp_path):
+    stage = model(LAG)
+    stage.save(tmp_path / "stage.yaml")
+    again = hc.load_model(tmp_path / "stage.yaml")
+    assert again == stage and "transfer_function" in str(again) and "0 to 60 V" in again.summary()
+
+
+def test_a_record_that_is_no_measurement_has_a_page_that_says_so(monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    noise = np.random.default_rng(1).standard_normal(3000)
+    gap = hc.diagnose(hc.from_arrays(COMMAND, noise, RATE), model(LAG))
+    assert gap.verdict == "unknown" and gap.model is None and "no measurement of its command" in str(gap)
+    path = gap.show()
+    assert opened == [path.as_uri()] and "noise" in path.read_text(encoding="utf-8")
+
+
+def test_several_axes_are_drawn_one_by_one():
+    pyplot.switch_backend("Agg")
+    stage = model(LAG, axes=("x", "y"))
+    record = stage.simulate(np.column_stack([COMMAND, COMMAND[::-1]]))
+    assert len(stage.plot(record)) == 8
+    assert [line.get_label() for line in stage.bode(record)[0].lines] == ["measured x", "measured y", "stage x", "stage y"]
+    pyplot.close("all")
+
+
+def test_parameters_are_told_in_a_frame():
+    pytest.importorskip("pandas")
+    frame = model(LAG, Gain(0.5)).to_frame().set_index("name")
+    assert frame.loc["gain.gain", "value"] == 0.5
+    record = model(LAG).simulate(COMMAND)
+    noisy = record.signal("measurement").values + 1e-3 * np.random.default_rng(0).standard_normal((len(COMMAND), 1))
+    found = hc.identify(hc.from_arrays(COMMAND, noisy, RATE), family="pi", operators=3, verbose=False).to_frame()
+    assert {"name", "value", "standard_error"} <= set(found.columns) and len(found) == 3
+
+
+def test_a_gap_is_drawn_with_its_effect_and_told_in_a_frame():
+    pyplot.switch_backend("Agg")
+    stage = model(LAG)
+    record = stage.simulate(COMMAND)
+    noise = 2e-3 * np.random.default_rng(0).standard_normal((len(COMMAND), 1))
+    gap = hc.diagnose(hc.from_arrays(COMMAND, 1.1 * record.signal("measurement").values + noise, RATE), stage, verbose=False)
+    signals, left = gap.plot()
+    assert [line.get_label() for line in signals.lines] == ["measured", "simulated", "with the effects"]
+    before, after = (np.std(line.get_ydata()) for line in left.lines)
+    assert after < 0.1 * before and gap.model is not None and gap.model.score(record).nrmse > 1
+    pyplot.close("all")
+    pytest.importorskip("pandas")
+    assert gap.to_frame().set_index("parameter").loc["gain", "value"] == pytest.approx(0.1, abs=0.01)
