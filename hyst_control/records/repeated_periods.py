@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 Array = NDArray[np.float64]
 
@@ -28,6 +27,8 @@ def period_of(command: Array, same: float = SAME) -> int | None:
         Samples; None where the command does not repeat, or holds fewer than two periods.
 
     """
+    from scipy.signal import correlate  # takes a second
+
     rows, count = command - command.mean(axis=0), len(command)
     products = np.sum([correlate(column, column, mode="full", method="fft") for column in rows.T], axis=0)[count - 1 :]
     squares = np.concatenate([[0.0], np.cumsum(np.sum(rows**2, axis=1))])

@@ -123,3 +123,10 @@ def test_nothing_is_loaded_before_it_is_used():
 def test_a_name_that_is_none_is_refused():
     with pytest.raises(AttributeError, match="no attribute 'identfy'"):
         _ = hc.identfy  # type: ignore[attr-defined]
+
+
+def test_a_table_is_read_without_what_only_models_need():
+    modules = ("scipy.signal", "numba", "matplotlib", "rclpy")
+    code = f"import sys, hyst_control as hc; hc.read_csv; print([n for n in {modules} if n in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
