@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from hyst_control import progress
 from hyst_control.errors import InputError
-from hyst_control.identify.assess.fit_report import record_rows
+from hyst_control.identify.assess.fit_report import with_jump
 from hyst_control.identify.data.dataset import Dataset, Fit, Report, check_records
 from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
-from hyst_control.identify.data.record_drift import without_drift
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
 from hyst_control.identify.families.options import Options, option
 
@@ -50,11 +49,8 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
     except InputError:
         return estimator.fit(datasets, chosen)  # which says what it asks of records
     known = [with_beginning(data) for data in datasets]
-    cleaned = known if estimator.has(["nuisance"]) else without_drift(known)
-    fit = estimator.fit(cleaned, chosen)
-    report: Report = {**fit.report, "beginnings": beginning_rows(known)}
-    if any(data is not other for data, other in zip(cleaned, known, strict=True)):
-        report["records"] = record_rows(fit.model, known)[0]
+    fit = estimator.fit(known, chosen)
+    report: Report = {**fit.report, "beginnings": beginning_rows([with_jump(fit.model, data) for data in known])}
     return replace(fit, report=report)
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from hyst_control.chain import Chain, Stage
+from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array
-from hyst_control.identify.data.dataset import Dataset, RecordRow
+from hyst_control.identify.data.dataset import Beginning, Dataset, RecordRow
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
@@ -16,6 +19,12 @@ from hyst_control.records.session_zero import without_zero
 
 NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 """Rows from which noise and bandwidth are taken: those of longer records in parts spread over them."""
+
+JUMP = "at rest at 0 V, from which the first command jumps"
+JUMP_ROWS, JUMP_SHARE = 4096, 0.5
+"""First rows that tell whether a record begins so, and the share of their square error that must be left."""
+OFFSET_SHARE = 0.02
+"""Share of the mean square error that a common offset makes where the model states it."""
 
 
 def residual(model: Model, data: Dataset) -> Array:
@@ -35,10 +44,25 @@ def residual(model: Model, data: Dataset) -> Array:
     Array
         Residual (N, A) in the measurement unit.
     """
-    memory, begin = before(data)
+    memory, begin = before(with_jump(model, data))
     error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
     np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
     return error
+
+
+def with_jump(model: Model, data: Dataset) -> Dataset:
+    """The record, known to begin at rest at 0 V, from which its first command jumps, where the model agrees with that far better."""
+    memory, begin = before(data)
+    end = begin + JUMP_ROWS
+    if not np.any(data.command[0]) or begin > JUMP_ROWS or not model.chain.stages:
+        return data
+    jump = replace(data, start="unknown", beginning=Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
+
+    def left(before_it: Array | None) -> float:
+        error = data.measurement[begin:end] - simulate(model, data.command[:end], data.sample_time, data.hold, before_it)[begin:]
+        return float(np.sum((error - error.mean(axis=0)) ** 2))
+
+    return jump if left(jump.beginning.memory) < JUMP_SHARE * left(memory) else data  # type: ignore[union-attr]
 
 
 def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
@@ -60,11 +84,14 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
     residuals : list of Array
         Measured minus simulated (N, A) per record.
     """
+    residuals = [residual(model, data) for data in datasets]
+    return error_rows(datasets, residuals), residuals
+
+
+def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[RecordRow]:
+    """Scores of residuals (N, A), a row a record and axis."""
     rows: list[RecordRow] = []
-    residuals = []
-    for data in datasets:
-        error = residual(model, data)
-        residuals.append(error)
+    for data, error in zip(datasets, residuals, strict=True):
         rest, own = without_zero(error)
         for axis, (name, whole) in enumerate(zip(data.axes, data.range, strict=True)):
             span = float(whole) or 1.0
@@ -86,7 +113,27 @@ def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordR
                     "whiteness": lag_one(e),
                 }
             )
-    return rows, residuals
+    return rows
+
+
+def with_offset(model: Model, datasets: Sequence[Dataset]) -> tuple[Model, list[RecordRow], list[Array]]:
+    """The model with the sensor's common offset as its last stage, where that matters, and its scores and residuals."""
+    residuals = [residual(model, data) for data in datasets]
+    offset, square = mean_of(residuals)
+    if np.any(offset**2 > OFFSET_SHARE * square):
+        values = [float(value) for value in offset]
+        model = model.with_stages([*model.chain.stages, Offset(values[0] if len(set(values)) == 1 else values)])
+        for error in residuals:
+            np.subtract(error, offset, out=error)
+    return model, error_rows(datasets, residuals), residuals
+
+
+def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean (A,) and mean square (A,) of residuals (N, A) of several records."""
+    count = sum(map(len, residuals))
+    mean = sum(error[part].sum(axis=0) for error in residuals for part in blocks(len(error))) / count
+    square = sum((error[part] ** 2).sum(axis=0) for error in residuals for part in blocks(len(error))) / count
+    return np.asarray(mean), np.asarray(square)
 
 
 def lag_one(error: Array) -> float:
@@ -157,3 +204,20 @@ def command_bandwidth(data: Dataset) -> float:
         return 0.0
     cumulative = np.cumsum(power) / power.sum()
     return float(np.searchsorted(cumulative, 0.999) / (length * data.sample_time))
+
+
+def linear_model(datasets: Sequence[Dataset], stages: Sequence[Stage]) -> Model:
+    """The model of a chain, valid where the records are."""
+    first = datasets[0]
+    return Model(
+        name="linear",
+        axes=tuple(first.axes),
+        units={"command": "V", "measurement": first.unit},
+        sample_time=first.sample_time,
+        chain=Chain(tuple(stages)),
+        hold=first.hold,
+        valid={
+            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
+            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+        },
+    )

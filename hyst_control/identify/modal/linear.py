@@ -1,71 +1,73 @@
 """The family "linear": stable linear dynamics with a sub-sample delay, from records of any excitation.
 
-Each record is transformed to the frequency domain. A record is in general not periodic, so the transient at its
-ends is estimated with the model (see `modal_fit`); the static line is left out, which frees the fit of each record's
-offset. A long record is taken in parts, as if they were records. The number of states is chosen on held-out data.
+Vector fitting finds poles for every number of states without a guess, the simulation error from the command is minimized from there
+(`simulation_error`; offset, drift and initial state of every record are estimated along), and the smallest model that is as good as any
+on held-out rows is taken. Axes that drive each other are fitted to their spectra (`coupled_linear`).
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from hyst_control.chain.chain import Chain
-from hyst_control.chain.memoryless import Offset
+from hyst_control.chain import Stage
+from hyst_control.chain.linear import Delay, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, Report, check_records
-from hyst_control.identify.data.excited_band import REACH
+from hyst_control.identify.assess.fit_report import linear_model, noise_sigma, with_offset
+from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
+from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, TRUTH, Options, option
-from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
-from hyst_control.identify.modal.modal_fit import subspace
-from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import (
-    diagonal_stages,
-    parameter_rows,
-    scalar_if_alike,
-    stages_of,
-    tolerance_of,
-    uncertainty,
-)
-from hyst_control.model_file import Model
-from hyst_control.records.row_store import blocks
+from hyst_control.identify.families.shared_options import nuisance_option
+from hyst_control.identify.modal import coupled_linear
+from hyst_control.identify.modal.partial_fractions import Sections
+from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.parameter_covariance import independent_axes
+from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
+from hyst_control.records.row_store import column
 
-MAX_LINES = 6000
-"""Largest number of lines of one record in a fit: those where the command is strongest."""
-WHOLE_ROWS, PART_ROWS = 2**22, 2**20
-"""Rows of a record up to which its spectrum is taken as a whole, and of the parts of a longer one."""
-PART_LINES, FEWEST_LINES = 4 * MAX_LINES, 200
-"""Largest number of lines of all parts of a long record, and that of one part where there are very many."""
-BAND_POWER = 1e-5
-"""Power of a line relative to the strongest one below which it is left out."""
-NEGLIGIBLE_IMPROVEMENT = 0.01
-"""A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
-SINGLE_ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
-COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
+ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
+SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
+"""Rows on which structures are compared: of longer records as many parts, evenly spread."""
+WHOLE_ROWS = 2**22
+"""Rows of a record to which the chosen structure is fitted, from the middle of a longer one."""
+LEAST_GAIN = 0.02
+"""Share of the held-out mean square error by which a larger model has to be better, at least."""
+STALE = 2
+"""Orders without a gain after which growing ends."""
+DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
+"""Delays (samples) with which a search begins."""
+UNSURE = 0.1
+"""Relative standard deviation of the static gain from which a note says it."""
+
+
+class Variant(NamedTuple):
+    """What else a structure may have."""
+
+    direct: bool
+    delay: bool
+    smooth: bool
+
+
+VARIANTS = (
+    Variant(direct=False, delay=False, smooth=True),
+    Variant(direct=False, delay=True, smooth=True),
+    Variant(direct=False, delay=False, smooth=False),
+    Variant(direct=False, delay=True, smooth=False),
+    Variant(direct=True, delay=False, smooth=False),
+)
+"""In the order of preference where they have equally many parameters: a delay rather than a zero in the right half plane."""
 
 
 @dataclass(frozen=True)
 class LinearOptions(Options):
-    """Options of a linear fit.
-
-    Parameters
-    ----------
-    order
-        Number of states; None: chosen on held-out data.
-    coupled
-        True: a `state_space` of all axes; False: a `transfer_function` per axis; None: coupled where there are several.
-    delay
-        Delay in s, or "estimate".
-    direct
-        Allow a direct path D besides the states.
-    iterations
-        Largest number of refinement steps.
-    """
+    """Options of a linear fit."""
 
     order: int | None = option(None, INTEGER, "number of states, where it is not to be chosen on held-out data", lower=1)
     coupled: bool | None = option(
@@ -78,6 +80,29 @@ class LinearOptions(Options):
     )
     direct: bool = option(True, TRUTH, "allow a direct path D besides the states")
     iterations: int = option(60, INTEGER, "most steps of the refinement", lower=0)
+    nuisance: str = nuisance_option("linear")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fitted structure."""
+
+    variant: Variant
+    sections: Sections
+    solution: Solution
+    seconds: float
+
+    @property
+    def held_out(self) -> float:
+        return self.solution.held_out
+
+    @property
+    def doubt(self) -> float:
+        """Share of the held-out error that is within its standard error over the blocks, which colored errors widen."""
+        energies = self.solution.grams.blocks[2::3, -1, -1]
+        if len(energies) < 2 or not np.mean(energies) > 0.0:
+            return LEAST_GAIN
+        return max(LEAST_GAIN, float(np.std(energies) / np.mean(energies) / np.sqrt(len(energies))))
 
 
 @register
@@ -86,93 +111,229 @@ class Linear(Estimator[LinearOptions]):
 
     name = "linear"
     sentence = (
-        "stable linear dynamics with a sub-sample delay, in the frequency domain: transients are estimated along, the number of states is "
-        "chosen on held-out data; one axis or several"
+        "stable linear dynamics with a sub-sample delay, on the simulation error from the command, from vector fitting of every order; the "
+        "number of states is chosen on held-out data; one axis or several"
     )
     Options = LinearOptions
 
     def fit(self, datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
         first = checked(datasets)
         axes = len(first.axes)
-        coupled = axes > 1 if options.coupled is None else options.coupled
-        table: list[OrderRow]
-        if coupled or axes == 1:
-            chosen, table = _search(datasets, options, COUPLED_ORDERS if axes > 1 else SINGLE_ORDERS)
-            found = [chosen]
-            stages = stages_of(chosen.model, first.sample_time)
-        else:
-            searches = [_search([_axis(data, axis) for data in datasets], options, SINGLE_ORDERS) for axis in range(axes)]
-            found = [candidate for candidate, _ in searches]
-            table = [{"axis": name, **row} for name, (_, rows) in zip(first.axes, searches, strict=True) for row in rows]
-            stages = diagonal_stages([candidate.model for candidate in found], first.sample_time)
-        model = Model(
-            name="linear",
-            axes=tuple(first.axes),
-            units={"command": "V", "measurement": first.unit},
-            sample_time=first.sample_time,
-            chain=Chain(tuple(stages)),
-            hold=first.hold,
-            valid={
-                "command": [
-                    float(min(data.command.min() for data in datasets)),
-                    float(max(data.command.max() for data in datasets)),
-                ],
-                "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-            },
+        if axes > 1 and options.coupled is not False:
+            return coupled_linear.fit(datasets, options)
+        found, table = [], []
+        for axis, name in enumerate(first.axes):
+            windows = [_window(data, axis, number) for number, data in enumerate(datasets)]
+            candidate, rows = search(windows, options)
+            found.append(candidate)
+            table += [{**row, "axis": name} if axes > 1 else row for row in rows]
+        return _assembled(datasets, options, found, table)
+
+
+def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
+    """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows."""
+    few = _parts(windows)
+    sample_time = few[0].sample_time
+    band = REACH * excited_band(few) or np.inf
+    fastest = 2 * np.pi * min(band, 1.5 / sample_time)
+    slope = float(np.sum([_covariance(window) for window in few]))
+    travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
+    gain = travel if slope >= 0 else -travel
+    guess = options.delay == "estimate"
+    late = _dead_time(few) if guess else float(options.delay) / sample_time
+    orders = [options.order] if options.order else [order for order in ORDERS if 8 * order < sum(len(w.command) for w in few)]
+    variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
+    table: list[OrderRow] = []
+    tried: list[Candidate] = []
+    smaller: dict[Variant, Candidate] = {}
+    stale = 0
+    for order in orders:
+        fresh: list[Candidate] = []
+        for variant in variants:
+            if variant.smooth and order < 2:
+                continue
+            began = time.perf_counter()
+            start = late if variant.delay or not guess else 0.0
+            unit = (max(start, 1.0) if variant.delay else start) * sample_time
+            sections = Sections(order, *variant, gain, unit, _slowest(few), fastest)
+            solution = _grown(few, sections, start, smaller.get(variant), options.nuisance)
+            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began)
+            table.append(_row(candidate, sample_time, few))
+            if order == orders[0] or not _beyond_reach(candidate):
+                fresh.append(candidate)
+        lowest = min((each.held_out for each in tried), default=np.inf)
+        tried += fresh
+        best = min(fresh, key=lambda each: each.held_out, default=None)
+        stale = 0 if best is not None and best.held_out * (1.0 + best.doubt) < lowest else stale + 1
+        if stale >= STALE:
+            break
+    best = min(tried, key=lambda each: each.held_out)
+    chosen = min(
+        (each for each in tried if each.held_out <= (1.0 + best.doubt) * best.held_out),
+        key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
+    )
+    whole = [_middle(window) for window in windows]
+    solution = _fit(whole, chosen.sections, chosen.solution.parameters, options.nuisance, options.iterations, everything=True)
+    return replace(chosen, solution=solution), table
+
+
+def _fit(
+    windows: Sequence[Window], sections: Sections, start: Array, nuisance: str, passes: int, everything: bool = False
+) -> Solution:
+    free = Parametrization(sections.running, np.zeros((0, sections.size)), np.zeros(0), sections.limit)
+    return minimize_simulation_error(
+        windows,
+        free,
+        start,
+        nuisance=nuisance,
+        unknown_state=True,
+        passes=max(passes, 1),
+        tolerance=1e-5,
+        everything=everything,
+    )
+
+
+def _grown(windows: Sequence[Window], sections: Sections, delay: float, smaller: Candidate | None, nuisance: str) -> Solution:
+    """Fit from the poles of vector fitting; where that leaves more than the last order did, from the latter and idle poles."""
+    sample_time, rows = windows[0].sample_time, max(len(window.command) for window in windows)
+    starts = [spread_poles(sections.order, rows)]
+    known = None
+    if smaller is not None:
+        known = smaller.sections.partial(smaller.solution.parameters, sample_time)
+        idle = -np.geomspace(1.0, 0.1 * rows, sections.order - smaller.sections.order + 2)[1:-1] / rows
+        starts.append(np.concatenate([known.poles, idle]))
+        known = replace(known, poles=starts[-1], residues=np.concatenate([known.residues, 0.0 * idle]))
+    partial = min((vector_fit(windows, start, delay, sections.direct) for start in starts), key=lambda each: each.error)
+    found = _fit(windows, sections, sections.vector(partial, sample_time, delay * sample_time), nuisance, 12)
+    if smaller is None or known is None or found.fitted <= smaller.solution.fitted:
+        return found
+    late = smaller.sections.tau(smaller.solution.parameters)
+    nested = _fit(windows, sections, sections.vector(known, sample_time, late), nuisance, 12)
+    return min(found, nested, key=lambda each: each.fitted)
+
+
+def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
+    """Delay (samples) at which few poles without a direct path fit best."""
+    shortest = min(len(window.command) for window in windows)
+    delays = [delay for delay in DELAYS if delay <= shortest / 8]
+    start = spread_poles(order, max(len(window.command) for window in windows))
+    errors = [vector_fit(windows, start, delay, False, relocations=4).error for delay in delays]
+    return delays[int(np.argmin(errors))]
+
+
+def _slowest(windows: Sequence[Window]) -> float:
+    return 0.05 / max(len(window.command) * window.sample_time for window in windows)
+
+
+def _beyond_reach(candidate: Candidate) -> bool:
+    """Whether a pole is as fast as it may be: the data cannot tell it from a delay or a direct path."""
+    fastest = max(float(np.abs(np.roots(den)).max()) for _, den in candidate.sections.terms(candidate.solution.parameters))
+    return fastest > 0.99 * candidate.sections.fastest
+
+
+def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:
+    power = np.sqrt(np.mean(np.concatenate([window.measurement - np.mean(window.measurement) for window in windows]) ** 2))
+    sections, solution = candidate.sections, candidate.solution
+    return {
+        "order": sections.order,
+        "states": sections.order,
+        "parameters": sections.parameters,
+        "fitted": float(np.sqrt(solution.fitted) / power),
+        "held_out": float(np.sqrt(solution.held_out) / power),
+        "seconds": candidate.seconds,
+        "delay_samples": [sections.tau(solution.parameters) / sample_time],
+    }
+
+
+def _window(data: Dataset, axis: int, number: int) -> Window:
+    return Window(column(data.command, axis), column(data.measurement, axis), data.sample_time, data.hold, 0, number)
+
+
+def _parts(windows: Sequence[Window]) -> list[Window]:
+    """The records, or parts of long ones, each with session effects of its own."""
+    share = SEARCH_ROWS / max(sum(len(window.command) for window in windows), SEARCH_ROWS)
+    found: list[Window] = []
+    for window in windows:
+        n = len(window.command)
+        count = SEARCH_PARTS if share < 1.0 else 1
+        size = max(int(share * n / count), 64)
+        cuts = (
+            [slice(int(begin), int(begin) + size) for begin in np.linspace(0, n - size, count)]
+            if size * count < n
+            else [slice(0, n)]
         )
-        known = uncertainty(found, first.sample_time, first.axes)
-        model = replace(model, tolerance=tolerance_of(found, stages), uncertainty=known.document)
-        # The static line took no part in the fit, so a common offset of the sensor comes last.
-        _, residuals = record_rows(model, datasets)
-        offset, spread = mean_of(residuals)
-        if np.any(np.abs(offset) > 3.0 * spread):
-            model = model.with_stages([*stages, Offset(scalar_if_alike(offset))])
-        rows, residuals = record_rows(model, datasets)
-        model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
-        notes = (
-            []
-            if any(row["held_out"] is not None for row in table)
-            else [
-                "No part of the records could be held out: the number of states was chosen by an information criterion. "
-                "A second record, or a longer one with the same kind of excitation, would test it."
-            ]
-        )
-        notes += known.notes("record a sweep or multisine over their band")
-        report: Report = {
-            "family": "linear",
-            "method": options.method,
-            "unit": first.unit,
-            "records": rows,
-            "notes": notes,
-            "orders": table,
-            "states": sum(candidate.model.states for candidate in found),
-            "parameters": [
-                {**row, "axis": ", ".join(first.axes) if len(found) == 1 else first.axes[index]}
-                for index, candidate in enumerate(found)
-                for row in parameter_rows(candidate, first.sample_time, first.axes[index] if len(found) > 1 else "")
-            ],
-        }
-        return Fit(model, report)
+        parts = [replace(window, command=window.command[cut], measurement=window.measurement[cut]) for cut in cuts]
+        moving = [part for part in parts if np.ptp(part.command) > 0]
+        found += [replace(part, group=len(found) + number) for number, part in enumerate(moving)]
+    return found
+
+
+def _middle(window: Window) -> Window:
+    begin = max(len(window.command) - WHOLE_ROWS, 0) // 2
+    rows = slice(begin, begin + WHOLE_ROWS)
+    return window if begin == 0 else replace(window, command=window.command[rows], measurement=window.measurement[rows])
+
+
+def _covariance(window: Window) -> float:
+    return float(np.mean((window.command - np.mean(window.command)) * (window.measurement - np.mean(window.measurement))))
+
+
+def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Sequence[Candidate], table: list[OrderRow]) -> Fit:
+    """Model and report of axes that are fitted one by one."""
+    first = datasets[0]
+    chains = [each.sections.stages(each.solution.parameters) for each in found]
+    stages = list(_joined(chains))
+    model = linear_model(datasets, stages)
+    known = independent_axes(
+        [(each.solution.parameters, each.solution.covariance) for each in found],
+        lambda vectors: _joined([each.sections.stages(vector) for each, vector in zip(found, vectors, strict=True)]),
+        first.axes,
+    )
+    model = replace(model, tolerance=known.tolerance, uncertainty=known.document)
+    model, rows, residuals = with_offset(model, datasets)
+    model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
+    parameters: list[ParameterRow] = []
+    notes: list[str] = []
+    for candidate, axis in zip(found, first.axes, strict=True):
+        own = parameter_rows(candidate, first.unit, f"[{axis}]" if len(found) > 1 else "")
+        parameters += [{**row, "axis": axis} for row in own]
+        gain = own[-1]
+        share = abs((gain["standard_error"] or 0.0) / gain["value"]) if gain["value"] else np.inf
+        if share > UNSURE:
+            doubt = f"± {100 * share:.0f} %" if share < 1.0 else "no better than its size"
+            notes.append(
+                f"axis {axis}: static gain known to {doubt}: the record is too short for its slowest motion: hold the command longer"
+            )
+    notes += known.notes("record a sweep or multisine over their band")
+    report: Report = {
+        "family": "linear",
+        "method": options.method,
+        "unit": first.unit,
+        "records": rows,
+        "notes": notes,
+        "orders": table,
+        "states": sum(each.sections.order for each in found),
+        "parameters": parameters,
+    }
+    return Fit(model, report)
+
+
+def _joined(chains: Sequence[Sequence[Stage]]) -> list[Stage]:
+    """Stages with per-axis parameters; a polynomial of lower degree begins with zeros."""
+    if len(chains) == 1:
+        return list(chains[0])
+    delays = [next((float(stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]  # type: ignore[arg-type]
+    dynamics = [stage for chain in chains for stage in chain if isinstance(stage, TransferFunction)]
+    size = max(len(stage.den) for stage in dynamics)
+    num, den = (
+        [[0.0] * (size - len(each)) + [float(x) for x in each] for each in parts]
+        for parts in ([s.num for s in dynamics], [s.den for s in dynamics])
+    )
+    return [*([Delay(delays)] if any(delays) else []), TransferFunction(num, den)]
 
 
 def checked(datasets: Sequence[Dataset]) -> Dataset:
-    """Check that records agree in axes, unit, hold and sample time, and move on every axis.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    Dataset
-        The first record.
-
-    Raises
-    ------
-    InputError
-        They do not.
-    """
+    """The first record, if all agree in axes, unit, hold and sample time, and move on every axis; else an `InputError`."""
     for data in datasets:
         first = datasets[0]
         if data.hold != first.hold:
@@ -188,307 +349,32 @@ def checked(datasets: Sequence[Dataset]) -> Dataset:
     return datasets[0]
 
 
-def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:
-    """Mean of residuals (N, A) of several records, per axis.
+def parameter_rows(candidate: Candidate, unit: str, suffix: str) -> list[ParameterRow]:
+    """Frequency and damping of every pole, the delay and, last, the static gain, with standard errors."""
+    sections, solution = candidate.sections, candidate.solution
 
-    Parameters
-    ----------
-    residuals
-        Residuals of every record.
+    def numbers(vector: Array) -> list[tuple[str, float, str]]:
+        found: list[tuple[str, float, str]] = []
+        poles = np.concatenate([np.roots(den) for _, den in sections.terms(vector)])
+        for i, pole in enumerate(sorted((pole for pole in poles if pole.imag >= 0), key=abs)):
+            found.append((f"frequency[{i}]", float(abs(pole)) / (2 * np.pi), "Hz"))
+            if pole.imag:
+                found.append((f"damping[{i}]", float(-pole.real / abs(pole)), ""))
+        if sections.tau(vector) > 0.0 and sections.delay:
+            found.append(("delay[0]", sections.tau(vector), "s"))
+        return [*found, ("static_gain", sections.static_gain(vector), f"{unit}/V")]
 
-    Returns
-    -------
-    mean : Array
-        Mean (A,).
-    error : Array
-        Its standard error (A,) if they were white.
-    """
-    count = sum(map(len, residuals))
-    mean = sum(error[part].sum(axis=0) for error in residuals for part in blocks(len(error))) / count
-    square = sum(((error[part] - mean) ** 2).sum(axis=0) for error in residuals for part in blocks(len(error))) / count
-    return np.asarray(mean), np.sqrt(square / count)
-
-
-def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
-    """Take the spectra of records, of a long one those of its parts.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    list[Spectra]
-        One a record, or one a part in which the command moves.
-    """
-    found = []
-    for data in datasets:
-        n = len(data.command)
-        if n <= WHOLE_ROWS:
-            found.append(spectra_of(data))
-            continue
-        parts = n // PART_ROWS
-        size = n // parts & -1024  # a length whose transform is quick
-        cuts = [data.rows(part * size, (part + 1) * size) for part in range(parts)]
-        moving = [cut for cut in cuts if np.any(np.ptp(cut.command, axis=0) > 0)]
-        found += [spectra_of(cut, most=max(PART_LINES // len(moving), FEWEST_LINES)) for cut in moving]
-    return found
-
-
-def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) -> Spectra:
-    """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
-
-    Scaled to the root of the number of samples, so that sums of squares are those of the samples.
-
-    Parameters
-    ----------
-    data
-        The record.
-    period
-        Period in samples of a record in steady state, whose periods are averaged; None: not periodic.
-    most
-        Largest number of lines.
-
-    Returns
-    -------
-    Spectra
-        Spectra of command and measurement.
-    """
-    command, measurement = data.command, data.measurement
-    if period:
-        command = command.reshape(-1, period, command.shape[1]).mean(axis=0)
-        measurement = measurement.reshape(-1, period, measurement.shape[1]).mean(axis=0)
-    n = len(command)
-    u = np.fft.rfft(command - command[0], axis=0) / np.sqrt(n / 2)
-    y = np.fft.rfft(measurement - measurement[0], axis=0) / np.sqrt(n / 2)
-    power = np.sum(np.abs(u / np.maximum(np.std(command, axis=0), 1e-300)) ** 2, axis=1)
-    power[0] = 0.0
-    if n % 2 == 0:
-        power[-1] = 0.0
-    lines = np.flatnonzero(power > BAND_POWER * power.max())
-    if len(lines) > most:
-        lines = np.sort(lines[np.argsort(power[lines])[-most:]])
-    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
-
-
-def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
-    """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
-
-    Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
-    would not excite every axis, or the held-out part would hardly move.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    fitted : list[Dataset]
-        Records to fit.
-    held_out : list[Dataset]
-        Records to judge by, possibly none.
-    """
-    datasets = list(datasets)
-    held = datasets[2::3] or datasets[1:]
-    kept = [data for data in datasets if not any(data is other for other in held)]
-    if not held or sum(map(_length, kept)) < sum(map(_length, held)):
-        longest = max(datasets, key=_length)
-        cut = 2 * _length(longest) // 3
-        kept = [longest.rows(0, cut) if data is longest else data for data in datasets]
-        held = [longest.rows(cut, _length(longest))]
-
-    def motion(records: list[Dataset]) -> Array:
-        found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in records) / len(records))
-        return found
-
-    everything = motion(datasets)
-    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
-        return datasets, []
-    return kept, held
-
-
-def _mean_square_step(command: Array) -> Array:
-    """Mean square (A,) of the steps of a command (N, A), block by block."""
-    total = np.zeros(command.shape[1])
-    for part in blocks(len(command)):
-        total += np.sum(np.diff(command[part.start : part.stop + 1], axis=0) ** 2, axis=0)
-    return total / (len(command) - 1)
-
-
-def _length(data: Dataset) -> int:
-    return len(data.command)
-
-
-def choose(
-    train: Sequence[Spectra],
-    held_out: Sequence[Spectra],
-    orders: Sequence[int],
-    hold: str,
-    delays: Sequence[Array],
-    *,
-    direct: bool = True,
-    free_delay: bool = False,
-    iterations: int = 12,
-) -> tuple[Candidate, list[OrderRow]]:
-    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain.
-
-    Parameters
-    ----------
-    train, held_out
-        Spectra to fit and to judge by; without the latter Schwarz's information criterion decides.
-    orders
-        Numbers of states that may be.
-    hold
-        Hold of the command.
-    delays
-        Delays (m,) in samples that a search begins with.
-    direct, free_delay
-        Whether there is a direct path, and whether the delay is estimated.
-    iterations
-        Most steps of a refinement.
-
-    Returns
-    -------
-    chosen : Candidate
-        The model.
-    rows : list of OrderRow
-        A row per model tried.
-    """
-    negligible = negligible_improvement(held_out)
-    rows: list[OrderRow] = []
-    tried: list[tuple[float, Candidate]] = []
-    starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
-    stale = 0
-    for index, order in enumerate(orders):
-        scored: list[tuple[float, Candidate]] = []
-        for models in starts.values():
-            candidate = refined(train, models[index], direct, free_delay, iterations)
-            candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
-            score = candidate.held_out if held_out else information(candidate, train)
-            if index and beyond_reach(candidate.model, train):
-                score = np.inf
-            rows.append(
-                {
-                    "order": order,
-                    "states": candidate.model.states,
-                    "parameters": candidate.model.parameters,
-                    "fitted": candidate.fitted,
-                    "held_out": candidate.held_out if held_out else None,
-                    "seconds": candidate.seconds,
-                    "delay_samples": [float(value) for value in candidate.model.delay],
-                }
-            )
-            scored.append((score, candidate))
-        best = min(scored, key=lambda each: each[0])
-        lowest = min((score for score, _ in tried), default=np.inf)
-        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * negligible) or not np.isfinite(lowest) else stale + 1
-        tried.append(best)
-        if stale >= 3:
-            break
-    lowest = min(score for score, _ in tried)
-    limit = lowest * (1.0 + negligible) if held_out else lowest
-    return next(candidate for score, candidate in tried if score <= limit), rows
-
-
-def negligible_improvement(held_out: Sequence[Spectra]) -> float:
-    """Share of the error on held-out data by which a larger model has to be better; 0 without such data.
-
-    `NEGLIGIBLE_IMPROVEMENT`, or the standard error of the error of few data: 1 / sqrt(2 E) of E equations with a white error.
-
-    Parameters
-    ----------
-    held_out
-        Spectra that models are judged by.
-    """
-    count = equations(held_out)
-    return max(NEGLIGIBLE_IMPROVEMENT, float(1.0 / np.sqrt(2.0 * count))) if count else 0.0
-
-
-def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
-    """Report whether a pole lies so far beyond the lines that were excited that the data cannot tell it from a delay or a direct path.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        Spectra it was fitted to.
-
-    Returns
-    -------
-    bool
-        True if one does.
-    """
-    highest = max(float(spectra.angle.max()) for spectra in data)
-    return bool(np.any(np.abs(model.poles) > REACH * highest))
-
-
-def _search(datasets: Sequence[Dataset], options: LinearOptions, orders: Sequence[int]) -> tuple[Candidate, list[OrderRow]]:
-    first = datasets[0]
-    inputs = len(first.axes)
-    kept, held = held_out_split(datasets)
-    train, test = spectra_of_records(kept), spectra_of_records(held)
-    orders = [options.order] if options.order else orders
-    lines = sum(len(spectra.angle) * inputs for spectra in train)
-    orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
-    if options.delay == "estimate":
-        # The delay can be separated from the modes' own lag where the model is strictly proper; the direct path would take its
-        # place.
-        late = dead_time(train, first.hold)
-        variants = [
-            ([np.zeros(inputs)], options.direct, False),
-            ([late, 0.5 * late] if np.any(late) else [late + 0.25], False, True),
-        ]
-    else:
-        variants = [([np.full(inputs, float(options.delay) / first.sample_time)], options.direct, False)]
-    results = [choose(train, test, orders, first.hold, delays, direct=direct, free_delay=free) for delays, direct, free in variants]
-    rows = [row for _, table in results for row in table]
-
-    def score(candidate: Candidate) -> float:
-        return candidate.held_out if test else information(candidate, train)
-
-    lowest = min(score(candidate) for candidate, _ in results)
-    limit = lowest + negligible_improvement(test) * abs(lowest) if test else lowest
-    good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
-    index = min(good)[1]
-    delays, direct, free = variants[index]
-    everything = spectra_of_records(datasets)
-    final = refined(everything, results[index][0].model, direct, free, options.iterations)
-    return replace(final, held_out=results[index][0].held_out), rows
-
-
-def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
-    """Find the delay, the same for all inputs, at which a model of few states without a direct path fits best.
-
-    Parameters
-    ----------
-    data
-        Spectra of the records.
-    hold
-        Hold of the command.
-    order
-        Number of states per input.
-
-    Returns
-    -------
-    Array
-        Delay (m,), samples.
-    """
-    inputs = data[0].command.shape[1]
-    grid = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0]
-    costs = []
-    for late in grid:
-        model = subspace(data, [order * inputs], np.full(inputs, late), hold, direct=False)[0]
-        costs.append(refined(data, model, False, False, 4).fitted)
-    return np.full(inputs, grid[int(np.argmin(costs))])
-
-
-def _axis(data: Dataset, axis: int) -> Dataset:
-    return replace(
-        data,
-        command=data.command[:, axis : axis + 1],
-        measurement=data.measurement[:, axis : axis + 1],
-        axes=(data.axes[axis],),
-    )
+    nominal = numbers(solution.parameters)
+    moved = [numbers(solution.parameters + 1e-6 * step) for step in np.eye(sections.size)]
+    alike = all(len(each) == len(nominal) for each in moved)
+    slopes = np.array([[(b[1] - a[1]) / 1e-6 for a, b in zip(nominal, each, strict=True)] for each in moved]) if alike else None
+    spread = None if slopes is None else np.sqrt(np.maximum(np.einsum("pi,pq,qi->i", slopes, solution.covariance, slopes), 0.0))
+    return [
+        {
+            "name": name if name == "static_gain" and not suffix else name + suffix,
+            "value": value,
+            "standard_error": None if spread is None else float(spread[i]),
+            "unit": symbol,
+        }
+        for i, (name, value, symbol) in enumerate(nominal)
+    ]

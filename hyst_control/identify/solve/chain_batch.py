@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import TypeGuard
 
 import numpy as np
+from numba import njit
 
 from hyst_control.chain import Filter, Parallel, Sampling, Stage
 from hyst_control.chain.chain import arrange, resolved, started
@@ -23,6 +24,9 @@ from hyst_control.chain.stage import Array
 
 SOURCE = -1
 """Number of the signal that enters all chains, which stands behind those of all nodes."""
+
+NEGLIGIBLE = 1e-9
+"""Share of its beginning below which a free motion has died away."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,24 @@ class Bundle:
                 signals[numbers[0]] = running.process(ends[0][:, None])[:, 0] if running else sum(ends[1:], start=ends[0])
         return [signals[number] for number in self.outputs]
 
+    @property
+    def states(self) -> int:
+        """Number of states of the dynamics that end the first chain; 0 where it ends otherwise."""
+        last = self._last()
+        return 0 if last is None else last.a.shape[1]
+
+    def decay(self) -> Decay:
+        """The free motion of the dynamics that end the first chain."""
+        last = self._last()
+        if last is None:
+            return Decay(np.zeros((0, 0)), np.zeros(0))
+        return Decay(last.a[0], last.c[0, 0])
+
+    def _last(self) -> LinearFilter | None:
+        number = self.outputs[0]
+        running = self.nodes[number].running if number != SOURCE else None
+        return running if single(running) else None
+
     def _run(self, numbers: Sequence[int]) -> LinearLanes | Filter | None:
         """Filter of a step's nodes: linear nodes run side by side, any other node by itself."""
         filters = [self.nodes[number].running for number in numbers]
@@ -155,6 +177,47 @@ class Bundle:
             self._known[key] = len(self.nodes)
             self.nodes.append(node)
         return self._known[key]
+
+
+class Decay:
+    """Free motion of a linear system: what each of its states (n,), 1 at the beginning, adds to the output row by row."""
+
+    def __init__(self, transition: Array, output: Array) -> None:
+        self._transition, self._output = np.ascontiguousarray(transition), np.ascontiguousarray(output)
+        self._state = np.eye(len(transition))
+        self.states = len(transition)
+
+    def rows(self, count: int) -> Array:
+        """The next `count` rows (count, n)."""
+        found = np.zeros((count, self.states))
+        if self.states:
+            decayed(self._transition, self._output, self._state, found)
+        return found
+
+
+@njit(cache=True, error_model="numpy")
+def decayed(transition: Array, output: Array, state: Array, found: Array) -> None:
+    """Write rows (N, n) of the free motion of every column of `state` (n, n), which is updated; none once it has died away."""
+    n = len(output)
+    following = np.empty((n, n))
+    for row in range(len(found)):
+        largest = 0.0
+        for i in range(n):
+            for j in range(n):
+                value = 0.0
+                for k in range(n):
+                    value += transition[i, k] * state[k, j]
+                following[i, j] = value
+        for j in range(n):
+            value = 0.0
+            for i in range(n):
+                state[i, j] = following[i, j]
+                largest = max(largest, abs(following[i, j]))
+                value += output[i] * following[i, j]
+            found[row, j] = value
+        if largest < NEGLIGIBLE:
+            state[:] = 0.0
+            return
 
 
 def alike(nodes: Sequence[Node]) -> list[list[int]]:

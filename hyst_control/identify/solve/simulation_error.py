@@ -1,12 +1,13 @@
 """Least squares on the simulation error of any chain, with linear inequality constraints on its parameters.
 
 The chain itself is run, so the fit is to the output of the model file. Derivatives are differences between chains of
-neighboring parameters, streamed side by side over the records block by block; the data for a step are kept as Gram matrices.
+neighboring parameters, streamed side by side over the records block by block; the data for a step are kept as Gram matrices, from
+which offset, drift and initial state of every record are eliminated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,8 @@ BLOCK, CHUNK = 4096, 32768
 """Largest number of rows of one block's Gram matrix, and rows simulated at a time."""
 STEP = 1e-5
 """Difference of neighboring parameters, which are all of order one."""
+DRIFT = 0.02
+"""Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
 PRIOR = 1e-10
 """Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
 
@@ -57,6 +60,17 @@ class Parametrization:
 
 
 @dataclass(frozen=True)
+class Session:
+    """What a record may add to its model: sensor offset and drift (a name of `NUISANCES`), and an unknown state of the dynamics.
+
+    All of it is eliminated record by record, so a fit does not grow with the number of its records. The drift has a prior of its size.
+    """
+
+    nuisance: str = "linear"
+    unknown_state: bool = False
+
+
+@dataclass(frozen=True)
 class Solution:
     """Solution of a simulation-error fit.
 
@@ -65,11 +79,11 @@ class Solution:
     parameters
         Parameters (P,).
     nuisances
-        Nuisances of the records.
+        Offset and drift of every record, one record behind the other.
     fitted, held_out
         Mean square errors on the rows fitted and held out.
     grams
-        Gram matrices of [derivatives, nuisances, error].
+        Gram matrices of [derivatives, error], the session effects eliminated.
     passes
         Number of passes over the records.
     linearized
@@ -87,8 +101,7 @@ class Solution:
     @property
     def covariance(self) -> Array:
         """Covariance (P, P) of the parameters, errors of the model included."""
-        size = len(self.parameters)
-        return covariance(self.grams.blocks, np.concatenate([self.parameters - self.linearized, self.nuisances]))[:size, :size]
+        return covariance(self.grams.blocks, self.parameters - self.linearized)
 
 
 def minimize_simulation_error(
@@ -97,6 +110,7 @@ def minimize_simulation_error(
     start: Array,
     *,
     nuisance: str = "linear",
+    unknown_state: bool = False,
     passes: int = 12,
     tolerance: float = 1e-4,
     everything: bool = False,
@@ -116,6 +130,8 @@ def minimize_simulation_error(
         Parameters (P,) to begin with, which satisfy the constraints.
     nuisance
         Addition of each record: "none", "offset" or "linear".
+    unknown_state
+        The linear dynamics at the end of the chain need not be at rest when a window begins.
     passes
         Most passes with derivatives, the first one included.
     tolerance
@@ -129,7 +145,7 @@ def minimize_simulation_error(
         Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
     """
     origin = parametrization.limit(np.asarray(start, dtype=float))
-    search = _Search(windows, parametrization, origin, nuisance, everything)
+    search = _Search(windows, parametrization, origin, Session(nuisance, unknown_state), everything)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
@@ -140,7 +156,7 @@ def minimize_simulation_error(
         highest=1e4,
         least_move=1e-8,
     )
-    found = gauss_newton.minimize(search, search.start(), rules)
+    found = gauss_newton.minimize(search, search.visit(origin, derivatives=True), rules)
     solution = found.point if found.linearized or found.end is End.BUDGET else search.linearize(found.point)
     return replace(solution, passes=found.steps + 1)
 
@@ -152,21 +168,19 @@ class _Search:
     windows: Sequence[Window]
     parametrization: Parametrization
     origin: Array
-    nuisance: str
+    session: Session
     everything: bool
 
-    def grams(self, parameters: Array, *, derivatives: bool) -> Grams:
-        groups = max(window.group for window in self.windows) + 1
-        return gram_matrices(self.windows, self.parametrization, parameters, self.nuisance, groups, derivatives=derivatives)
-
-    def start(self) -> Solution:
-        return _solution(self.origin, self.grams(self.origin, derivatives=True), self.everything, 1, derivatives=True)
+    def visit(self, parameters: Array, *, derivatives: bool) -> Solution:
+        return simulated(
+            self.windows, self.parametrization, parameters, self.session, derivatives=derivatives, everything=self.everything
+        )
 
     def cost(self, point: Solution) -> float:
         return point.fitted
 
     def linearize(self, point: Solution) -> Solution:
-        return replace(point, grams=self.grams(point.parameters, derivatives=True), linearized=point.parameters)
+        return replace(point, grams=self.visit(point.parameters, derivatives=True).grams, linearized=point.parameters)
 
     def step(self, point: Solution, damping: float) -> Trial[Solution]:
         grams = point.grams
@@ -174,8 +188,7 @@ class _Search:
         step = _step(gram, self.parametrization, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        parameters = self.parametrization.limit(point.parameters + step)
-        found = _solution(parameters, self.grams(parameters, derivatives=False), self.everything, point.passes, derivatives=False)
+        found = self.visit(self.parametrization.limit(point.parameters + step), derivatives=False)
         return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
 
@@ -198,15 +211,19 @@ def simulation_error(windows: Sequence[Window], parametrization: Parametrization
     float
         Square of the measurement's unit.
     """
-    groups = max(window.group for window in windows) + 1
-    grams = gram_matrices(windows, parametrization, parameters, nuisance, groups, derivatives=False)
-    return _solution(parameters, grams, True, 1, derivatives=False).fitted
+    return simulated(windows, parametrization, parameters, Session(nuisance), derivatives=False, everything=True).fitted
 
 
-def gram_matrices(
-    windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str, groups: int, *, derivatives: bool
-) -> Grams:
-    """Form the Gram matrices of [derivatives (P), nuisances per record, error]; every third block is held out.
+def simulated(
+    windows: Sequence[Window],
+    parametrization: Parametrization,
+    parameters: Array,
+    session: Session,
+    *,
+    derivatives: bool,
+    everything: bool,
+) -> Solution:
+    """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out.
 
     Parameters
     ----------
@@ -216,65 +233,123 @@ def gram_matrices(
         Chain of a parameter vector.
     parameters
         Parameters (P,).
-    nuisance
-        Nuisance of each record, one of `NUISANCES`.
-    groups
-        Number of records.
+    session
+        What every record may add.
     derivatives
         Include the derivatives.
+    everything
+        The session effects of a record are those of all its rows, not of the fitted ones alone.
 
     Returns
     -------
-    Grams
-        Gram matrices of the rows fitted and held out.
+    Solution
+        At these parameters.
     """
-    size, extra = len(parameters) * derivatives, NUISANCES[nuisance]
-    total = size + extra * groups + 1
-    grams, rows = np.zeros((2, total, total)), [0, 0]
-    blocks: list[Array] = []
+    size = len(parameters) * derivatives
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
     chains = [tuple(parametrization.stages(vector)) for vector in vectors]
     clocks: dict[Sampling, Bundle] = {}
-    everything = sum(len(window.command) for window in windows)
-    length = int(np.clip(everything // HELD_OUT_BLOCKS, 1, BLOCK))
-    together, count = -(-everything // (length * MOST_BLOCKS)), 0
-    for window in windows:
-        place = np.r_[0:size, size + window.group * extra + np.arange(extra), total - 1]
-        square = np.ix_(place, place)
-        sampling = Sampling(window.sample_time, 1, window.hold)
-        if sampling not in clocks:
-            clocks[sampling] = Bundle(chains, sampling)
-        running = clocks[sampling]
-        signal, first = driving_signal(window)
-        running.settle(float(signal[0, 0]))
-        for earlier in row_blocks(first):
-            running.process(signal[earlier])
-        n = len(window.command)
-        for chunk in range(0, n, CHUNK):
-            stop = min(chunk + CHUNK, n)
-            part = signal[first + chunk : first + stop]
-            columns = np.empty((stop - chunk, size + extra + 1), order="F")
-            nominal, *neighbours = running.process(part)
-            for i, neighbour in enumerate(neighbours):
-                np.subtract(neighbour, nominal, out=columns[:, i])
-            columns[:, :size] /= STEP
-            share = window.begin + window.share * np.arange(chunk, stop) / n
-            for power in range(extra):
-                columns[:, size + power] = (share - 0.5) ** power
-            np.subtract(window.measurement[chunk:stop], nominal, out=columns[:, -1])
-            for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
-                block = columns[begin : begin + length]
-                product = np.zeros((total, total))
-                product[square] = gram_product(np.ascontiguousarray(block))
-                if count % together:
-                    blocks[-1] += product
+    everywhere = sum(len(window.command) for window in windows)
+    length = int(np.clip(everywhere // HELD_OUT_BLOCKS, 1, BLOCK))
+    together = -(-everywhere // (length * MOST_BLOCKS))
+    grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
+    blocks: list[Array] = []
+    nuisances: list[Array] = []
+    for group in range(max(window.group for window in windows) + 1):
+        record = [window for window in windows if window.group == group]
+        columns = _session_columns(record, chains[0], session)
+        total = size + columns + 1
+        sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
+        pieces: list[Array] = []
+        for number, window in enumerate(record):
+            sampling = Sampling(window.sample_time, 1, window.hold)
+            if sampling not in clocks:
+                clocks[sampling] = Bundle(chains, sampling)
+            for block in _blocks(window, clocks[sampling], size, session, columns, number, length):
+                product = gram_product(block)
+                if (count - first) % together:
+                    pieces[-1] += product
                 else:
-                    blocks.append(product)
+                    pieces.append(product)
                 count += 1
                 which = 1 if count % 3 == 0 else 0
-                grams[which] += product
-                rows[which] += len(block)
-    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
+                sums[which] += product
+                own[which] += len(block)
+        known, used = (sums.sum(axis=0), own.sum()) if everything else (sums[0], own[0])
+        drift = DRIFT * max(float(np.ptp(window.measurement)) for window in record) * (NUISANCES[session.nuisance] > 1)
+        effects, penalty = _eliminated(known, size, columns, drift, int(used))
+        keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
+        grams[0] += keep.T @ sums[0] @ keep + penalty
+        grams[1] += keep.T @ sums[1] @ keep
+        blocks += [keep.T @ piece @ keep for piece in pieces]
+        nuisances.append(effects[: NUISANCES[session.nuisance], -1])
+        rows += own
+    chosen, total = (grams.sum(axis=0), rows.sum()) if everything else (grams[0], rows[0])
+    return Solution(
+        parameters,
+        np.concatenate(nuisances),
+        max(float(chosen[-1, -1]), 0.0) / max(int(total), 1),
+        max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
+        Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
+        1,
+        parameters,
+    )
+
+
+def _session_columns(record: Sequence[Window], chain: Sequence[Stage], session: Session) -> int:
+    """Number of columns of a record's session effects: offset and drift, and the states of every window's dynamics."""
+    states = 0
+    if session.unknown_state:
+        window = record[0]
+        states = Bundle([chain], Sampling(window.sample_time, 1, window.hold)).states
+    return NUISANCES[session.nuisance] + states * len(record)
+
+
+def _blocks(
+    window: Window, running: Bundle, size: int, session: Session, columns: int, number: int, length: int
+) -> Iterator[Array]:
+    """Blocks of rows of [derivatives, session effects, error] of a window, the `number`-th of its record."""
+    signal, first = driving_signal(window)
+    running.settle(float(signal[0, 0]))
+    for earlier in row_blocks(first):
+        running.process(signal[earlier])
+    n, extra = len(window.command), NUISANCES[session.nuisance]
+    decay = running.decay() if session.unknown_state else None
+    for chunk in range(0, n, CHUNK):
+        stop = min(chunk + CHUNK, n)
+        rows = np.zeros((stop - chunk, size + columns + 1), order="F")
+        nominal, *neighbours = running.process(signal[first + chunk : first + stop])
+        for i, neighbour in enumerate(neighbours):
+            np.subtract(neighbour, nominal, out=rows[:, i])
+        rows[:, :size] /= STEP
+        share = window.begin + window.share * np.arange(chunk, stop) / n
+        for power in range(extra):
+            rows[:, size + power] = (share - 0.5) ** power
+        if decay is not None:
+            place = size + extra + number * decay.states
+            rows[:, place : place + decay.states] = decay.rows(stop - chunk)
+        np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
+        for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
+            yield np.ascontiguousarray(rows[begin : begin + length])
+
+
+def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:
+    """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1)."""
+    part = slice(size, size + columns)
+    inner, cross = gram[part, part].copy(), np.delete(gram[part], part, axis=1)
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    prior = np.zeros(columns)
+
+    def solved() -> Array:
+        found: Array = np.linalg.lstsq((inner + np.diag(prior)) / scale[:, None] / scale, cross / scale[:, None], rcond=1e-12)[0]
+        return found / scale[:, None]
+
+    effects = solved()
+    if drift > 0.0:
+        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), 0.0) / max(rows, 1)
+        prior[1] = left / drift**2
+        effects = solved()
+    return effects, (effects.T * prior) @ effects
 
 
 def driving_signal(window: Window) -> tuple[Array, int]:
@@ -304,37 +379,13 @@ def driving_signal(window: Window) -> tuple[Array, int]:
     return signal.reshape(-1, 1), len(before)
 
 
-def _solution(parameters: Array, grams: Grams, everything: bool, passes: int, *, derivatives: bool) -> Solution:
-    """Nuisances that reduce the error most, and the remaining mean squares."""
-    first = len(parameters) if derivatives else 0
-    chosen = grams.fitted + grams.held_out if everything else grams.fitted
-    inner = chosen[first:-1, first:-1]
-    nuisances: Array = np.zeros(0)
-    if len(inner):
-        nuisances = np.asarray(np.linalg.lstsq(inner, chosen[first:-1, -1], rcond=1e-12)[0], dtype=float)
-    vector = np.append(nuisances, -1.0)
-
-    def mean_square(gram: Array, rows: int) -> float:
-        return max(float(vector @ gram[first:, first:] @ vector), 0.0) / max(rows, 1)
-
-    rows = sum(grams.rows) if everything else grams.rows[0]
-    held_out = mean_square(grams.held_out, grams.rows[1])
-    return Solution(parameters, nuisances, mean_square(chosen, rows), held_out, grams, passes, parameters)
-
-
 def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float) -> Array:
-    size = len(present)
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
     diagonal = np.diag(normal).copy()
-    strongest = float(np.max(diagonal[:size]))
-    index = np.arange(size)
-    normal[index, index] += damping * diagonal[:size] + PRIOR * strongest
-    gradient[:size] += PRIOR * strongest * (origin - present)
-    others = np.arange(size, len(normal))
-    normal[others, others] += 1e-12 * diagonal[others] + 1e-300
-    lhs = np.zeros((len(parametrization.lhs), len(normal)))
-    lhs[:, :size] = parametrization.lhs
-    return constrained_minimum(normal, gradient, lhs, parametrization.rhs - parametrization.lhs @ present)[:size]
+    prior = PRIOR * float(np.max(diagonal))
+    normal[np.diag_indices_from(normal)] += damping * diagonal + prior
+    gradient += prior * (origin - present)
+    return constrained_minimum(normal, gradient, parametrization.lhs, parametrization.rhs - parametrization.lhs @ present)
 
 
 def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:

@@ -1,0 +1,353 @@
+"""Linear dynamics of axes that drive each other, fitted to the spectra of their records.
+
+A record is in general not periodic, so the transient at its ends is estimated with the model (see `modal_fit`); the static line is left
+out, which frees the fit of each record's offset. A long record is taken in parts, as if they were records. The number of states is chosen
+on held-out data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.assess.fit_report import linear_model, noise_sigma, with_offset
+from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, Report
+from hyst_control.identify.data.excited_band import REACH
+from hyst_control.identify.data.record_drift import without_drift
+from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
+from hyst_control.identify.modal.modal_fit import subspace
+from hyst_control.identify.modal.modal_model import ModalModel, Spectra
+from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
+from hyst_control.records.row_store import blocks
+
+MAX_LINES = 6000
+"""Largest number of lines of one record in a fit: those where the command is strongest."""
+WHOLE_ROWS, PART_ROWS = 2**22, 2**20
+"""Rows of a record up to which its spectrum is taken as a whole, and of the parts of a longer one."""
+PART_LINES, FEWEST_LINES = 4 * MAX_LINES, 200
+"""Largest number of lines of all parts of a long record, and that of one part where there are very many."""
+BAND_POWER = 1e-5
+"""Power of a line relative to the strongest one below which it is left out."""
+NEGLIGIBLE_IMPROVEMENT = 0.01
+"""A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
+COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
+
+
+class Choices(Protocol):
+    """The options of a linear fit that count here."""
+
+    method: str
+    order: int | None
+    delay: float | str
+    direct: bool
+    iterations: int
+
+
+def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
+    """Identify one `state_space` of all axes."""
+    first = datasets[0]
+    chosen, table = _search(without_drift(datasets), options)
+    stages = stages_of(chosen.model, first.sample_time)
+    known = uncertainty(chosen, first.sample_time, first.axes)
+    model = replace(linear_model(datasets, stages), tolerance=tolerance_of(chosen, stages), uncertainty=known.document)
+    model, rows, residuals = with_offset(model, datasets)
+    model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
+    notes = (
+        []
+        if any(row["held_out"] is not None for row in table)
+        else [
+            "No part of the records could be held out: the number of states was chosen by an information criterion. "
+            "A second record, or a longer one with the same kind of excitation, would test it."
+        ]
+    )
+    report: Report = {
+        "family": "linear",
+        "method": options.method,
+        "unit": first.unit,
+        "records": rows,
+        "notes": notes + known.notes("record a sweep or multisine over their band"),
+        "orders": table,
+        "states": chosen.model.states,
+        "parameters": [{**row, "axis": ", ".join(first.axes)} for row in parameter_rows(chosen, first.sample_time)],
+    }
+    return Fit(model, report)
+
+
+def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
+    """Take the spectra of records, of a long one those of its parts.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    list[Spectra]
+        One a record, or one a part in which the command moves.
+    """
+    found = []
+    for data in datasets:
+        n = len(data.command)
+        if n <= WHOLE_ROWS:
+            found.append(spectra_of(data))
+            continue
+        parts = n // PART_ROWS
+        size = n // parts & -1024  # a length whose transform is quick
+        cuts = [data.rows(part * size, (part + 1) * size) for part in range(parts)]
+        moving = [cut for cut in cuts if np.any(np.ptp(cut.command, axis=0) > 0)]
+        found += [spectra_of(cut, most=max(PART_LINES // len(moving), FEWEST_LINES)) for cut in moving]
+    return found
+
+
+def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) -> Spectra:
+    """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
+
+    Scaled to the root of the number of samples, so that sums of squares are those of the samples.
+
+    Parameters
+    ----------
+    data
+        The record.
+    period
+        Period in samples of a record in steady state, whose periods are averaged; None: not periodic.
+    most
+        Largest number of lines.
+
+    Returns
+    -------
+    Spectra
+        Spectra of command and measurement.
+    """
+    command, measurement = data.command, data.measurement
+    if period:
+        command = command.reshape(-1, period, command.shape[1]).mean(axis=0)
+        measurement = measurement.reshape(-1, period, measurement.shape[1]).mean(axis=0)
+    n = len(command)
+    u = np.fft.rfft(command - command[0], axis=0) / np.sqrt(n / 2)
+    y = np.fft.rfft(measurement - measurement[0], axis=0) / np.sqrt(n / 2)
+    power = np.sum(np.abs(u / np.maximum(np.std(command, axis=0), 1e-300)) ** 2, axis=1)
+    power[0] = 0.0
+    if n % 2 == 0:
+        power[-1] = 0.0
+    lines = np.flatnonzero(power > BAND_POWER * power.max())
+    if len(lines) > most:
+        lines = np.sort(lines[np.argsort(power[lines])[-most:]])
+    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
+
+
+def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
+    """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
+
+    Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
+    would not excite every axis, or the held-out part would hardly move.
+
+    Parameters
+    ----------
+    datasets
+        The records.
+
+    Returns
+    -------
+    fitted : list[Dataset]
+        Records to fit.
+    held_out : list[Dataset]
+        Records to judge by, possibly none.
+    """
+    datasets = list(datasets)
+    held = datasets[2::3] or datasets[1:]
+    kept = [data for data in datasets if not any(data is other for other in held)]
+    if not held or sum(map(_length, kept)) < sum(map(_length, held)):
+        longest = max(datasets, key=_length)
+        cut = 2 * _length(longest) // 3
+        kept = [longest.rows(0, cut) if data is longest else data for data in datasets]
+        held = [longest.rows(cut, _length(longest))]
+
+    def motion(records: list[Dataset]) -> Array:
+        found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in records) / len(records))
+        return found
+
+    everything = motion(datasets)
+    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
+        return datasets, []
+    return kept, held
+
+
+def _mean_square_step(command: Array) -> Array:
+    """Mean square (A,) of the steps of a command (N, A), block by block."""
+    total = np.zeros(command.shape[1])
+    for part in blocks(len(command)):
+        total += np.sum(np.diff(command[part.start : part.stop + 1], axis=0) ** 2, axis=0)
+    return total / (len(command) - 1)
+
+
+def _length(data: Dataset) -> int:
+    return len(data.command)
+
+
+def choose(
+    train: Sequence[Spectra],
+    held_out: Sequence[Spectra],
+    orders: Sequence[int],
+    hold: str,
+    delays: Sequence[Array],
+    *,
+    direct: bool = True,
+    free_delay: bool = False,
+    iterations: int = 12,
+) -> tuple[Candidate, list[OrderRow]]:
+    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain.
+
+    Parameters
+    ----------
+    train, held_out
+        Spectra to fit and to judge by; without the latter Schwarz's information criterion decides.
+    orders
+        Numbers of states that may be.
+    hold
+        Hold of the command.
+    delays
+        Delays (m,) in samples that a search begins with.
+    direct, free_delay
+        Whether there is a direct path, and whether the delay is estimated.
+    iterations
+        Most steps of a refinement.
+
+    Returns
+    -------
+    chosen : Candidate
+        The model.
+    rows : list of OrderRow
+        A row per model tried.
+    """
+    negligible = negligible_improvement(held_out)
+    rows: list[OrderRow] = []
+    tried: list[tuple[float, Candidate]] = []
+    starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
+    stale = 0
+    for index, order in enumerate(orders):
+        scored: list[tuple[float, Candidate]] = []
+        for models in starts.values():
+            candidate = refined(train, models[index], direct, free_delay, iterations)
+            candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
+            score = candidate.held_out if held_out else information(candidate, train)
+            if index and beyond_reach(candidate.model, train):
+                score = np.inf
+            rows.append(
+                {
+                    "order": order,
+                    "states": candidate.model.states,
+                    "parameters": candidate.model.parameters,
+                    "fitted": candidate.fitted,
+                    "held_out": candidate.held_out if held_out else None,
+                    "seconds": candidate.seconds,
+                    "delay_samples": [float(value) for value in candidate.model.delay],
+                }
+            )
+            scored.append((score, candidate))
+        best = min(scored, key=lambda each: each[0])
+        lowest = min((score for score, _ in tried), default=np.inf)
+        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * negligible) or not np.isfinite(lowest) else stale + 1
+        tried.append(best)
+        if stale >= 3:
+            break
+    lowest = min(score for score, _ in tried)
+    limit = lowest * (1.0 + negligible) if held_out else lowest
+    return next(candidate for score, candidate in tried if score <= limit), rows
+
+
+def negligible_improvement(held_out: Sequence[Spectra]) -> float:
+    """Share of the error on held-out data by which a larger model has to be better; 0 without such data.
+
+    `NEGLIGIBLE_IMPROVEMENT`, or the standard error of the error of few data: 1 / sqrt(2 E) of E equations with a white error.
+
+    Parameters
+    ----------
+    held_out
+        Spectra that models are judged by.
+    """
+    count = equations(held_out)
+    return max(NEGLIGIBLE_IMPROVEMENT, float(1.0 / np.sqrt(2.0 * count))) if count else 0.0
+
+
+def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
+    """Report whether a pole lies so far beyond the lines that were excited that the data cannot tell it from a delay or a direct path.
+
+    Parameters
+    ----------
+    model
+        The model.
+    data
+        Spectra it was fitted to.
+
+    Returns
+    -------
+    bool
+        True if one does.
+    """
+    highest = max(float(spectra.angle.max()) for spectra in data)
+    return bool(np.any(np.abs(model.poles) > REACH * highest))
+
+
+def _search(datasets: Sequence[Dataset], options: Choices) -> tuple[Candidate, list[OrderRow]]:
+    first = datasets[0]
+    inputs = len(first.axes)
+    kept, held = held_out_split(datasets)
+    train, test = spectra_of_records(kept), spectra_of_records(held)
+    orders: Sequence[int] = [options.order] if options.order else COUPLED_ORDERS
+    lines = sum(len(spectra.angle) * inputs for spectra in train)
+    orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
+    if options.delay == "estimate":
+        # The delay can be separated from the modes' own lag where the model is strictly proper; the direct path would take its
+        # place.
+        late = dead_time(train, first.hold)
+        variants = [
+            ([np.zeros(inputs)], options.direct, False),
+            ([late, 0.5 * late] if np.any(late) else [late + 0.25], False, True),
+        ]
+    else:
+        variants = [([np.full(inputs, float(options.delay) / first.sample_time)], options.direct, False)]
+    results = [choose(train, test, orders, first.hold, delays, direct=direct, free_delay=free) for delays, direct, free in variants]
+    rows = [row for _, table in results for row in table]
+
+    def score(candidate: Candidate) -> float:
+        return candidate.held_out if test else information(candidate, train)
+
+    lowest = min(score(candidate) for candidate, _ in results)
+    limit = lowest + negligible_improvement(test) * abs(lowest) if test else lowest
+    good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
+    index = min(good)[1]
+    delays, direct, free = variants[index]
+    everything = spectra_of_records(datasets)
+    final = refined(everything, results[index][0].model, direct, free, options.iterations)
+    return replace(final, held_out=results[index][0].held_out), rows
+
+
+def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
+    """Find the delay, the same for all inputs, at which a model of few states without a direct path fits best.
+
+    Parameters
+    ----------
+    data
+        Spectra of the records.
+    hold
+        Hold of the command.
+    order
+        Number of states per input.
+
+    Returns
+    -------
+    Array
+        Delay (m,), samples.
+    """
+    inputs = data[0].command.shape[1]
+    grid = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0]
+    costs = []
+    for late in grid:
+        model = subspace(data, [order * inputs], np.full(inputs, late), hold, direct=False)[0]
+        costs.append(refined(data, model, False, False, 4).fitted)
+    return np.full(inputs, grid[int(np.argmin(costs))])

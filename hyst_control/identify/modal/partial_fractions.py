@@ -1,0 +1,166 @@
+"""Linear dynamics as a sum of sections of first and second order, stable for every parameter vector.
+
+    G(s) = e^(-tau s) [ d + Σ (g_i + h_i s/w_i) / (s²/w_i² + 2 z_i s/w_i + 1) + g_0 / (s/w_0 + 1) ]
+
+A section has two real poles where z > 1, so a search crosses from modes to lags without a seam. `smooth` dynamics answer a jump without
+a jump of velocity (two poles more than zeros): then the h of the fastest section follows from the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.chain import Stage
+from hyst_control.chain.linear import Delay, StateSpace, TransferFunction
+from hyst_control.chain.stage import Array
+from hyst_control.identify.modal.vector_fitting import Partial
+
+DAMPING = (5e-4, 50.0)
+
+
+@dataclass(frozen=True)
+class Sections:
+    """Structure of the dynamics and the scales of its parameters.
+
+    A parameter vector holds log(w), log(z), g, h of every section, log(w) and g of the lag, d, and the delay.
+    """
+
+    order: int
+    direct: bool
+    delay: bool
+    smooth: bool
+    gain: float
+    """Unit of gains: range of the measurement / range of the command, with its sign."""
+    late: float
+    """Delay in s where it is not estimated; else its unit."""
+    slowest: float
+    fastest: float
+    """Bounds of w, rad/s."""
+
+    @property
+    def pairs(self) -> int:
+        return self.order // 2
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return 2 * self.order + self.direct + self.delay
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters."""
+        return self.size - self.smooth
+
+    def vector(self, partial: Partial, sample_time: float, delay: float) -> Array:
+        """Parameters of partial fractions whose time is counted in samples; delay in s."""
+        sections, lags = [], []
+        for pole, residue in zip(partial.poles / sample_time, partial.residues / sample_time, strict=True):
+            if pole.imag:
+                w = abs(pole)
+                sections.append(
+                    (np.log(w), np.log(-pole.real / w), -2 * (residue * np.conj(pole)).real / w**2, 2 * residue.real / w)
+                )
+            else:
+                lags.append((-pole.real, residue.real))
+        lags.sort()
+        lag = [lags.pop()] if self.order % 2 else []
+        for (p1, r1), (p2, r2) in zip(lags[::2], lags[1::2], strict=True):
+            w = np.sqrt(p1 * p2)
+            sections.append((np.log(w), np.log((p1 + p2) / (2 * w)), (r1 * p2 + r2 * p1) / w**2, (r1 + r2) / w))
+        found = [[a, b, g / self.gain, h / self.gain] for a, b, g, h in sections]
+        found += [[np.log(p), r / p / self.gain] for p, r in lag]
+        tail = [partial.direct / self.gain] * self.direct + ([delay / self.late] if self.delay else [])
+        return self.limit(np.array([*(value for part in found for value in part), *tail]))
+
+    def partial(self, vector: Array, sample_time: float) -> Partial:
+        """Partial fractions of a vector, time counted in samples."""
+        poles: list[complex] = []
+        residues: list[complex] = []
+        for num, den in self.terms(vector):
+            if len(den) == 3 and abs(den[1] ** 2 - 4 * den[2]) < 1e-6 * den[2]:
+                den = den * np.array([1.0, 1.0 + 1e-6, 1.0])  # a double pole has no residues
+            for pole in np.roots(den):
+                if pole.imag >= 0.0:
+                    poles.append(complex(pole))
+                    residues.append(complex(np.polyval(num, pole) / np.polyval(np.polyder(den), pole)))
+        return Partial(np.array(poles) * sample_time, np.array(residues) * sample_time, self.direct_gain(vector), 0.0)
+
+    def limit(self, vector: Array) -> Array:
+        """The nearest parameters within the bounds."""
+        limited = np.array(vector, dtype=float)
+        section, lag = self._split(limited)
+        low, high = np.log(self.slowest), np.log(self.fastest)
+        section[:, 0] = np.clip(section[:, 0], low, high)
+        section[:, 1] = np.clip(section[:, 1], *np.log(DAMPING))
+        lag[:1] = np.clip(lag[:1], low, high)
+        if self.delay:
+            limited[-1] = max(limited[-1], 0.0)
+        return limited
+
+    def tau(self, vector: Array) -> float:
+        """Delay, s."""
+        return self.late * (max(float(vector[-1]), 0.0) if self.delay else 1.0)
+
+    def direct_gain(self, vector: Array) -> float:
+        """Direct path d."""
+        return self.gain * float(vector[2 * self.order]) if self.direct else 0.0
+
+    def static_gain(self, vector: Array) -> float:
+        """Response to a constant command, over it."""
+        section, lag = self._split(vector)
+        return self.gain * float(section[:, 2].sum() + lag[1:].sum()) + self.direct_gain(vector)
+
+    def terms(self, vector: Array) -> list[tuple[Array, Array]]:
+        """Numerator and denominator of every section, in powers of s with a denominator that begins with 1."""
+        section, lag = self._split(vector)
+        section = section.copy()
+        w = np.exp(section[:, 0])
+        if self.smooth and len(w):
+            last = int(np.argmax(w))
+            others = float(np.delete(section[:, 3] * w, last).sum()) + float(np.exp(lag[:1]).sum() * lag[1:].sum())
+            section[last, 3] = -others / w[last]
+        found = [
+            (self.gain * np.array([h * rate, g * rate**2]), np.array([1.0, 2 * np.exp(log_z) * rate, rate**2]))
+            for rate, (_, log_z, g, h) in zip(w, section, strict=True)
+        ]
+        if len(lag):
+            rate = float(np.exp(lag[0]))
+            found.append((self.gain * np.array([lag[1] * rate]), np.array([1.0, rate])))
+        return found
+
+    def running(self, vector: Array) -> list[Stage]:
+        """Chain of the dynamics as a sum of sections, whose arithmetic loses nothing."""
+        terms = self.terms(vector)
+        n = self.order
+        a, b, c, at = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n)), 0
+        for num, den in terms:
+            if len(den) == 3:
+                w = np.sqrt(den[2])
+                a[at : at + 2, at : at + 2] = [[0.0, w], [-w, -den[1]]]
+                b[at + 1, 0] = w
+                c[0, at : at + 2] = [num[1] / den[2], num[0] / w]
+            else:
+                a[at, at], b[at, 0], c[0, at] = -den[1], den[1], num[0] / den[1]
+            at += len(den) - 1
+        return [*self._delay(vector), StateSpace(a, b, c, np.array([[self.direct_gain(vector)]]))]
+
+    def stages(self, vector: Array) -> list[Stage]:
+        """Chain of the dynamics as a model file states it: the delay, then one `transfer_function`."""
+        num, den = np.zeros(1), np.ones(1)
+        for upper, lower in self.terms(vector):
+            num = np.polyadd(np.polymul(num, lower), np.polymul(upper, den))
+            den = np.polymul(den, lower)
+        num = np.polyadd(num, self.direct_gain(vector) * den)
+        if self.smooth:
+            num = num[-max(len(den) - 2, 1) :]
+        return [*self._delay(vector), TransferFunction(np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den)]
+
+    def _delay(self, vector: Array) -> list[Stage]:
+        tau = self.tau(vector)
+        return [Delay(tau)] if tau > 0.0 else []
+
+    def _split(self, vector: Array) -> tuple[Array, Array]:
+        """Views of the sections (pairs, 4) and the lag (2,) or (0,)."""
+        return vector[: 4 * self.pairs].reshape(-1, 4), vector[4 * self.pairs : 2 * self.order]
