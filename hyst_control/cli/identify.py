@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
     parser.add_argument(
         "--hold",
-        choices=("zoh", "foh"),
-        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: as stated in the bag, else zoh)",
+        choices=("auto", "zoh", "foh"),
+        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: auto, as stated in the bag, else what explains held-out rows)",
     )
     parser.add_argument(
         "--start",

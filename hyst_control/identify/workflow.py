@@ -16,6 +16,7 @@ from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dataset import Dataset, Fit, Report
+from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
@@ -331,7 +332,7 @@ def datasets_of(
     record
         Command and measurement, and possibly other signals.
     hold
-        "zoh" or "foh"; None: that of the record.
+        "zoh" or "foh"; None or "auto": that of the record, or, where it states none, what explains its held-out rows.
     start
         "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what follows
         a gap is unknown.
@@ -379,11 +380,27 @@ def datasets_of(
             part.sample_time,
             measurement.axes,
             measurement.unit,
-            hold or record.hold,
+            record.hold if hold in (None, AUTO) else hold,
             "unknown" if index or part.amid and start == "settled" else start,
         )
         datasets.append(data)
+    if hold in (None, AUTO) and record.hold == "zoh" and datasets:
+        datasets = _with_hold(datasets, notes)
     return datasets
+
+
+def _with_hold(datasets: list[Dataset], notes: list[str] | None) -> list[Dataset]:
+    """The stretches of a record that does not state its hold, as pairs if its measurement answers the command of its own row."""
+    longest = max(datasets, key=lambda data: len(data.command))
+    late, same = hold_errors(longest)
+    if not same < CLEAR * late:
+        return datasets
+    if notes is not None:
+        notes.append(
+            f"{longest.name}: hold foh: the measurement answers the command of its own row: play operators leave "
+            f"{100 * same:.2g} % of the range on held-out rows, {100 * late:.2g} % with that of the row before (--hold zoh)"
+        )
+    return [replace(data, hold="foh") for data in datasets]
 
 
 def _long_enough(record: Record, stretches: Sequence[Aligned], notes: list[str] | None) -> set[int]:

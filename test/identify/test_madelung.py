@@ -13,7 +13,7 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
-from hyst_control.identify.mhl.mhl import madelung
+from hyst_control.identify.mhl import madelung
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 UP = 3.2 * np.array([-0.4624, 1.788, -2.398, 2.037, 2.228]) / 3.1926

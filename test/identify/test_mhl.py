@@ -14,9 +14,9 @@ from hyst_control.config_files import config_path
 from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
-from hyst_control.identify.mhl.mhl import paper_mhl
-from hyst_control.identify.mhl.mhl.coupling import fit_coupling
-from hyst_control.identify.mhl.mhl.mhl_axis import MhlOptions
+from hyst_control.identify.mhl import paper_mhl
+from hyst_control.identify.mhl.coupling import fit_coupling
+from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
 from hyst_control.records import excitation

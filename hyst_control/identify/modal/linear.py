@@ -26,7 +26,7 @@ from hyst_control.identify.families.options import INTEGER, NUMBER, TRUTH, Optio
 from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.partial_fractions import Sections
-from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
+from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
@@ -149,6 +149,7 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     stale = 0
     for order in orders:
         fresh: list[Candidate] = []
+        starts: dict[tuple[float, bool], Partial] = {}
         for variant in variants:
             if variant.smooth and order < 2:
                 continue
@@ -156,7 +157,10 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
             start = late if variant.delay or not guess else 0.0
             unit = (max(start, 1.0) if variant.delay else start) * sample_time
             sections = Sections(order, *variant, gain, unit, _slowest(few), fastest)
-            solution = _grown(few, sections, start, smaller.get(variant), options.nuisance)
+            if (start, variant.direct) not in starts:
+                alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
+                starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
+            solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance)
             candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began)
             table.append(_row(candidate, sample_time, few))
             if order == orders[0] or not _beyond_reach(candidate):
@@ -193,22 +197,32 @@ def _fit(
     )
 
 
-def _grown(windows: Sequence[Window], sections: Sections, delay: float, smaller: Candidate | None, nuisance: str) -> Solution:
-    """Fit from the poles of vector fitting; where that leaves more than the last order did, from the latter and idle poles."""
-    sample_time, rows = windows[0].sample_time, max(len(window.command) for window in windows)
-    starts = [spread_poles(sections.order, rows)]
-    known = None
-    if smaller is not None:
-        known = smaller.sections.partial(smaller.solution.parameters, sample_time)
-        idle = -np.geomspace(1.0, 0.1 * rows, sections.order - smaller.sections.order + 2)[1:-1] / rows
-        starts.append(np.concatenate([known.poles, idle]))
-        known = replace(known, poles=starts[-1], residues=np.concatenate([known.residues, 0.0 * idle]))
-    partial = min((vector_fit(windows, start, delay, sections.direct) for start in starts), key=lambda each: each.error)
-    found = _fit(windows, sections, sections.vector(partial, sample_time, delay * sample_time), nuisance, 12)
-    if smaller is None or known is None or found.fitted <= smaller.solution.fitted:
+def _poles(windows: Sequence[Window], order: int, delay: float, direct: bool, smaller: Sequence[Candidate]) -> Partial:
+    """Vector fitting from evenly spread poles, and from those of the last order with idle ones."""
+    starts = [spread_poles(order, max(len(window.command) for window in windows))]
+    if smaller:
+        starts.append(_nested(min(smaller, key=lambda each: each.solution.fitted), order, windows).poles)
+    return min((vector_fit(windows, start, delay, direct) for start in starts), key=lambda each: each.error)
+
+
+def _nested(smaller: Candidate, order: int, windows: Sequence[Window]) -> Partial:
+    """Partial fractions of a smaller model with idle poles, evenly spread, up to an order."""
+    known = smaller.sections.partial(smaller.solution.parameters, windows[0].sample_time)
+    rows = max(len(window.command) for window in windows)
+    idle = -np.geomspace(1.0, 0.1 * rows, order - smaller.sections.order + 2)[1:-1] / rows
+    return replace(known, poles=np.concatenate([known.poles, idle]), residues=np.concatenate([known.residues, 0.0 * idle]))
+
+
+def _grown(
+    windows: Sequence[Window], sections: Sections, start: Partial, delay: float, smaller: Candidate | None, nuisance: str
+) -> Solution:
+    """Fit from partial fractions; where that leaves more than the last order did, from the latter: never worse."""
+    sample_time = windows[0].sample_time
+    found = _fit(windows, sections, sections.vector(start, sample_time, delay * sample_time), nuisance, 12)
+    if smaller is None or found.fitted <= smaller.solution.fitted:
         return found
     late = smaller.sections.tau(smaller.solution.parameters)
-    nested = _fit(windows, sections, sections.vector(known, sample_time, late), nuisance, 12)
+    nested = _fit(windows, sections, sections.vector(_nested(smaller, sections.order, windows), sample_time, late), nuisance, 12)
     return min(found, nested, key=lambda each: each.fitted)
 
 

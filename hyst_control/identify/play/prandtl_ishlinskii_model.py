@@ -13,7 +13,7 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshl
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
+from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, with_offset
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.solve.bounded_least_squares import covariance
@@ -82,7 +82,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         chain=Chain(merge_axes(chains)),
         valid={"command": [lower, upper], "frequency": [0.0, max(command_bandwidth(data) for data in datasets)]},
     )
-    rows, residuals = record_rows(model, datasets)
+    model, rows, residuals = with_offset(model, datasets)
     parameters: list[ParameterRow] = []
     notes: list[str] = []
     for axis, name in zip(axes, first.axes, strict=True):

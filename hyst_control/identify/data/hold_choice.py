@@ -1,0 +1,49 @@
+"""Hold of a record that does not state it: does a row's measurement answer the command of the row before, or that of its own row?
+
+A DAC holds its command, so a sample cannot answer the command that is set at its own instant (`zoh`). Rows of pairs (voltage set,
+position after settling) do, and so do samples of a smooth source (`foh`). Play operators with free weights tell, on rows held out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.data.fit_windows import before
+from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_states, with_beginning
+
+ROWS, LEAST_ROWS, PARTS = 2**15, 64, 60
+"""Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
+CLEAR = 0.7
+"""Share of the error under `zoh` that must be left under `foh` for the latter to be taken."""
+
+
+def hold_errors(data: Dataset) -> tuple[float, float]:
+    """Held-out errors, shares of the range, with the command of the row before (`zoh`) and of the same row (`foh`); equal if untold."""
+    memory, begin = before(with_beginning(data))
+    end = min(begin + ROWS, len(data.command))
+    if end - begin < LEAST_ROWS:
+        return 1.0, 1.0
+    squares = np.zeros(2)
+    for axis in range(data.command.shape[1]):
+        command, measurement = data.command[:end, axis], data.measurement[begin:end, axis]
+        low, high = float(data.command[:, axis].min()), float(data.command[:, axis].max())
+        if low == high or not np.ptp(measurement) > 0.0 or not np.all(np.isfinite(measurement)):
+            continue
+        thresholds = 0.5 * (high - low) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
+        turns = np.zeros(1) if memory is None else memory[:, axis]
+        first = play_states(turns, thresholds, np.array([len(turns) - 1]))[-1]
+        states = np.vstack([first, followed(command, thresholds, first, np.arange(end))])
+        squares += [_held_out(states[begin:end], measurement), _held_out(states[begin + 1 : end + 1], measurement)]
+    late, same = np.sqrt(squares)
+    return float(late), float(same)
+
+
+def _held_out(states: Array, measurement: Array) -> float:
+    """Mean square error (share of the range) on every third part of the rows, of a fit to the others."""
+    rows = np.arange(len(measurement))
+    columns = np.column_stack([states, np.ones(len(rows)), rows / len(rows)])
+    held = rows * PARTS // len(rows) % 3 == 2
+    weights = np.linalg.lstsq(columns[~held], measurement[~held], rcond=1e-9)[0]
+    return float(np.mean((measurement[held] - columns[held] @ weights) ** 2) / np.ptp(measurement) ** 2)
