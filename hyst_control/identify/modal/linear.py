@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyst_control.chain import Stage
-from hyst_control.chain.linear import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import linear_model, noise_sigma, with_offset
