@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyst_control.chain import Chain, Stage
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Beginning, Dataset, RecordRow
@@ -116,8 +115,8 @@ def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[
     return rows
 
 
-def with_offset(model: Model, datasets: Sequence[Dataset]) -> tuple[Model, list[RecordRow], list[Array]]:
-    """The model with the sensor's common offset as its last stage, where that matters, and its scores and residuals."""
+def with_offset(model: Model, datasets: Sequence[Dataset]) -> tuple[Model, list[Array]]:
+    """The model with the sensor's common offset as its last stage, where that matters, and its residuals."""
     residuals = [residual(model, data) for data in datasets]
     offset, square = mean_of(residuals)
     if np.any(offset**2 > OFFSET_SHARE * square):
@@ -125,7 +124,7 @@ def with_offset(model: Model, datasets: Sequence[Dataset]) -> tuple[Model, list[
         model = model.with_stages([*model.chain.stages, Offset(values[0] if len(set(values)) == 1 else values)])
         for error in residuals:
             np.subtract(error, offset, out=error)
-    return model, error_rows(datasets, residuals), residuals
+    return model, residuals
 
 
 def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:
@@ -204,20 +203,3 @@ def command_bandwidth(data: Dataset) -> float:
         return 0.0
     cumulative = np.cumsum(power) / power.sum()
     return float(np.searchsorted(cumulative, 0.999) / (length * data.sample_time))
-
-
-def linear_model(datasets: Sequence[Dataset], stages: Sequence[Stage]) -> Model:
-    """The model of a chain, valid where the records are."""
-    first = datasets[0]
-    return Model(
-        name="linear",
-        axes=tuple(first.axes),
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        chain=Chain(tuple(stages)),
-        hold=first.hold,
-        valid={
-            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-    )

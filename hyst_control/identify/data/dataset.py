@@ -393,7 +393,10 @@ class Fit:
         The model.
     report
         Errors on the records and standard errors of the parameters.
+    residuals
+        Measured minus simulated (N, A) of every record, whose simulation is not repeated; empty where a family does not hand them on.
     """
 
     model: Model
     report: Report
+    residuals: tuple[Array, ...] = ()

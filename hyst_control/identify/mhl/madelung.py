@@ -12,13 +12,13 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from hyst_control.chain import Chain, Stage
+from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalars
 from hyst_control.errors import InputError
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report, check_records
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
@@ -27,7 +27,6 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends, curve_errors
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
 from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
-from hyst_control.model_file import Model
 from hyst_control.records.row_store import blocks
 
 NEAR = 0.05
@@ -371,19 +370,6 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         stages.append(Gain([axis.sign for axis in axes]))
     if any(axis.offset for axis in axes):
         stages.append(Offset([axis.offset for axis in axes] if len(axes) > 1 else axes[0].offset))
-    model = Model(
-        name="madelung",
-        axes=first.axes,
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        hold=first.hold,
-        chain=Chain(tuple(stages)),
-        valid={
-            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-    )
-    rows, residuals = record_rows(model, datasets)
     parameters: list[ParameterRow] = []
     tolerances = []
     for axis, name in zip(axes, first.axes, strict=True):
@@ -391,7 +377,6 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         parameters += [{**row, "axis": name} for row in found]
         tolerances.append(tolerance)
     tolerance = float(np.round(np.median(tolerances), 6))
-    sigma = noise_sigma(residuals, datasets)
     known = independent_axes(
         [(axis.solution.parameters, axis.solution.covariance) for axis in axes],
         lambda vectors: [
@@ -404,21 +389,17 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) 
         ],
         first.axes,
     )
-    model = replace(
-        model,
-        tolerance={"ascending": min(tolerance, PRIOR), "descending": min(tolerance, PRIOR)},
-        uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    least = min(tolerance, PRIOR)
+    return assembled(
+        datasets,
+        chain_model(datasets, stages, "madelung"),
+        known,
+        parameters,
+        range_notes(datasets, axes),
+        family="madelung",
+        method=method,
+        tolerance={"ascending": least, "descending": least},
     )
-    report: Report = {
-        "family": "madelung",
-        "method": method,
-        "unit": first.unit,
-        "records": rows,
-        "parameters": parameters,
-        "notes": range_notes(datasets, axes),
-    }
-    return Fit(model, report)
 
 
 class Scaled(Protocol):

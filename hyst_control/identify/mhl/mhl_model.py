@@ -8,13 +8,14 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from hyst_control.chain import Chain, Parallel, Stage
+from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Array
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.assess.assembly import assembled
+from hyst_control.identify.assess.assembly import chain_model as model_of_chain
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow
 from hyst_control.identify.mhl.coupling import Coupling
 from hyst_control.identify.mhl.madelung import merged, range_notes
 from hyst_control.identify.mhl.madelung_curves import curve_errors
@@ -62,19 +63,7 @@ def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: st
     method
         Method of the fit, for the model's name.
     """
-    first = datasets[0]
-    return Model(
-        name=f"mhl_{method}",
-        axes=first.axes,
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        hold=first.hold,
-        chain=Chain(tuple(chain_stages(axes))),
-        valid={
-            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-    )
+    return model_of_chain(datasets, chain_stages(axes), f"mhl_{method}")
 
 
 def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], coupling: Coupling | None) -> Fit:
@@ -94,7 +83,6 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
     model = chain_model(datasets, axes, method)
     if coupling is not None:
         model = model.with_stages([*model.chain.stages, coupling.stage])
-    rows, residuals = record_rows(model, datasets)
     parameters: list[ParameterRow] = []
     relative: dict[str, list[float]] = {}
     for axis, name in zip(axes, datasets[0].axes, strict=True):
@@ -102,36 +90,26 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
             parameters.append({**row, "axis": name})
     if coupling is not None:
         parameters += coupling.rows(datasets[0].axes)
-    sigma = noise_sigma(residuals, datasets)
     known = independent_axes(
         [(axis.vector, axis.covariance) for axis in axes],
         lambda vectors: chain_stages([replace(axis, vector=vector) for axis, vector in zip(axes, vectors, strict=True)]),
         datasets[0].axes,
     )
     physical = {key: value for key, value in known.tolerance.items() if key in ("num", "den")}
-    model = replace(
-        model,
-        tolerance={key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in relative.items()} | physical,
-        uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
-    )
-    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
-    notes = range_notes(datasets, axes) + unresolved_parameters(parameters)
-    notes += known.notes("record steps, and loops of full amplitude from 20 Hz up to beyond the resonance")
-    report: Report = {
-        "family": "mhl",
-        "method": method,
-        "unit": datasets[0].unit,
-        "records": rows,
-        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
-        "structure": [axis.axis.structure.describe() for axis in axes],
-        "parameters": parameters,
-        "notes": notes,
-    }
     extra = [axis.extra for axis in axes]
-    if any(extra):
-        report["steps"] = extra
-    return Fit(model, report)
+    return assembled(
+        datasets,
+        model,
+        known,
+        parameters,
+        range_notes(datasets, axes) + unresolved_parameters(parameters),
+        family="mhl",
+        method=method,
+        held_out=[axis.held_out for axis in axes],
+        tolerance={key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in relative.items()} | physical,
+        structure=[axis.axis.structure.describe() for axis in axes],
+        **({"steps": extra} if any(extra) else {}),
+    )
 
 
 def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[ParameterRow]:
@@ -179,17 +157,9 @@ def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> li
 
 
 def unresolved_parameters(parameters: Sequence[ParameterRow]) -> list[str]:
-    """Name the parameters that the data cannot tell, with the excitation that would."""
-    remedies = {
-        "k1": "record loops of full amplitude between 20 and 200 Hz",
-        "k2": "record loops of full amplitude between 20 and 200 Hz",
-        "tau": "record steps or a sweep at a higher sampling rate",
-        "num[0]": "record a sweep or multisine up to beyond the resonance",
-        "den[1]": "record a sweep or multisine up to beyond the resonance",
-    }
-    notes = []
-    for row in parameters:
-        error = row["standard_error"]
-        if row["name"] in remedies and error is not None and error > 0.5 * abs(row["value"]):
-            notes.append(f"axis {row['axis']}: {row['name']} cannot be determined from these data: {remedies[row['name']]}")
-    return notes
+    """Parameters that the data cannot tell, with their standard errors."""
+    return [
+        f"axis {row['axis']}: {row['name']} is not identifiable: {row['value']:.2g} ± {row['standard_error']:.2g} {row['unit']}".rstrip()
+        for row in parameters
+        if row["name"] in ("k1", "k2", "tau", "num[0]", "den[1]") and (row["standard_error"] or 0.0) > 0.5 * abs(row["value"])
+    ]

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.identify.assess.fit_report import linear_model, noise_sigma, with_offset
-from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, Report
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.record_drift import without_drift
 from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
@@ -53,9 +53,6 @@ def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
     chosen, table = _search(without_drift(datasets), options)
     stages = stages_of(chosen.model, first.sample_time)
     known = uncertainty(chosen, first.sample_time, first.axes)
-    model = replace(linear_model(datasets, stages), tolerance=tolerance_of(chosen, stages), uncertainty=known.document)
-    model, rows, residuals = with_offset(model, datasets)
-    model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
     notes = (
         []
         if any(row["held_out"] is not None for row in table)
@@ -64,17 +61,19 @@ def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
             "A second record, or a longer one with the same kind of excitation, would test it."
         ]
     )
-    report: Report = {
-        "family": "linear",
-        "method": options.method,
-        "unit": first.unit,
-        "records": rows,
-        "notes": notes + known.notes("record a sweep or multisine over their band"),
-        "orders": table,
-        "states": chosen.model.states,
-        "parameters": [{**row, "axis": ", ".join(first.axes)} for row in parameter_rows(chosen, first.sample_time)],
-    }
-    return Fit(model, report)
+    return assembled(
+        datasets,
+        chain_model(datasets, stages, "linear"),
+        known,
+        [{**row, "axis": ", ".join(first.axes)} for row in parameter_rows(chosen, first.sample_time)],
+        notes,
+        family="linear",
+        method=options.method,
+        tolerance=tolerance_of(chosen, stages),
+        offset=True,
+        orders=table,
+        states=chosen.model.states,
+    )
 
 
 def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:

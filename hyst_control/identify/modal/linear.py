@@ -18,8 +18,8 @@ from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.identify.assess.fit_report import linear_model, noise_sigma, with_offset
-from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, Report, check_records
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, TRUTH, Options, option
@@ -297,15 +297,11 @@ def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Seque
     first = datasets[0]
     chains = [each.sections.stages(each.solution.parameters) for each in found]
     stages = list(_joined(chains))
-    model = linear_model(datasets, stages)
     known = independent_axes(
         [(each.solution.parameters, each.solution.covariance) for each in found],
         lambda vectors: _joined([each.sections.stages(vector) for each, vector in zip(found, vectors, strict=True)]),
         first.axes,
     )
-    model = replace(model, tolerance=known.tolerance, uncertainty=known.document)
-    model, rows, residuals = with_offset(model, datasets)
-    model = replace(model, noise={"sigma": noise_sigma(residuals, datasets)})
     parameters: list[ParameterRow] = []
     notes: list[str] = []
     for candidate, axis in zip(found, first.axes, strict=True):
@@ -318,18 +314,18 @@ def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Seque
             notes.append(
                 f"axis {axis}: static gain known to {doubt}: the record is too short for its slowest motion: hold the command longer"
             )
-    notes += known.notes("record a sweep or multisine over their band")
-    report: Report = {
-        "family": "linear",
-        "method": options.method,
-        "unit": first.unit,
-        "records": rows,
-        "notes": notes,
-        "orders": table,
-        "states": sum(each.sections.order for each in found),
-        "parameters": parameters,
-    }
-    return Fit(model, report)
+    return assembled(
+        datasets,
+        chain_model(datasets, stages, "linear"),
+        known,
+        parameters,
+        notes,
+        family="linear",
+        method=options.method,
+        offset=True,
+        orders=table,
+        states=sum(each.sections.order for each in found),
+    )
 
 
 def _joined(chains: Sequence[Sequence[Stage]]) -> list[Stage]:

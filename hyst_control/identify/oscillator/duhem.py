@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.chain import Chain, Stage
+from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
 from hyst_control.chain.hysteresis.duhem import Duhem
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.parameter import Array, declared
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report, check_records
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import TRUTH, Options, option
@@ -29,7 +29,6 @@ from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.solve.stable_dynamics import Structure
-from hyst_control.model_file import Model
 from hyst_control.parallel import map_forked
 
 NAMES = tuple(declared(Duhem))
@@ -386,41 +385,18 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
         Model and report.
     """
     first = datasets[0]
-    model = Model(
-        name="duhem",
-        axes=first.axes,
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        hold=first.hold,
-        chain=Chain(tuple(chain_stages(axes))),
-        valid={
-            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-    )
-    rows, residuals = record_rows(model, datasets)
-    parameters = [row for axis, name in zip(axes, first.axes, strict=True) for row in parameter_rows(axis, first, name)]
-    sigma = noise_sigma(residuals)
-    known = uncertainty(axes, first.axes)
-    model = replace(
-        model,
-        tolerance=known.tolerance,
-        uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
-    )
-    travel = [max(float(data.range[index]) for data in datasets) for index in range(len(axes))]
     creeping = [f", {len(axis.axis.times)} creep operators" if axis.axis.times else "" for axis in axes]
-    report: Report = {
-        "family": "duhem",
-        "method": "joint",
-        "unit": first.unit,
-        "records": rows,
-        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
-        "structure": [axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)],
-        "parameters": parameters,
-        "notes": known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance"),
-    }
-    return Fit(model, report)
+    return assembled(
+        datasets,
+        chain_model(datasets, chain_stages(axes), "duhem"),
+        uncertainty(axes, first.axes),
+        [row for axis, name in zip(axes, first.axes, strict=True) for row in parameter_rows(axis, first, name)],
+        [],
+        family="duhem",
+        method="joint",
+        held_out=[axis.held_out for axis in axes],
+        structure=[axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)],
+    )
 
 
 def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:

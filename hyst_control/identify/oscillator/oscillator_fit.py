@@ -12,19 +12,19 @@ from typing import Protocol
 
 import numpy as np
 
-from hyst_control.chain import Chain, Stage
+from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Array, Sampling
-from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth, noise_sigma, record_rows
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow
 from hyst_control.identify.data.fit_windows import whole_records, with_sign
 from hyst_control.identify.mhl.madelung import mean_offset
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
-from hyst_control.model_file import Model
 from hyst_control.records.row_store import blocks, spread_parts
 
 SELECTION_ROWS = 200_000
@@ -363,42 +363,19 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         stages.append(Gain([axis.problem.linear.sign for axis in axes]))
     if any(axis.offset for axis in axes):
         stages.append(Offset([axis.offset for axis in axes]))
-    commands = [(float(data.command.min()), float(data.command.max())) for data in datasets]
-    model = Model(
-        name=family,
-        axes=first.axes,
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        hold=first.hold,
-        chain=Chain(tuple(stages)),
-        valid={
-            "command": [min(low for low, _ in commands), max(high for _, high in commands)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
-        },
-    )
-    records, residuals = record_rows(model, datasets)
     parameters: list[ParameterRow] = [
         {**row, "axis": name} for axis, name in zip(axes, first.axes, strict=True) for row in axis.rows()
     ]
-    sigma = noise_sigma(residuals)
-    known = uncertainty(axes, first.axes)
-    model = replace(
-        model,
-        tolerance=known.tolerance,
-        uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+    return assembled(
+        datasets,
+        chain_model(datasets, stages, family),
+        uncertainty(axes, first.axes),
+        parameters,
+        [],
+        family=family,
+        method=method,
+        held_out=[axis.held_out for axis in axes],
     )
-    spans = [max(float(data.range[i]) for data in datasets) for i in range(len(axes))]
-    report: Report = {
-        "family": family,
-        "method": method,
-        "unit": first.unit,
-        "records": records,
-        "parameters": parameters,
-        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, spans, strict=True)],
-        "notes": known.notes("record loops of more amplitudes, and a sweep up to beyond the resonance"),
-    }
-    return Fit(model, report)
 
 
 def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:

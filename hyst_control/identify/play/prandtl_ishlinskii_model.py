@@ -8,20 +8,19 @@ from typing import cast
 
 import numpy as np
 
-from hyst_control.chain import Chain, Stage
+from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.identify.assess.fit_report import command_bandwidth, noise_sigma, with_offset
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report, StructureRow
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, StructureRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Solution
-from hyst_control.model_file import Model
 
 
 @dataclass(frozen=True)
@@ -70,46 +69,28 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         Model and report.
     """
     first = datasets[0]
-    chains = [axis_stages(axis) for axis in axes]
-    lower = min(float(data.command.min()) for data in datasets)
-    upper = max(float(data.command.max()) for data in datasets)
-    model = Model(
-        name=f"{family}_{method}",
-        axes=first.axes,
-        units={"command": "V", "measurement": first.unit},
-        sample_time=first.sample_time,
-        hold=first.hold,
-        chain=Chain(merge_axes(chains)),
-        valid={"command": [lower, upper], "frequency": [0.0, max(command_bandwidth(data) for data in datasets)]},
-    )
-    model, rows, residuals = with_offset(model, datasets)
+    model = chain_model(datasets, merge_axes([axis_stages(axis) for axis in axes]), f"{family}_{method}")
+    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
     parameters: list[ParameterRow] = []
     notes: list[str] = []
-    for axis, name in zip(axes, first.axes, strict=True):
-        parameters += [{**row, "axis": name} for row in parameter_rows(axis, first)]
-        notes += unresolved_parameters(axis, name, parameters)
-    known = uncertainty(axes, first.axes)
-    notes += known.notes("record loops of more amplitudes, and steps or a sweep up to beyond the resonance")
-    sigma = noise_sigma(residuals, datasets)
-    model = replace(
-        model,
-        tolerance=known.tolerance,
-        uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
-    )
-    travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
-    report: Report = {
-        "family": family,
-        "method": method,
-        "unit": first.unit,
-        "records": rows,
-        "held_out_nrmse": [100.0 * float(np.sqrt(axis.held_out)) / span for axis, span in zip(axes, travel, strict=True)],
-        "structure": [axis.solution.structure.describe() for axis in axes],
-        "parameters": parameters,
-        "notes": notes,
-    }
+    for axis, name, span in zip(axes, first.axes, travel, strict=True):
+        own = [{**row, "axis": name} for row in parameter_rows(axis, first)]
+        parameters += own  # type: ignore[arg-type]
+        notes += unresolved_parameters(axis, name, parameters, span)
     compared = [row for axis, name, span in zip(axes, first.axes, travel, strict=True) for row in structure_rows(axis, name, span)]
-    return Fit(model, {**report, "structures": compared} if compared else report)
+    return assembled(
+        datasets,
+        model,
+        uncertainty(axes, first.axes),
+        parameters,
+        notes,
+        family=family,
+        method=method,
+        held_out=[axis.held_out for axis in axes],
+        offset=True,
+        structure=[axis.solution.structure.describe() for axis in axes],
+        **({"structures": compared} if compared else {}),
+    )
 
 
 def structure_rows(axis: AxisFit, name: str, span: float) -> list[StructureRow]:
@@ -379,48 +360,36 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
     ]
 
 
-def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[ParameterRow]) -> list[str]:
-    """Name the parameters that the data cannot determine, with the excitation that would.
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-    name
-        Name of the axis.
-    parameters
-        Rows of the parameters of all axes.
-
-    Returns
-    -------
-    list[str]
-        A sentence a group of such parameters.
-    """
+def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[ParameterRow], span: float) -> list[str]:
+    """What the data cannot determine, with the sizes that say so; span: range of the measurement."""
     notes = []
     own = [row for row in parameters if row["axis"] == name]
-    unsure = [
-        row["name"]
-        for row in own
-        if row["standard_error"] is not None
-        and row["name"].startswith("weights")
-        and row["standard_error"] > max(abs(row["value"]), 1e-3 * abs(sum(r["value"] for r in own if "weights" in r["name"])))
-    ]
+    weights = [row for row in own if row["name"].startswith("weights")]
+    whole = abs(sum(row["value"] for row in weights))
+    unsure = [row for row in weights if (row["standard_error"] or 0.0) > max(abs(row["value"]), 1e-3 * whole)]
     if unsure:
+        listed = ", ".join(f"{row['name']} {row['value']:.2g} ± {row['standard_error']:.2g}" for row in unsure[:3])
+        more = f" and {len(unsure) - 3} more" if len(unsure) > 3 else ""
         notes.append(
-            f"axis {name}: {', '.join(unsure)} cannot be determined from these data: record slow loops of several amplitudes "
-            "that begin at 0 V"
+            f"axis {name}: {len(unsure)} of {len(weights)} weights are not identifiable: {listed}{more} {weights[0]['unit']}"
         )
-    structure = axis.solution.structure
-    if axis.dynamics and not structure.modes:
-        known = "" if np.isinf(structure.highest) else f"; these excite the dynamics up to {structure.highest / REACH:.0f} Hz"
+    structure, solution = axis.solution.structure, axis.solution
+    if axis.dynamics and not structure.modes and np.isfinite(structure.highest):
         notes.append(
-            f"axis {name}: the dynamics G(s) cannot be determined from these data ({structure.describe()}): record a step or a "
-            f"sweep up to beyond the resonance{known}"
+            f"axis {name}: no resonance is identifiable ({structure.describe()}): the command moves the stage up to "
+            f"{structure.highest / REACH:.3g} Hz"
         )
     if axis.operators.dynamic:
-        rates = {row["name"]: row for row in own if row["name"] in ("m1", "m2")}
-        for key, row in rates.items():
-            error = row["standard_error"]
-            if row["value"] == 0.0 or (error is not None and error > abs(row["value"])):
-                notes.append(f"axis {name}: {key} cannot be distinguished from 0: record loops at 100 Hz and above")
+        count = len(axis.operators.thresholds)
+        left = 100.0 * np.sqrt(solution.fitted) / span
+        moved = np.sqrt(np.diag(solution.grams.fitted + solution.grams.held_out) / max(sum(solution.grams.rows), 1)) / span
+        for index, key in enumerate(("m1", "m2")):
+            row = next(row for row in own if row["name"] == key)
+            error = row["standard_error"] or 0.0
+            if row["value"] == 0.0 or error > abs(row["value"]):
+                effect = 100.0 * float(moved[count + index]) * max(abs(row["value"]), error)
+                notes.append(
+                    f"axis {name}: {key} is not identifiable: its effect (at most {effect:.2g} % of the range) cannot be told beside "
+                    f"what is left ({left:.2g} %)"
+                )
     return notes

@@ -55,6 +55,8 @@ class Uncertainty:
     values: Array
     factor: Array
     relative: Array
+    data_relative: Array
+    """The same by the data alone, without the prior."""
     undetermined: tuple[tuple[str, ...], ...]
 
     @property
@@ -80,26 +82,23 @@ class Uncertainty:
         """Standard deviation by name, in the number's unit."""
         return dict(zip(self.names, np.linalg.norm(self.factor, axis=1).tolist(), strict=True))
 
-    def notes(self, remedy: str) -> list[str]:
-        """Say which directions the data cannot tell.
+    def notes(self, bandwidth: float) -> list[str]:
+        """At most one sentence on the numbers that the data cannot tell, with their standard deviations.
 
-        Parameters
-        ----------
-        remedy
-            Excitation that would show more.
-
-        Returns
-        -------
-        list of str
-            At most one sentence.
+        bandwidth: where the power of the records' commands ends, Hz.
         """
         if not self.undetermined:
             return []
-        listed = "; ".join(" with ".join(names) for names in self.undetermined[:MOST_NAMED])
+        spread = dict(zip(self.names, self.data_relative.tolist(), strict=True))
+
+        def told(name: str) -> str:
+            return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < 10.0 else f"{name} (any value)"
+
+        listed = "; ".join(" with ".join(map(told, names)) for names in self.undetermined[:MOST_NAMED])
         more = len(self.undetermined) - MOST_NAMED
         return [
-            f"the data cannot tell {listed}{f' and {more} more' if more > 0 else ''}, which are assumed to be known to "
-            f"{100 * PRIOR:.0f} %: {remedy}"
+            f"not identifiable from these records: {listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to "
+            f"{100 * PRIOR:.0f} %; the commands' power ends at {bandwidth:.3g} Hz"
         ]
 
 
@@ -143,7 +142,10 @@ def uncertainty_of(
         tuple(names[i] for i in np.flatnonzero(np.abs(direction) >= NAMED * np.abs(direction).max())) for direction in directions
     )
     parameters = tuple(known[name].parameter for name in names)
-    return Uncertainty(tuple(names), parameters, values, factor, np.minimum(relative, PRIOR), tuple(dict.fromkeys(undetermined)))
+    alone = np.sqrt(np.maximum(np.diag(spread), 0.0)) / np.where(sizes > 0.0, sizes, np.inf)
+    return Uncertainty(
+        tuple(names), parameters, values, factor, np.minimum(relative, PRIOR), alone, tuple(dict.fromkeys(undetermined))
+    )
 
 
 def independent_axes(

@@ -342,4 +342,4 @@ class Structure:
 
     def _fastest(self, sample_time: float) -> float:
         """Logarithm of the fastest rate (1/s) of a pole."""
-        return float(np.log(2 * np.pi * min(1.5 / sample_time, self.highest)))
+        return float(np.log(2 * np.pi * max(min(1.5 / sample_time, self.highest), 1e-300)))  # 0: nothing is excited
