@@ -8,10 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control import progress
+from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
-from hyst_control.identify.assess.explained_share import DISAGREE, EXPLAINS, INVALID, NOTHING, explained_shares, sentence, useless
+from hyst_control.identify.assess.attainable import poorly_explained
+from hyst_control.identify.assess.explained_share import (
+    DISAGREE,
+    EXPLAINS,
+    INVALID,
+    NOTHING,
+    POORLY,
+    explained_shares,
+    sentence,
+    useless,
+)
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
@@ -19,7 +30,7 @@ from hyst_control.identify.data.dataset import Dataset, Fit, Report
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
-from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
+from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.record import Aligned, Record
@@ -36,6 +47,8 @@ TOPICS = ("command", "measurement")
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
 
+MOST_NOTES = 5
+"""Lines of notes on a terminal."""
 SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
 """Least length of a stretch between gaps that is used: share of the longest one, and samples."""
 
@@ -91,8 +104,8 @@ def fit_text(report: Report) -> str:
     lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
     for row in report["records"]:
         lines.append(
-            f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse']:.3f} % of range ({row['nrmse_own_zero']:.3f} % without the "
-            f"record's own zero {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
+            f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse_own_zero']:.3f} % of range ({row['nrmse']:.3f} % with the "
+            f"session's offset {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
             f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
         )
     lines += [
@@ -103,7 +116,11 @@ def fit_text(report: Report) -> str:
         lines.append("  held-out blocks: NRMSE " + ", ".join(f"{value:.3f} %" for value in report["held_out_nrmse"]))
     if "tried" in report:
         lines += choice_lines(report["tried"])
-    lines += [f"  note: {note}" for note in report["notes"]]
+    notes = report["notes"]
+    shown = notes if len(notes) <= MOST_NOTES else notes[: MOST_NOTES - 1]
+    lines += [f"  note: {note}" for note in shown]
+    if len(shown) < len(notes):
+        lines.append(f"  note: {len(notes) - len(shown)} more are in the report (--json)")
     return "\n".join(lines)
 
 
@@ -210,14 +227,17 @@ def identify_records(
     if not force:
         refuse_invalid(trials)
     found = check_records(trials) if force else []
-    fit = identified(datasets, family, method, **options)
     begun = [with_beginning(data) for data in datasets]
-    shares = explained_shares(begun, [residual(fit.model, data) for data in begun])
-    differing = [each.text() for each in disagreements(fit.model, begun)]
-    verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else EXPLAINS
+    fit = identified(begun, family, method, **options)
+    errors = residuals_of(fit, begun)
+    shares = explained_shares(begun, errors)
+    poor = [] if useless(shares) else poorly_explained(begun, errors)
+    differing = [each.text() for each in disagreements(fit.model, begun, errors)]
+    verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else POORLY if poor else EXPLAINS
     notes = [
         *(each.text() for each in found),
         *(sentence(row) for row in useless(shares)),
+        *(each.text() for each in poor),
         *notes,
         *differing,
         *fit.report["notes"],
@@ -253,33 +273,25 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
     chosen = chosen_families(family, method, options)
     begun = [with_beginning(data) for data in datasets]
     if family not in (None, AUTO):
-        fit = identify(datasets, chosen[0], method, **options)
+        fit = identify(begun, chosen[0], method, **options)
     else:
         second = [name for name, each in estimators().items() if each.second_choice and each.has(options)]
 
         def explains(fit: Fit) -> bool:
-            return not useless(explained_shares(begun, [residual(fit.model, data) for data in begun]))
+            return not useless(explained_shares(begun, residuals_of(fit, begun)))
 
-        fit = best_family(chosen, lambda name: identify(datasets, name, method, **options), second, explains)
-    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun)))
+        fit = best_family(chosen, lambda name: identify(begun, name, method, **options), second, explains)
+    left = residuals_of(fit, begun)
+    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(begun, left)), residuals=tuple(left))
 
 
-def discrepancy(model: Model, datasets: Sequence[Dataset]) -> dict[str, Any]:
-    """Measure what a model leaves on clean records.
+def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
+    """Residuals of a fit on its records, simulated again only where the family did not hand them on."""
+    return fit.residuals or [residual(fit.model, data) for data in datasets]
 
-    Parameters
-    ----------
-    model
-        Identified from them.
-    datasets
-        The records.
 
-    Returns
-    -------
-    dict
-        As in the model file: see `Model`.
-    """
-    left = [residual(model, data) for data in datasets]
+def discrepancy(datasets: Sequence[Dataset], left: Sequence[Array]) -> dict[str, Any]:
+    """The model's own error in the form of a model file, from what it leaves of its records."""
     measured = [data.measurement[-len(rows) :] for data, rows in zip(datasets, left, strict=True)]
     return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time, measured)
 

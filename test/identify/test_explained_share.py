@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.identify import estimators, workflow
@@ -21,6 +23,10 @@ TIME = np.arange(9000) * STEP
 FREQUENCIES = np.arange(1, 120) / 3.0
 PHASES = np.random.default_rng(5).uniform(0, 2 * np.pi, len(FREQUENCIES))
 DRIVE = 10.0 + 0.5 * np.sin(2 * np.pi * np.outer(TIME, FREQUENCIES) + PHASES).sum(axis=1)
+
+
+HELD = np.append(DRIVE[:1], DRIVE[:-1])
+"""What a plant without dynamics answers to a DAC's command: that of the row before."""
 
 
 def gain_model(gain: float) -> Model:
@@ -90,24 +96,26 @@ def wrong(monkeypatch):
 )
 def test_a_model_that_explains_nothing_is_said_and_not_written(wrong, options, status, kept, tmp_path, capsys):
     output, json_path = tmp_path / "model.yaml", tmp_path / "fit.json"
-    path = bag(tmp_path / "bag", 0.4 * DRIVE)
+    path = bag(tmp_path / "bag", 0.4 * HELD)
     assert main(["identify", path, "--model", "linear", "--output", str(output), "--json", str(json_path), *options]) == status
     assert output.exists() == kept
     document = json.loads(json_path.read_text())
     assert document["verdict"] == "explains_nothing" and document["notes"][1] == "said before"
     [row] = document["explained"]
     assert (
-        row["axis"] == "x" and row["gain"] == pytest.approx(1.0, rel=1e-3) and row["model"] == pytest.approx(1.0 - 2.0**2, rel=0.1)
+        row["axis"] == "x"
+        and row["gain"] == pytest.approx(np.corrcoef(DRIVE, HELD)[0, 1] ** 2, rel=1e-3)
+        and row["model"] == pytest.approx(1.0 - 2.0**2, rel=0.1)
     )
     said, told = capsys.readouterr()
-    assert told.count("\n") == (0 if kept else 1) and ("hyst identify: x: the model explains -29" in told) != kept
-    assert "x: the model explains -29" in said and "% of the measured power, a constant and a gain 100.0 %" in said
+    assert told.count("\n") == (0 if kept else 1) and ("hyst identify: x: the model explains -300.0" in told) != kept
+    assert "x: the model explains -300.0" in said and "% of the measured power, a constant and a gain 97.9 %" in said
     assert ("no model is written (--force writes it)" in said) != kept
 
 
 def test_a_caller_that_needs_the_model_is_told(wrong, tmp_path):
-    result = identify_bags([bag(tmp_path / "bag", 0.4 * DRIVE)], "linear", tmp_path / "model.yaml")
-    with pytest.raises(InputError, match="x: the model explains -29"):
+    result = identify_bags([bag(tmp_path / "bag", 0.4 * HELD)], "linear", tmp_path / "model.yaml")
+    with pytest.raises(InputError, match="x: the model explains -300.0"):
         result.written()
 
 
@@ -157,3 +165,20 @@ def test_a_choice_between_families_says_that_none_of_them_couples_axes(named, tm
     coupling = {family for name in ("coupled", "cross_coupling") for family in every_option()[name]}
     assert coupling and not any(estimators()[family].suggested or estimators()[family].second_choice for family in coupling)
     assert all(f"--model {family}" in workflow.BY_THEMSELVES for family in coupling)
+
+
+def test_what_a_model_without_dynamics_leaves_follows_the_frequency(tmp_path, capsys):
+    """Play operators on a resonance: they explain far more than a gain, and far less than is possible; the verdict says what is left."""
+    num, den = [0.3 * (2 * np.pi * 30) ** 2], [1.0, 2 * 0.1 * 2 * np.pi * 30, (2 * np.pi * 30) ** 2]
+    running = Chain((TransferFunction(num, den),)).filter(Sampling(STEP, 1))
+    running.settle(DRIVE[:1])
+    answer = np.append(0.3 * DRIVE[0], running.process(DRIVE[:, None])[:-1, 0])
+    answer += np.random.default_rng(0).normal(scale=1e-3, size=len(answer))
+    output, json_path = tmp_path / "model.yaml", tmp_path / "fit.json"
+    words = ["identify", bag(tmp_path / "bag", answer), "--output", str(output), "--json", str(json_path)]
+    assert main([*words, "--model", "pi", "--strict"]) == 3 and output.exists()
+    document = json.loads(json_path.read_text())
+    assert document["verdict"] == "explains_poorly"
+    assert "a linear model of order" in document["notes"][0] and "follows the command's frequency" in document["notes"][0]
+    assert main([*words, "--model", "linear", "--strict"]) == 0
+    assert json.loads(json_path.read_text())["verdict"] == "explains"

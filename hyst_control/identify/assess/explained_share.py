@@ -18,8 +18,9 @@ AS_GOOD = 0.999
 WORSE = 1.25
 """Ratio of the unexplained powers of a model and a gain from which the model explains less."""
 
-EXPLAINS, DISAGREE, NOTHING, INVALID = "explains", "records_disagree", "explains_nothing", "invalid_record"
-"""Verdicts on a fit: of use; of use, but of records that differ under it; of no use, so that no model is written; forced."""
+EXPLAINS, POORLY, DISAGREE = "explains", "explains_poorly", "records_disagree"
+NOTHING, INVALID = "explains_nothing", "invalid_record"
+"""Verdicts on a fit: of use; of use, but much is left; of records that differ under it; of no use, so not written; forced."""
 
 
 class ExplainedRow(TypedDict):

@@ -13,6 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
+from hyst_control.chain.stage import Array
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model
@@ -48,25 +49,15 @@ class Disagreement:
         )
 
 
-def disagreements(model: Model, datasets: Sequence[Dataset]) -> list[Disagreement]:
-    """Compare all records of like range in pairs.
+def disagreements(model: Model, datasets: Sequence[Dataset], errors: Sequence[Array] | None = None) -> list[Disagreement]:
+    """Compare all records of like range in pairs, by what their common model leaves: (N, A) of the last N rows of each, where known.
 
-    Parameters
-    ----------
-    model
-        Model that was identified from them together.
-    datasets
-        The records.
-
-    Returns
-    -------
-    list of Disagreement
-        One per pair and axis that differs by more than `DISAGREEMENT`, in the octave where it does so most.
+    One per pair and axis that differs by more than `DISAGREEMENT`, in the octave where it does so most.
     """
     found: list[Disagreement] = []
     if len(datasets) < 2:
         return found
-    errors = [residual(model, data) for data in datasets]
+    errors = [residual(model, data) for data in datasets] if errors is None else errors
     for (one, of_one), (other, of_other) in combinations(zip(datasets, errors, strict=True), 2):
         if one.axes != other.axes or one.sample_time != other.sample_time:
             continue

@@ -74,6 +74,11 @@ def spread_poles(order: int, rows: int) -> np.ndarray:
     return np.concatenate([-0.3 * angle + 1j * angle, np.array(lag, dtype=complex)])
 
 
+def responses_of(window: Window, poles: np.ndarray) -> list[Array]:
+    """Real columns (N,) of the responses of poles to the command of a window."""
+    return _driven(window, poles, 0.0, False)
+
+
 def _relocated(windows: Sequence[Window], poles: np.ndarray, delay: float, direct: bool) -> np.ndarray:
     parts, driven = [], 0
     for window in windows:
