@@ -69,7 +69,7 @@ def assembled(
         "unit": datasets[0].unit,
         "records": error_rows(datasets, residuals),
         "parameters": list(parameters),
-        "notes": [*notes, *known.notes(model.valid["frequency"][1])],
+        "notes": [*notes, *known.notes(f"the commands' power ends at {model.valid['frequency'][1]:.3g} Hz")],
     }
     if held_out:
         travel = [max(float(data.range[axis]) for data in datasets) for axis in range(len(held_out))]

@@ -32,7 +32,7 @@ from hyst_control.identify.solve.parameter_covariance import independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.records.row_store import column
 
-ORDERS = (1, 2, 3, 4, 5, 6, 8, 10)
+ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
 WHOLE_ROWS = 2**22
@@ -176,13 +176,29 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
         (each for each in tried if each.held_out <= (1.0 + best.doubt) * best.held_out),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
-    whole = [_middle(window) for window in windows]
-    solution = _fit(whole, chosen.sections, chosen.solution.parameters, options.nuisance, options.iterations, everything=True)
-    return replace(chosen, solution=solution), table
+    return replace(chosen, solution=_final([_middle(window) for window in windows], chosen, options)), table
+
+
+def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions) -> Solution:
+    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more."""
+    sections, start, steps = chosen.sections, chosen.solution.parameters, options.iterations
+    free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
+    rest = "offset" if options.nuisance == "linear" else options.nuisance
+    plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
+    rows = sum(len(window.command) for window in windows)
+    columns = len(windows) * (sections.order + (rest != options.nuisance))
+    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) else free
 
 
 def _fit(
-    windows: Sequence[Window], sections: Sections, start: Array, nuisance: str, passes: int, everything: bool = False
+    windows: Sequence[Window],
+    sections: Sections,
+    start: Array,
+    nuisance: str,
+    passes: int,
+    *,
+    everything: bool = False,
+    unknown_state: bool = True,
 ) -> Solution:
     free = Parametrization(sections.running, np.zeros((0, sections.size)), np.zeros(0), sections.limit)
     return minimize_simulation_error(
@@ -190,7 +206,7 @@ def _fit(
         free,
         start,
         nuisance=nuisance,
-        unknown_state=True,
+        unknown_state=unknown_state,
         passes=max(passes, 1),
         tolerance=1e-5,
         everything=everything,

@@ -18,7 +18,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.modal.modal_model import input_taps
 from hyst_control.identify.solve.gram_sums import Window
 
-RELOCATIONS = 8
+RELOCATIONS, SETTLED = 10, 0.99
+"""Most relocations of the poles; two in a row that leave more than this share of the least error end them."""
 SLOWEST, LEAST_DECAY = 0.05, 0.02
 """Least rate of a real pole and least decay of a pair, in inverse record lengths."""
 
@@ -35,15 +36,14 @@ class Partial:
 
 def vector_fit(windows: Sequence[Window], start: np.ndarray, delay: float, direct: bool, relocations: int = RELOCATIONS) -> Partial:
     """The best of the partial fractions met on the way from the poles of a start."""
-    poles = start
-    best = residues_of(windows, poles, delay, direct)
+    poles, best = start, residues_of(windows, start, delay, direct)
+    stale = 0
     for _ in range(relocations):
         poles = _relocated(windows, poles, delay, direct)
         found = residues_of(windows, poles, delay, direct)
-        settled = found.error > 0.999 * best.error
-        if found.error < best.error:
-            best = found
-        elif settled and found.error < 1.001 * best.error:
+        stale = stale + 1 if found.error > SETTLED * best.error else 0
+        best = min(best, found, key=lambda each: each.error)
+        if stale == 2:
             break
     return best
 

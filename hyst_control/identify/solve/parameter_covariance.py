@@ -82,10 +82,10 @@ class Uncertainty:
         """Standard deviation by name, in the number's unit."""
         return dict(zip(self.names, np.linalg.norm(self.factor, axis=1).tolist(), strict=True))
 
-    def notes(self, bandwidth: float) -> list[str]:
+    def notes(self, fact: str) -> list[str]:
         """At most one sentence on the numbers that the data cannot tell, with their standard deviations.
 
-        bandwidth: where the power of the records' commands ends, Hz.
+        fact: what the records contain instead.
         """
         if not self.undetermined:
             return []
@@ -98,7 +98,7 @@ class Uncertainty:
         more = len(self.undetermined) - MOST_NAMED
         return [
             f"not identifiable from these records: {listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to "
-            f"{100 * PRIOR:.0f} %; the commands' power ends at {bandwidth:.3g} Hz"
+            f"{100 * PRIOR:.0f} %: {fact}"
         ]
 
 
