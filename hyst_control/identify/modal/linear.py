@@ -39,8 +39,8 @@ WHOLE_ROWS = 2**22
 """Rows of a record to which the chosen structure is fitted, from the middle of a longer one."""
 LEAST_GAIN = 0.02
 """Share of the held-out mean square error by which a larger model has to be better, at least."""
-STALE = 2
-"""Orders without a gain after which growing ends."""
+STALE, FALLEN = 2, 2.25
+"""Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
 UNSURE = 0.1
@@ -165,6 +165,8 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
             table.append(_row(candidate, sample_time, few))
             if order == orders[0] or not _beyond_reach(candidate):
                 fresh.append(candidate)
+        least = min(each.held_out for each in smaller.values())
+        variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
         lowest = min((each.held_out for each in tried), default=np.inf)
         tried += fresh
         best = min(fresh, key=lambda each: each.held_out, default=None)

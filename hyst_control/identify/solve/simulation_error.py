@@ -381,9 +381,9 @@ def driving_signal(window: Window) -> tuple[Array, int]:
 
 def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float) -> Array:
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
-    diagonal = np.diag(normal).copy()
+    diagonal = np.maximum(np.diag(normal), 0.0)
     prior = PRIOR * float(np.max(diagonal))
-    normal[np.diag_indices_from(normal)] += damping * diagonal + prior
+    normal[np.diag_indices_from(normal)] = (1.0 + damping) * diagonal + prior
     gradient += prior * (origin - present)
     return constrained_minimum(normal, gradient, parametrization.lhs, parametrization.rhs - parametrization.lhs @ present)
 
@@ -412,7 +412,7 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
     normal, gradient, lhs = normal * scale[:, None] * scale, gradient * scale, lhs * scale
-    lower = np.linalg.cholesky(normal + 1e-14 * np.eye(len(normal)))
+    lower = _root(normal + 1e-14 * np.eye(len(normal)))
     free = solve_triangular(lower.T, solve_triangular(lower, gradient, lower=True))
     missing = rhs - lhs @ free
     if not len(missing) or np.all(missing <= 1e-14):
@@ -428,6 +428,15 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
     move = -residual[:-1] / residual[-1]
     found: Array = (free + solve_triangular(lower.T, move)) * scale
     return found
+
+
+def _root(matrix: Array) -> Array:
+    """Cholesky root of a matrix that rounding may have left without the last of its positive directions."""
+    try:
+        return np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        return np.linalg.cholesky((vectors * np.maximum(values, 1e-10 * values[-1])) @ vectors.T)
 
 
 @njit(cache=True)
