@@ -254,7 +254,7 @@ def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
 
 
 def _slowest(windows: Sequence[Window]) -> float:
-    return 0.05 / max(len(window.command) * window.sample_time for window in windows)
+    return 0.005 / max(len(window.command) * window.sample_time for window in windows)
 
 
 def _beyond_reach(candidate: Candidate) -> bool:

@@ -1,0 +1,70 @@
+"""Hold of a record that states none, and the sensor's offset as a stage of a model of play operators."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hyst_control.identify import Dataset, identify
+from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
+from hyst_control.identify.workflow import MOST_NOTES, Result, datasets_of
+from hyst_control.records.record import Record, Signal
+
+
+def plays(command: np.ndarray) -> np.ndarray:
+    """Five play operators, written out."""
+    thresholds, states = np.array([0.0, 5.0, 10.0, 18.0, 30.0]), np.zeros(5)
+    found = np.empty(len(command))
+    for k, u in enumerate(command):
+        states = np.clip(states, u - thresholds, u + thresholds)
+        found[k] = states @ [0.06, 0.02, 0.015, 0.01, 0.01]
+    return found
+
+
+LEVELS = [0, 100, 8, 92, 20, 78, 34, 64, 0]
+COMMAND = np.concatenate([np.linspace(a, b, 51)[:-1] for a, b in zip(LEVELS, LEVELS[1:], strict=False)] + [[0.0]])
+
+
+def pairs(offset: float = 0.0, late: int = 0) -> Record:
+    """Rows of voltage and settled position, or samples that are late by some rows."""
+    answers = np.concatenate([np.zeros(late), plays(COMMAND)])[: len(COMMAND)] + offset
+    answers += 5e-4 * np.ptp(answers) * np.random.default_rng(0).normal(size=len(COMMAND))
+    time = np.arange(len(COMMAND)) * 1.0
+    return Record(
+        {"command": Signal(time, COMMAND[:, None], ("x",), "V"), "measurement": Signal(time, answers[:, None], ("x",), "um")}, "p"
+    )
+
+
+def test_rows_of_pairs_are_recognized_and_told():
+    notes: list[str] = []
+    [data] = datasets_of(pairs(), notes=notes)
+    assert data.hold == "foh" and "hold foh" in notes[0] and "--hold zoh" in notes[0]
+    assert datasets_of(pairs(), "zoh")[0].hold == "zoh"
+
+
+@pytest.mark.parametrize("late", [1, 2, 5])
+def test_samples_of_a_held_command_stay_so(late):
+    assert datasets_of(pairs(late=late))[0].hold == "zoh"
+
+
+def test_noise_does_not_decide():
+    random = np.random.default_rng(1)
+    for seed in range(20):
+        command = np.cumsum(np.random.default_rng(seed).normal(size=(400, 1)), axis=0)
+        late, same = hold_errors(Dataset("n", command, random.normal(size=(400, 1)), 1.0, ("x",), "um"))
+        assert same > CLEAR * late
+
+
+def test_the_sensors_offset_is_a_stage_of_the_model():
+    """A zero of 12 um beside a stroke of 11: the error of the model as it is written is that of a record without it."""
+    fits = [identify(datasets_of(pairs(offset)), "pi") for offset in (0.0, 12.0)]
+    assert all(fit.report["records"][0]["nrmse"] < 0.2 for fit in fits)
+    stage = fits[1].model.chain.stages[-1]
+    assert stage.name == "offset" and stage.parameters()["offset"] == pytest.approx(12.0, abs=0.05)
+
+
+def test_the_terminal_shows_five_notes():
+    fit = identify(datasets_of(pairs()), "pi")
+    fit.report["notes"][:] = [f"number {k}" for k in range(9)]
+    lines = [line for line in Result(fit, None).text().splitlines() if line.startswith("  note:")]
+    assert len(lines) == MOST_NOTES and lines[-1] == "  note: 5 more are in the report (--json)"

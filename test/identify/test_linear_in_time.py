@@ -1,0 +1,179 @@
+"""Linear plants from records in time: the plants are simulated by scipy, the fits are held against their true poles, gain and noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from hyst_control.chain import Chain, Sampling
+from hyst_control.identify import Dataset, identify
+from hyst_control.identify.modal.linear import Linear, LinearOptions, search
+from hyst_control.identify.modal.partial_fractions import Sections
+from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
+from hyst_control.identify.solve.gram_sums import Window
+
+
+def mode(gain: float, frequency: float, damping: float) -> tuple[list[float], list[float]]:
+    w = 2 * np.pi * frequency
+    return [gain * w * w], [1.0, 2 * damping * w, w * w]
+
+
+def answer(command: np.ndarray, period: float, *plants, late: int = 0, first: float = 0.0) -> np.ndarray:
+    """Sum of transfer functions of a held command, from rest at `first`, by scipy."""
+    held = np.concatenate([np.full(late, first), command])[: len(command)] - first
+    return sum(
+        signal.lfilter(b.ravel(), a, held) + first * num[-1] / den[-1]
+        for num, den in plants
+        for b, a, _ in [signal.cont2discrete((num, den), period)]
+    )
+
+
+def record(command, measurement, period, noise=1e-3, seed=0) -> tuple[Dataset, float]:
+    sigma = noise * np.ptp(measurement)
+    noisy = measurement + sigma * np.random.default_rng(seed).normal(size=len(command))
+    return Dataset("r", command[:, None], noisy[:, None], period, ("x",), "um", "zoh", "auto"), sigma
+
+
+def rows(fit) -> dict[str, float]:
+    return {row["name"]: row["value"] for row in fit.report["parameters"]}
+
+
+def stairs(levels: int, hold: int, seed: int = 1) -> np.ndarray:
+    return np.repeat(np.concatenate([[0.0], np.random.default_rng(seed).uniform(0, 10, levels - 1)]), hold)
+
+
+def test_one_step_tells_two_modes():
+    """A single clean step, of which 18 % of the range were once left."""
+    command = 2.0 * (np.arange(1200) >= 100)
+    data, sigma = record(command, answer(command, 1 / 300, mode(0.7, 2.0, 0.03), mode(0.3, 5.1, 0.04)), 1 / 300)
+    fit = identify([data], "linear")
+    found = rows(fit)
+    assert fit.report["states"] == 4 and fit.report["records"][0]["rmse"] < 1.1 * sigma
+    for name, true in {
+        "frequency[0]": 2.0,
+        "damping[0]": 0.03,
+        "frequency[1]": 5.1,
+        "damping[1]": 0.04,
+        "static_gain": 1.0,
+    }.items():
+        assert found[name] == pytest.approx(true, rel=0.01), name
+
+
+@pytest.mark.parametrize("tau", [10, 150])
+def test_a_lag_under_a_staircase(tau):
+    """Slower than the stairs, too: what goes on beyond a level is no drift of the record."""
+    command = stairs(20, 40)
+    data, sigma = record(command, answer(command, 1e-3, ([0.2], [tau * 1e-3, 1.0])), 1e-3)
+    fit = identify([data], "linear")
+    assert rows(fit)["static_gain"] == pytest.approx(0.2, rel=0.01)
+    assert rows(fit)["frequency[0]"] == pytest.approx(1 / (2 * np.pi * tau * 1e-3), rel=0.02)
+    assert fit.report["states"] == 1 and fit.report["records"][0]["rmse"] < 1.1 * sigma
+
+
+def test_a_dead_time_before_a_lag():
+    command = 6 * stairs(6, 130)
+    data, sigma = record(command, 21.0 + answer(command, 1.0, ([0.8], [150.0, 1.0]), late=20), 1.0)
+    fit = identify([data], "linear")
+    found = rows(fit)
+    assert found["delay[0]"] == pytest.approx(20.0, abs=0.5) and found["static_gain"] == pytest.approx(0.8, rel=0.01)
+    assert found["frequency[0]"] == pytest.approx(1 / (2 * np.pi * 150.0), rel=0.02)
+    assert fit.report["records"][0]["rmse"] < 1.1 * sigma
+
+
+def test_a_command_that_jumps_from_rest_at_its_first_row():
+    """A mode that rings from the first row on, because the machine was at rest at 0 V: the report says so, and the error has no ringing."""
+    t = np.arange(3000) * 1e-3
+    command = np.cos(2 * np.pi * np.outer(t, [1, 3, 7, 19, 41])).sum(axis=1)
+    data, sigma = record(command, answer(command, 1e-3, mode(1.0, 4.0, 0.05)), 1e-3)
+    fit = identify([data], "linear")
+    assert "the first command jumps" in fit.report["beginnings"][0]["assumed"].replace("its", "the").replace("which the", "the")
+    assert fit.report["records"][0]["rmse"] < 1.1 * sigma and rows(fit)["frequency[0]"] == pytest.approx(4.0, rel=0.001)
+
+
+def test_a_larger_model_of_one_kind_never_fits_worse():
+    random = np.random.default_rng(4)
+    command = np.cumsum(random.normal(size=1500))
+    plants = [mode((-1.0) ** k, frequency, 0.02) for k, frequency in enumerate((3.0, 7.0, 15.0, 31.0))]
+    data, _ = record(command, answer(command, 2e-3, *plants), 2e-3)
+    window = Window(data.command[:, 0], data.measurement[:, 0], 2e-3, "zoh", 0, 0)
+    _, table = search([window], LinearOptions(direct=False, delay=0.0))
+    for kind in (0, 1):  # two more poles than zeros, or one
+        errors = [row["fitted"] for row in table if row["parameters"] - 2 * row["order"] == kind - 1]
+        assert len(errors) > 5 and np.all(np.diff(errors) <= 1e-6)
+
+
+def test_a_record_that_is_too_short_says_how_well_the_static_gain_is_known():
+    """A pole of thirty record lengths: its gain and its rate cannot be told apart, and the note's deviation covers the truth."""
+    command = stairs(20, 50)
+    data, _ = record(command, answer(command, 1.0, ([0.8], [30_000.0, 1.0])), 1.0)
+    fit = identify([data], "linear", order=1)
+    gain = fit.report["parameters"][-1]
+    assert gain["name"] == "static_gain" and abs(gain["value"] - 0.8) < 3 * gain["standard_error"] > 0.1 * gain["value"]
+    assert any("static gain known to ± " in note for note in fit.report["notes"])
+    well, _ = record(command, answer(command, 1.0, ([0.8], [30.0, 1.0])), 1.0)
+    assert not any("static gain" in note for note in identify([well], "linear", order=1).report["notes"])
+
+
+def test_two_records_that_begin_amid_a_motion_are_one_plant():
+    """Cut from one run, with sensor offsets of their own: the unknown states at the cuts are no part of the plant."""
+    random = np.random.default_rng(6)
+    command = np.repeat(random.uniform(0, 10, 120), 25)
+    measured = answer(command, 1e-3, mode(0.5, 8.0, 0.03))
+    parts = [
+        record(command[cut], measured[cut] + 3.0 * k, 1e-3, seed=k)[0]
+        for k, cut in enumerate((slice(313, 1500), slice(1511, 3000)))
+    ]
+    found = rows(identify(parts, "linear"))
+    assert found["frequency[0]"] == pytest.approx(8.0, rel=1e-3) and found["damping[0]"] == pytest.approx(0.03, rel=0.02)
+    assert found["static_gain"] == pytest.approx(0.5, rel=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.01, 1.0), st.floats(0.01, 3.0), st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=2),
+    st.booleans(),
+    st.booleans(),
+    st.integers(0, 2**31),
+)
+def test_sections_and_their_polynomials_are_one_system(sections, odd, smooth, seed):
+    """The state space that a search runs, the transfer function of the model file, and the partial fractions and back."""
+    shape = Sections(2 * len(sections) + odd, False, False, smooth, 0.3, 1e-3, 1e-3, 1e6)
+    vector = np.array([x for w, z, g, h in sections for x in (np.log(100 * w), np.log(z), g, h)] + [np.log(20.0), 0.5] * odd)
+    command = np.random.default_rng(seed).normal(size=(300, 1))
+
+    def run(stages):
+        running = Chain(tuple(stages)).filter(Sampling(1e-3, 1))
+        running.settle(command[0])
+        return running.process(command)[:, 0]
+
+    once = run(shape.running(vector))
+    scale = 1e-6 * (np.ptp(once) + 0.3)
+    np.testing.assert_allclose(run(shape.stages(vector)), once, atol=scale)
+    again = shape.vector(shape.partial(vector, 1e-3), 1e-3, 0.0)
+    np.testing.assert_allclose(run(shape.running(again)), once, atol=1e3 * scale if smooth else 30 * scale)
+
+
+def test_vector_fitting_needs_no_guess():
+    """Poles of three decades from evenly spread ones, of a record that begins amid a motion, without noise: they are exact."""
+    command = np.cumsum(np.random.default_rng(2).normal(size=4000))
+    plants = [([1.0], [1.0, 1.0]), mode(0.5, 4.0, 0.02), mode(-0.2, 60.0, 0.1)]
+    measured = answer(command, 1e-3, *plants)
+    found = vector_fit([Window(command[500:], measured[500:], 1e-3, "zoh", 0, 0)], spread_poles(5, 3500), 0.0, False)
+    rates = np.sort(np.abs(found.poles)) * 1e3
+    np.testing.assert_allclose(rates, [1.0, 2 * np.pi * 4.0, 2 * np.pi * 60.0], rtol=1e-3)
+    assert found.error < 1e-8 * np.var(measured)
+
+
+def test_axes_are_fitted_one_by_one_if_they_do_not_drive_each_other():
+    command = np.column_stack([stairs(20, 40, 1), stairs(20, 40, 2)])
+    measured = np.column_stack(
+        [answer(command[:, 0], 1e-3, ([0.2], [0.02, 1.0])), answer(command[:, 1], 1e-3, mode(0.4, 9.0, 0.1))]
+    )
+    measured += 1e-4 * np.random.default_rng(0).normal(size=measured.shape)
+    fit = Linear().fit([Dataset("r", command, measured, 1e-3, ("x", "y"), "um")], LinearOptions(coupled=False))
+    found = rows(fit)
+    assert found["static_gain[x]"] == pytest.approx(0.2, rel=0.01) and found["static_gain[y]"] == pytest.approx(0.4, rel=0.01)
+    assert found["frequency[0][y]"] == pytest.approx(9.0, rel=1e-3)
