@@ -108,7 +108,7 @@ def test_a_larger_model_of_one_kind_never_fits_worse():
 def test_a_record_that_is_too_short_says_how_well_the_static_gain_is_known():
     """A pole of thirty record lengths: its gain and its rate cannot be told apart, and the note's deviation covers the truth."""
     command = stairs(20, 50)
-    data, _ = record(command, answer(command, 1.0, ([0.8], [30_000.0, 1.0])), 1.0)
+    data, _ = record(command, answer(command, 1.0, ([0.8], [30_000.0, 1.0])), 1.0, noise=1e-2)
     fit = identify([data], "linear", order=1)
     gain = fit.report["parameters"][-1]
     assert gain["name"] == "static_gain" and abs(gain["value"] - 0.8) < 3 * gain["standard_error"] > 0.1 * gain["value"]
