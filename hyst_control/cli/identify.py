@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hold",
         choices=("auto", "zoh", "foh"),
-        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: auto, as stated in the bag, else what explains held-out rows)",
+        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: auto, as "
+        "stated in the bag, else what explains held-out rows)",
     )
     parser.add_argument(
         "--start",

@@ -157,9 +157,9 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
         e = error[:, axis]
         rmse = float(np.sqrt(mean_square(e)))
         for quantity, value, symbol in (
+            ("nrmse_own_zero", 100 * float(np.sqrt(mean_square(rest[:, axis]))) / span, "%"),
             ("nrmse", 100 * rmse / span, "%"),
             ("nrmse_centered", 100 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span, "%"),
-            ("nrmse_own_zero", 100 * float(np.sqrt(mean_square(rest[:, axis]))) / span, "%"),
             *((shape, float(own[axis, degree]), data.unit) for degree, shape in enumerate(SHAPES)),
             ("nme", 100 * largest_size(e) / span, "%"),
             ("rmse", rmse, data.unit),

@@ -45,12 +45,13 @@ def assembled(
     held_out: Sequence[float] = (),
     tolerance: Mapping[str, float] | None = None,
     offset: bool = False,
+    by_axis: bool = False,
     **more: Any,
 ) -> Fit:
     """Fit of a chain whose parameters are known.
 
     held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: the sensor's common offset is
-    no stage yet; more: further entries of the report.
+    no stage yet; by_axis: the noise is a list even of one axis; more: further entries of the report.
     """
     if offset:
         model, residuals = with_offset(model, datasets)
@@ -61,7 +62,7 @@ def assembled(
         model,
         tolerance=dict(known.tolerance if tolerance is None else tolerance),
         uncertainty=known.document,
-        noise={"sigma": sigma if len(sigma) > 1 else sigma[0]},
+        noise={"sigma": sigma if len(sigma) > 1 or by_axis else sigma[0]},
     )
     report: Report = {
         "family": family,

@@ -71,6 +71,7 @@ def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
         method=options.method,
         tolerance=tolerance_of(chosen, stages),
         offset=True,
+        by_axis=True,
         orders=table,
         states=chosen.model.states,
     )

@@ -341,6 +341,7 @@ def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Seque
         family="linear",
         method=options.method,
         offset=True,
+        by_axis=True,
         orders=table,
         states=sum(each.sections.order for each in found),
     )

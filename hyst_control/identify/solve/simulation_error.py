@@ -257,6 +257,9 @@ def simulated(
     nuisances: list[Array] = []
     for group in range(max(window.group for window in windows) + 1):
         record = [window for window in windows if window.group == group]
+        if not record:  # a record of which no stretch was chosen
+            nuisances.append(np.zeros(NUISANCES[session.nuisance]))
+            continue
         columns = _session_columns(record, chains[0], session)
         total = size + columns + 1
         sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
@@ -284,11 +287,11 @@ def simulated(
         blocks += [keep.T @ piece @ keep for piece in pieces]
         nuisances.append(effects[: NUISANCES[session.nuisance], -1])
         rows += own
-    chosen, total = (grams.sum(axis=0), rows.sum()) if everything else (grams[0], rows[0])
+    chosen, counted = (grams.sum(axis=0), rows.sum()) if everything else (grams[0], rows[0])
     return Solution(
         parameters,
         np.concatenate(nuisances),
-        max(float(chosen[-1, -1]), 0.0) / max(int(total), 1),
+        max(float(chosen[-1, -1]), 0.0) / max(int(counted), 1),
         max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
         Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
         1,
