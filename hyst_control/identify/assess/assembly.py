@@ -46,7 +46,7 @@ def assembled(
     tolerance: Mapping[str, float] | None = None,
     offset: bool = False,
     by_axis: bool = False,
-    **more: Any,
+    more: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Fit of a chain whose parameters are known.
 
@@ -75,4 +75,4 @@ def assembled(
     if held_out:
         travel = [max(float(data.range[axis]) for data in datasets) for axis in range(len(held_out))]
         report["held_out_nrmse"] = [100.0 * float(np.sqrt(each)) / span for each, span in zip(held_out, travel, strict=True)]
-    return Fit(model, {**report, **more}, tuple(residuals))  # type: ignore[typeddict-item]
+    return Fit(model, {**report, **(more or {})}, tuple(residuals))  # type: ignore[typeddict-item]

@@ -107,8 +107,7 @@ def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], 
         method=method,
         held_out=[axis.held_out for axis in axes],
         tolerance={key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in relative.items()} | physical,
-        structure=[axis.axis.structure.describe() for axis in axes],
-        **({"steps": extra} if any(extra) else {}),
+        more={"structure": [axis.axis.structure.describe() for axis in axes]} | ({"steps": extra} if any(extra) else {}),
     )
 
 

@@ -40,11 +40,16 @@ COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 class Choices(Protocol):
     """The options of a linear fit that count here."""
 
-    method: str
-    order: int | None
-    delay: float | str
-    direct: bool
-    iterations: int
+    @property
+    def method(self) -> str: ...
+    @property
+    def order(self) -> int | None: ...
+    @property
+    def delay(self) -> float | str: ...
+    @property
+    def direct(self) -> bool: ...
+    @property
+    def iterations(self) -> int: ...
 
 
 def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
@@ -72,8 +77,7 @@ def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
         tolerance=tolerance_of(chosen, stages),
         offset=True,
         by_axis=True,
-        orders=table,
-        states=chosen.model.states,
+        more={"orders": table, "states": chosen.model.states},
     )
 
 

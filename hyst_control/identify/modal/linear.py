@@ -121,12 +121,14 @@ class Linear(Estimator[LinearOptions]):
         axes = len(first.axes)
         if axes > 1 and options.coupled is not False:
             return coupled_linear.fit(datasets, options)
-        found, table = [], []
+        found: list[Candidate] = []
+        table: list[OrderRow] = []
         for axis, name in enumerate(first.axes):
             windows = [_window(data, axis, number) for number, data in enumerate(datasets)]
             candidate, rows = search(windows, options)
             found.append(candidate)
-            table += [{**row, "axis": name} if axes > 1 else row for row in rows]
+            for row in rows:
+                table.append({**row, "axis": name} if axes > 1 else row)
         return _assembled(datasets, options, found, table)
 
 
@@ -342,8 +344,7 @@ def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Seque
         method=options.method,
         offset=True,
         by_axis=True,
-        orders=table,
-        states=sum(each.sections.order for each in found),
+        more={"orders": table, "states": sum(each.sections.order for each in found)},
     )
 
 
@@ -353,11 +354,9 @@ def _joined(chains: Sequence[Sequence[Stage]]) -> list[Stage]:
         return list(chains[0])
     delays = [next((float(stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]  # type: ignore[arg-type]
     dynamics = [stage for chain in chains for stage in chain if isinstance(stage, TransferFunction)]
-    size = max(len(stage.den) for stage in dynamics)
-    num, den = (
-        [[0.0] * (size - len(each)) + [float(x) for x in each] for each in parts]
-        for parts in ([s.num for s in dynamics], [s.den for s in dynamics])
-    )
+    num, den = ([np.array(each, dtype=float) for each in parts] for parts in zip(*((s.num, s.den) for s in dynamics), strict=True))
+    size = max(map(len, den))
+    num, den = ([np.concatenate([np.zeros(size - len(each)), each]).tolist() for each in parts] for parts in (num, den))
     return [*([Delay(delays)] if any(delays) else []), TransferFunction(num, den)]
 
 

@@ -148,11 +148,12 @@ class Sections:
 
     def stages(self, vector: Array) -> list[Stage]:
         """Chain of the dynamics as a model file states it: the delay, then one `transfer_function`."""
-        num, den = np.zeros(1), np.ones(1)
+        num: Array = np.zeros(1)
+        den: Array = np.ones(1)
         for upper, lower in self.terms(vector):
-            num = np.polyadd(np.polymul(num, lower), np.polymul(upper, den))
-            den = np.polymul(den, lower)
-        num = np.polyadd(num, self.direct_gain(vector) * den)
+            num = np.asarray(np.polyadd(np.polymul(num, lower), np.polymul(upper, den)), dtype=float)
+            den = np.asarray(np.polymul(den, lower), dtype=float)
+        num = np.asarray(np.polyadd(num, self.direct_gain(vector) * den), dtype=float)
         if self.smooth:
             num = num[-max(len(den) - 2, 1) :]
         return [*self._delay(vector), TransferFunction(np.trim_zeros(num, "f") if np.any(num) else np.zeros(1), den)]

@@ -395,7 +395,7 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
         family="duhem",
         method="joint",
         held_out=[axis.held_out for axis in axes],
-        structure=[axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)],
+        more={"structure": [axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)]},
     )
 
 

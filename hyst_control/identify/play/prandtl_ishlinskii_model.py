@@ -88,8 +88,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         method=method,
         held_out=[axis.held_out for axis in axes],
         offset=True,
-        structure=[axis.solution.structure.describe() for axis in axes],
-        **({"structures": compared} if compared else {}),
+        more={"structure": [axis.solution.structure.describe() for axis in axes]} | ({"structures": compared} if compared else {}),
     )
 
 

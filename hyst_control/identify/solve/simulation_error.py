@@ -344,8 +344,8 @@ def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -
     prior = np.zeros(columns)
 
     def solved() -> Array:
-        found: Array = np.linalg.lstsq((inner + np.diag(prior)) / scale[:, None] / scale, cross / scale[:, None], rcond=1e-12)[0]
-        return found / scale[:, None]
+        found = np.linalg.lstsq((inner + np.diag(prior)) / scale[:, None] / scale, cross / scale[:, None], rcond=1e-12)[0]
+        return np.asarray(found / scale[:, None], dtype=float)
 
     effects = solved()
     if drift > 0.0:
@@ -436,10 +436,10 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
 def _root(matrix: Array) -> Array:
     """Cholesky root of a matrix that rounding may have left without the last of its positive directions."""
     try:
-        return np.linalg.cholesky(matrix)
+        return np.asarray(np.linalg.cholesky(matrix), dtype=float)
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(matrix)
-        return np.linalg.cholesky((vectors * np.maximum(values, 1e-10 * values[-1])) @ vectors.T)
+        return np.asarray(np.linalg.cholesky((vectors * np.maximum(values, 1e-10 * values[-1])) @ vectors.T), dtype=float)
 
 
 @njit(cache=True)
