@@ -24,15 +24,7 @@ NOTHING, INVALID = "explains_nothing", "invalid_record"
 
 
 class ExplainedRow(TypedDict):
-    """Shares of an axis' measured power, about one zero a record, that the model's simulation explains, and a constant and a gain.
-
-    Parameters
-    ----------
-    axis
-        Name.
-    model, gain
-        Shares, at most 1; negative where the error is larger than the motion.
-    """
+    """Shares of an axis' measured power, about one zero a record, that the model's simulation explains, and a constant and a gain."""
 
     axis: str
     model: float
@@ -40,20 +32,7 @@ class ExplainedRow(TypedDict):
 
 
 def explained_shares(datasets: Sequence[Dataset], errors: Sequence[Array]) -> list[ExplainedRow]:
-    """Shares that a model explains of each axis that moves.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    errors
-        Measured minus simulated (N, A), of the last N rows of each record.
-
-    Returns
-    -------
-    list of ExplainedRow
-        A row an axis; axes whose command or measurement stands still are left out.
-    """
+    """Shares that a model explains of each axis that moves."""
     sums = np.zeros((4, len(datasets[0].axes)))  # of command², command · measurement, measurement², error²
     for data, error in zip(datasets, errors, strict=True):
         first = len(data.command) - len(error)

@@ -30,18 +30,6 @@ def residual(model: Model, data: Dataset) -> Array:
     """Measured minus simulated output.
 
     Rows before the hysteresis memory is filled are left out where the record's start is unknown.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        The record.
-
-    Returns
-    -------
-    Array
-        Residual (N, A) in the measurement unit.
     """
     memory, begin = before(with_jump(model, data))
     error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
@@ -65,30 +53,17 @@ def with_jump(model: Model, data: Dataset) -> Dataset:
 
 
 def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
-    """Score a model on records.
-
-    Parameters
-    ----------
-    model
-        The model.
-    datasets
-        The records.
-
-    Returns
-    -------
-    rows : list of RecordRow
-        One row per record and axis: rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL
-        paper Eq. 10); nrmse_centered the same with the means removed; nrmse_own_zero with the record's own zero, drift and curvature
-        removed, which stand beside it.
-    residuals : list of Array
-        Measured minus simulated (N, A) per record.
-    """
+    """Scores of a model on records, and measured minus simulated (N, A) of each."""
     residuals = [residual(model, data) for data in datasets]
     return error_rows(datasets, residuals), residuals
 
 
 def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[RecordRow]:
-    """Scores of residuals (N, A), a row a record and axis."""
+    """Scores of residuals (N, A), a row a record and axis.
+
+    rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL paper Eq. 10); nrmse_centered without
+    the mean; nrmse_own_zero without the session's offset, drift and curvature, which stand beside it.
+    """
     rows: list[RecordRow] = []
     for data, error in zip(datasets, residuals, strict=True):
         rest, own = without_zero(error)
@@ -136,18 +111,7 @@ def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:
 
 
 def lag_one(error: Array) -> float:
-    """Correlation of neighboring residuals: 0 for white noise, near 1 where the model lacks something slow.
-
-    Parameters
-    ----------
-    error
-        Residual (N,).
-
-    Returns
-    -------
-    float
-        Correlation, -1 to 1.
-    """
+    """Correlation of neighboring residuals: 0 for white noise, near 1 where the model lacks something slow."""
     mean, power, product = np.mean(error), 0.0, 0.0
     for part in blocks(len(error)):
         centered = error[part.start : part.stop + 1] - mean  # one row of the next block, the last block's apart
@@ -158,20 +122,7 @@ def lag_one(error: Array) -> float:
 
 
 def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) -> list[float]:
-    """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little.
-
-    Parameters
-    ----------
-    residuals
-        Residuals (N, A) of every record.
-    datasets
-        The records: noise is never less than their rounding, which at rest does not show.
-
-    Returns
-    -------
-    list[float]
-        Noise (A), rms in the measurement unit.
-    """
+    """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little."""
     stacked = np.concatenate(
         [np.diff(error[part], 3, axis=0) for error in residuals for part in spread_parts(len(error), NOISE_ROWS)]
     )
@@ -182,18 +133,7 @@ def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) ->
 
 
 def command_bandwidth(data: Dataset) -> float:
-    """Frequency below which 99.9 % of the power of the command's motion lies.
-
-    Parameters
-    ----------
-    data
-        The record.
-
-    Returns
-    -------
-    float
-        Frequency, Hz.
-    """
+    """Frequency below which 99.9 % of the power of the command's motion lies."""
     mean, parts = data.command.mean(axis=0), spread_parts(len(data.command), SPECTRUM_ROWS)
     length = parts[0].stop
     power = np.zeros(length // 2 + 1)

@@ -82,18 +82,7 @@ def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
 
 
 def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
-    """Take the spectra of records, of a long one those of its parts.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    list[Spectra]
-        One a record, or one a part in which the command moves.
-    """
+    """Take the spectra of records, of a long one those of its parts."""
     found = []
     for data in datasets:
         n = len(data.command)
@@ -112,20 +101,6 @@ def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) 
     """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
-
-    Parameters
-    ----------
-    data
-        The record.
-    period
-        Period in samples of a record in steady state, whose periods are averaged; None: not periodic.
-    most
-        Largest number of lines.
-
-    Returns
-    -------
-    Spectra
-        Spectra of command and measurement.
     """
     command, measurement = data.command, data.measurement
     if period:
@@ -149,18 +124,6 @@ def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dat
 
     Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
     would not excite every axis, or the held-out part would hardly move.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    fitted : list[Dataset]
-        Records to fit.
-    held_out : list[Dataset]
-        Records to judge by, possibly none.
     """
     datasets = list(datasets)
     held = datasets[2::3] or datasets[1:]
@@ -204,30 +167,7 @@ def choose(
     free_delay: bool = False,
     iterations: int = 12,
 ) -> tuple[Candidate, list[OrderRow]]:
-    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain.
-
-    Parameters
-    ----------
-    train, held_out
-        Spectra to fit and to judge by; without the latter Schwarz's information criterion decides.
-    orders
-        Numbers of states that may be.
-    hold
-        Hold of the command.
-    delays
-        Delays (m,) in samples that a search begins with.
-    direct, free_delay
-        Whether there is a direct path, and whether the delay is estimated.
-    iterations
-        Most steps of a refinement.
-
-    Returns
-    -------
-    chosen : Candidate
-        The model.
-    rows : list of OrderRow
-        A row per model tried.
-    """
+    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain."""
     negligible = negligible_improvement(held_out)
     rows: list[OrderRow] = []
     tried: list[tuple[float, Candidate]] = []
@@ -268,31 +208,13 @@ def negligible_improvement(held_out: Sequence[Spectra]) -> float:
     """Share of the error on held-out data by which a larger model has to be better; 0 without such data.
 
     `NEGLIGIBLE_IMPROVEMENT`, or the standard error of the error of few data: 1 / sqrt(2 E) of E equations with a white error.
-
-    Parameters
-    ----------
-    held_out
-        Spectra that models are judged by.
     """
     count = equations(held_out)
     return max(NEGLIGIBLE_IMPROVEMENT, float(1.0 / np.sqrt(2.0 * count))) if count else 0.0
 
 
 def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
-    """Report whether a pole lies so far beyond the lines that were excited that the data cannot tell it from a delay or a direct path.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        Spectra it was fitted to.
-
-    Returns
-    -------
-    bool
-        True if one does.
-    """
+    """Report whether a pole lies so far beyond the lines that were excited that the data cannot tell it from a delay or a direct path."""
     highest = max(float(spectra.angle.max()) for spectra in data)
     return bool(np.any(np.abs(model.poles) > REACH * highest))
 
@@ -332,22 +254,7 @@ def _search(datasets: Sequence[Dataset], options: Choices) -> tuple[Candidate, l
 
 
 def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
-    """Find the delay, the same for all inputs, at which a model of few states without a direct path fits best.
-
-    Parameters
-    ----------
-    data
-        Spectra of the records.
-    hold
-        Hold of the command.
-    order
-        Number of states per input.
-
-    Returns
-    -------
-    Array
-        Delay (m,), samples.
-    """
+    """Find the delay, the same for all inputs, at which a model of few states without a direct path fits best."""
     inputs = data[0].command.shape[1]
     grid = [0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0]
     costs = []

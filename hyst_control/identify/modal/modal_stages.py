@@ -29,20 +29,7 @@ def uncertainty(found: Candidate, sample_time: float, axes: Sequence[str]) -> Un
 
 
 def stages_of(model: ModalModel, sample_time: float) -> list[Stage]:
-    """Convert a model into stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`.
-
-    Parameters
-    ----------
-    model
-        The model.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    list[Stage]
-        The stages.
-    """
+    """Convert a model into stages: the delay if there is one, then a `transfer_function` (one axis) or a `state_space`."""
     stages: list[Stage] = [Delay(scalar_if_alike(model.delay * sample_time))] if np.any(model.delay > 0) else []
     if model.feedthrough.shape == (1, 1):
         num, den = polynomials(model, sample_time)
@@ -57,22 +44,7 @@ def scalar_if_alike(values: Array) -> float | list[float]:
 
 
 def polynomials(model: ModalModel, sample_time: float) -> tuple[Array, Array]:
-    """Convert a model with one input and one output into a ratio of polynomials.
-
-    Parameters
-    ----------
-    model
-        The model.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    num : Array
-        Numerator in descending powers of s.
-    den : Array
-        Monic denominator in descending powers of s.
-    """
+    """Convert a model with one input and one output into a ratio of polynomials."""
     poles, residues = [], []
     for pole, c, b in zip(model.poles, model.outputs[:, 0], model.inputs[:, 0], strict=True):
         poles += [pole] if pole.imag == 0 else [pole, np.conj(pole)]

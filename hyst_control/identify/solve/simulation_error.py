@@ -39,19 +39,7 @@ PRIOR = 1e-10
 
 @dataclass(frozen=True)
 class Parametrization:
-    """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs.
-
-    Parameters
-    ----------
-    stages
-        Chain of a parameter vector.
-    lhs
-        Left sides (C, P) of the constraints.
-    rhs
-        Right sides (C,).
-    limit
-        Nearest admissible vector to a vector, for bounds that are not linear.
-    """
+    """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs."""
 
     stages: Callable[[Array], Sequence[Stage]]
     lhs: Array
@@ -72,31 +60,19 @@ class Session:
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of a simulation-error fit.
-
-    Parameters
-    ----------
-    parameters
-        Parameters (P,).
-    nuisances
-        Offset and drift of every record, one record behind the other.
-    fitted, held_out
-        Mean square errors on the rows fitted and held out.
-    grams
-        Gram matrices of [derivatives, error], the session effects eliminated.
-    passes
-        Number of passes over the records.
-    linearized
-        Parameters (P,) at which the derivatives in `grams` were taken: these, or those one step before.
-    """
+    """Solution of a simulation-error fit."""
 
     parameters: Array
     nuisances: Array
+    """Offset and drift of every record, one record behind the other."""
     fitted: float
     held_out: float
+    """Mean square errors on the rows fitted and held out."""
     grams: Grams
+    """Gram matrices of [derivatives, error], the session effects eliminated."""
     passes: int
     linearized: Array
+    """Parameters at which the derivatives in `grams` were taken: these, or those one step before."""
 
     @property
     def covariance(self) -> Array:
@@ -118,31 +94,8 @@ def minimize_simulation_error(
     """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
     A pass with derivatives is done at every parameter vector that lowered the cost, but for the last; whether one does is tried by a
-    pass without.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records of one axis.
-    parametrization
-        Chain and constraints of a parameter vector.
-    start
-        Parameters (P,) to begin with, which satisfy the constraints.
-    nuisance
-        Addition of each record: "none", "offset" or "linear".
-    unknown_state
-        The linear dynamics at the end of the chain need not be at rest when a window begins.
-    passes
-        Most passes with derivatives, the first one included.
-    tolerance
-        Share of the cost that a step must gain for the search to go on.
-    everything
-        Fit also the rows held out for choosing between structures.
-
-    Returns
-    -------
-    Solution
-        Parameters, nuisances, errors, and the Gram matrices that the covariance comes from.
+    pass without. unknown_state: the linear dynamics at the end of the chain need not be at rest when a window begins; tolerance: share
+    of the cost that a step must gain for the search to go on; everything: fit also the rows held out for choosing structures.
     """
     origin = parametrization.limit(np.asarray(start, dtype=float))
     search = _Search(windows, parametrization, origin, Session(nuisance, unknown_state), everything)
@@ -193,24 +146,7 @@ class _Search:
 
 
 def simulation_error(windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str) -> float:
-    """Mean square of the simulation error over all rows, beside the nuisances that reduce it most.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records of one axis.
-    parametrization
-        Chain of a parameter vector.
-    parameters
-        Parameters (P,).
-    nuisance
-        Nuisance of each record.
-
-    Returns
-    -------
-    float
-        Square of the measurement's unit.
-    """
+    """Mean square of the simulation error over all rows, beside the nuisances that reduce it most."""
     return simulated(windows, parametrization, parameters, Session(nuisance), derivatives=False, everything=True).fitted
 
 
@@ -225,25 +161,7 @@ def simulated(
 ) -> Solution:
     """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out.
 
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    parametrization
-        Chain of a parameter vector.
-    parameters
-        Parameters (P,).
-    session
-        What every record may add.
-    derivatives
-        Include the derivatives.
-    everything
-        The session effects of a record are those of all its rows, not of the fitted ones alone.
-
-    Returns
-    -------
-    Solution
-        At these parameters.
+    everything: the session effects of a record are those of all its rows, not of the fitted ones alone.
     """
     size = len(parameters) * derivatives
     vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
@@ -359,18 +277,6 @@ def driving_signal(window: Window) -> tuple[Array, int]:
     """Construct the input of a chain whose output is the measurement, row for row.
 
     Under zoh the measurement at a tick answers the command of the interval before, under foh that of the same instant.
-
-    Parameters
-    ----------
-    window
-        A stretch of a record.
-
-    Returns
-    -------
-    signal : Array
-        Input (M, 1), the memory first.
-    first : int
-        Row at which the window begins.
     """
     before = np.zeros(0) if window.memory is None else window.memory
     late = 1 if window.hold == "zoh" else 0
@@ -396,22 +302,6 @@ def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) 
 
     Converted to a least distance problem and solved by nonnegative least squares (Lawson & Hanson, Solving Least Squares Problems,
     1974, chapter 23).
-
-    Parameters
-    ----------
-    normal
-        Positive definite matrix (K, K).
-    gradient
-        Vector (K,).
-    lhs
-        Left sides (C, K) of the constraints.
-    rhs
-        Right sides (C,).
-
-    Returns
-    -------
-    Array
-        The minimum x (K,).
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
     normal, gradient, lhs = normal * scale[:, None] * scale, gradient * scale, lhs * scale
@@ -444,18 +334,7 @@ def _root(matrix: Array) -> Array:
 
 @njit(cache=True)
 def surviving_turns(values: Array) -> NDArray[np.int64]:
-    """Find the turning points that no later excursion has passed: Madelung's rules remember no others.
-
-    Parameters
-    ----------
-    values
-        Signal (N,).
-
-    Returns
-    -------
-    NDArray[np.int64]
-        Indices of the turning points.
-    """
+    """Find the turning points that no later excursion has passed: Madelung's rules remember no others."""
     kept = np.empty(values.size, dtype=np.int64)
     count = 0
     for k in range(values.size):
@@ -474,16 +353,6 @@ def thinned(window: Window) -> Window:
     """Thin a window whose command creeps to every n-th row, between which its motion is straight.
 
     A held command is, at the coarse sample time, the mean of the values before and after the tick.
-
-    Parameters
-    ----------
-    window
-        A stretch of a record.
-
-    Returns
-    -------
-    Window
-        The thinned window, or the window itself.
     """
     steps = np.abs(np.diff(window.command))
     largest = float(steps.max()) if len(steps) else 0.0
@@ -507,22 +376,6 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
     """Choose short stretches that are spread evenly over the windows.
 
     Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter.
-
-    Parameters
-    ----------
-    windows
-        The records.
-    rows
-        Approximate number of rows to choose.
-    length
-        Length of a stretch, s.
-    settle
-        Time at the begin of a stretch, the transients, that does not count, s.
-
-    Returns
-    -------
-    list[Window]
-        The stretches; the windows themselves if they have no more rows than that.
     """
     if sum(len(window.command) for window in windows) <= rows:
         return list(windows)
