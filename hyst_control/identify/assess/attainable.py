@@ -1,4 +1,4 @@
-"""What a fit leaves, against what two flexible references leave of the same rows, and what the rest follows.
+"""Errors of a fit against those of two flexible references on the same rows, and what the rest follows.
 
 The references are a linear model of order 8 and play operators with a cubic, each fitted to the rows on which the model does worst. White
 noise is taken off all errors, so that only what has a shape counts.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
 from hyst_control.records.row_store import blocks
 
+if TYPE_CHECKING:
+    from hyst_control.identify.modal.linear import LinearOptions
+
 MAX_LINES = 6000
 """Largest number of lines of one record in a fit: those where the command is strongest."""
 WHOLE_ROWS, PART_ROWS = 2**22, 2**20
@@ -37,22 +40,7 @@ NEGLIGIBLE_IMPROVEMENT = 0.01
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
-class Choices(Protocol):
-    """The options of a linear fit that count here."""
-
-    @property
-    def method(self) -> str: ...
-    @property
-    def order(self) -> int | None: ...
-    @property
-    def delay(self) -> float | str: ...
-    @property
-    def direct(self) -> bool: ...
-    @property
-    def iterations(self) -> int: ...
-
-
-def fit(datasets: Sequence[Dataset], options: Choices) -> Fit:
+def fit(datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
     """Identify one `state_space` of all axes."""
     first = datasets[0]
     chosen, table = _search(without_drift(datasets), options)
@@ -219,7 +207,7 @@ def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
     return bool(np.any(np.abs(model.poles) > REACH * highest))
 
 
-def _search(datasets: Sequence[Dataset], options: Choices) -> tuple[Candidate, list[OrderRow]]:
+def _search(datasets: Sequence[Dataset], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
     first = datasets[0]
     inputs = len(first.axes)
     kept, held = held_out_split(datasets)

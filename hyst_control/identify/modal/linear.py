@@ -48,7 +48,7 @@ UNSURE = 0.1
 
 
 class Variant(NamedTuple):
-    """What else a structure may have."""
+    """Parts of a structure beside its states."""
 
     direct: bool
     delay: bool
@@ -94,6 +94,7 @@ class Candidate:
 
     @property
     def held_out(self) -> float:
+        """Mean square error on the blocks held out."""
         return self.solution.held_out
 
     @property

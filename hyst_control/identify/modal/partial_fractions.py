@@ -41,6 +41,7 @@ class Sections:
 
     @property
     def pairs(self) -> int:
+        """Number of sections of second order."""
         return self.order // 2
 
     @property

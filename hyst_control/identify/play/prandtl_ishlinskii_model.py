@@ -360,7 +360,7 @@ def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
 
 
 def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[ParameterRow], span: float) -> list[str]:
-    """What the data cannot determine, with the sizes that say so; span: range of the measurement."""
+    """Parameters that the data cannot determine, with the sizes that say so; span: range of the measurement."""
     notes = []
     own = [row for row in parameters if row["axis"] == name]
     weights = [row for row in own if row["name"].startswith("weights")]
@@ -388,7 +388,7 @@ def unresolved_parameters(axis: AxisFit, name: str, parameters: Sequence[Paramet
             if row["value"] == 0.0 or error > abs(row["value"]):
                 effect = 100.0 * float(moved[count + index]) * max(abs(row["value"]), error)
                 notes.append(
-                    f"axis {name}: {key} is not identifiable: its effect (at most {effect:.2g} % of the range) cannot be told beside "
-                    f"what is left ({left:.2g} %)"
+                    f"axis {name}: {key} is not identifiable: {row['value']:.2g} ± {error:.2g} {row['unit']}, an effect of at most "
+                    f"{effect:.2g} % of the range where {left:.2g} % are left"
                 )
     return notes
