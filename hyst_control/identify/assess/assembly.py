@@ -44,17 +44,17 @@ def assembled(
     method: str,
     held_out: Sequence[float] = (),
     tolerance: Mapping[str, float] | None = None,
-    offset: bool = False,
+    offset: float | None = None,
     by_axis: bool = False,
     more: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Fit of a chain whose parameters are known.
 
-    held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: the sensor's common offset is
-    no stage yet; by_axis: the noise is a list even of one axis; more: further entries of the report.
+    held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: share of the range from which a common
+    offset becomes the last stage; None: it is one already; by_axis: the noise is a list even of one axis; more: further entries of the report.
     """
-    if offset:
-        model, residuals = with_offset(model, datasets)
+    if offset is not None:
+        model, residuals = with_offset(model, datasets, offset)
     else:
         residuals = [residual_of(model, data) for data in datasets]
     sigma = noise_sigma(residuals, datasets)

@@ -90,11 +90,15 @@ def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[
     return rows
 
 
-def with_offset(model: Model, datasets: Sequence[Dataset]) -> tuple[Model, list[Array]]:
-    """The model with the sensor's common offset as its last stage, where that matters, and its residuals."""
+def with_offset(model: Model, datasets: Sequence[Dataset], least: float) -> tuple[Model, list[Array]]:
+    """The model with the sensor's common offset as its last stage, and its residuals.
+
+    A smaller offset than the share `least` of the range, or one that hardly changes the error, is left to the session.
+    """
     residuals = [residual(model, data) for data in datasets]
     offset, square = mean_of(residuals)
-    if np.any(offset**2 > OFFSET_SHARE * square):
+    span = np.max([data.range for data in datasets], axis=0)
+    if np.any((offset**2 > OFFSET_SHARE * square) & (np.abs(offset) > least * span)):
         values = [float(value) for value in offset]
         model = model.with_stages([*model.chain.stages, Offset(values[0] if len(set(values)) == 1 else values)])
         for error in residuals:

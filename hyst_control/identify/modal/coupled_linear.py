@@ -63,7 +63,7 @@ def fit(datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
         family="linear",
         method=options.method,
         tolerance=tolerance_of(chosen, stages),
-        offset=True,
+        offset=0.0,
         by_axis=True,
         more={"orders": table, "states": chosen.model.states},
     )

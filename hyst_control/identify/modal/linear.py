@@ -343,7 +343,7 @@ def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Seque
         notes,
         family="linear",
         method=options.method,
-        offset=True,
+        offset=0.0,
         by_axis=True,
         more={"orders": table, "states": sum(each.sections.order for each in found)},
     )

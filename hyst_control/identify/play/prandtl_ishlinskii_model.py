@@ -22,6 +22,9 @@ from hyst_control.identify.solve.parameter_covariance import Uncertainty, indepe
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Solution
 
+SENSOR_OFFSET = 0.01
+"""Share of the range from which an offset is the sensor's; a smaller one is as well the session's remanence or an error of the model."""
+
 
 @dataclass(frozen=True)
 class AxisFit:
@@ -87,7 +90,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
         family=family,
         method=method,
         held_out=[axis.held_out for axis in axes],
-        offset=True,
+        offset=SENSOR_OFFSET,
         more={"structure": [axis.solution.structure.describe() for axis in axes]} | ({"structures": compared} if compared else {}),
     )
 

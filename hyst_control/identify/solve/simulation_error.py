@@ -49,7 +49,7 @@ class Parametrization:
 
 @dataclass(frozen=True)
 class Session:
-    """Effects of a session, which a record may add to its model: sensor offset and drift (a name of `NUISANCES`), and an unknown state of the dynamics.
+    """Effects of a session: sensor offset and drift (a name of `NUISANCES`), and an unknown state of the dynamics.
 
     All of it is eliminated record by record, so a fit does not grow with the number of its records. The drift has a prior of its size.
     """
