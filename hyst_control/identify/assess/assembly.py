@@ -50,8 +50,9 @@ def assembled(
 ) -> Fit:
     """Fit of a chain whose parameters are known.
 
-    held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: share of the range from which a common
-    offset becomes the last stage; None: it is one already; by_axis: the noise is a list even of one axis; more: further entries of the report.
+    held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: share of the range from which a
+    common offset becomes the last stage (None: it is one already); by_axis: the noise is a list even of one axis; more: further entries
+    of the report.
     """
     if offset is not None:
         model, residuals = with_offset(model, datasets, offset)
