@@ -282,7 +282,7 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
 
         fit = best_family(chosen, lambda name: identify(begun, name, method, **options), second, explains)
     left = residuals_of(fit, begun)
-    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(begun, left)), residuals=tuple(left))
+    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun, left)), residuals=tuple(left))
 
 
 def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
@@ -290,8 +290,9 @@ def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
     return fit.residuals or [residual(fit.model, data) for data in datasets]
 
 
-def discrepancy(datasets: Sequence[Dataset], left: Sequence[Array]) -> dict[str, Any]:
-    """The model's own error in the form of a model file, from what it leaves of its records."""
+def discrepancy(model: Model, datasets: Sequence[Dataset], left: Sequence[Array] | None = None) -> dict[str, Any]:
+    """The model's own error in the form of a model file, from what it leaves (N, A) of its records, simulated unless it is known."""
+    left = [residual(model, data) for data in datasets] if left is None else left
     measured = [data.measurement[-len(rows) :] for data, rows in zip(datasets, left, strict=True)]
     return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time, measured)
 
