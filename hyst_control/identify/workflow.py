@@ -30,7 +30,7 @@ from hyst_control.identify.data.dataset import Dataset, Fit, Report
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
-from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, save_model
+from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.record import Aligned, Record
