@@ -44,8 +44,10 @@ setup(
     extras_require={
         "dashboard": ["bokeh", "tornado"],
         "fleet": ["distributed", "bokeh", "pyarrow"],
+        "bags": ["rosbags"],
         "frames": ["pandas", "xarray"],
         "parquet": ["pyarrow"],
+        "tables": ["pyarrow", "openpyxl", "h5py", "npTDMS"],
         "pi": ["pipython"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },

@@ -18,12 +18,12 @@ from hyst_control.chain.stage import HOLDS
 from hyst_control.errors import InputError
 from hyst_control.files import write_text
 from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.units import refusal_of_unit
 from hyst_control.yaml_files import EXPONENT, read_yaml
 
 FORMAT = "hyst_control/model"
 VERSION = 1
-COMMAND_UNITS = ("V",)
-MEASUREMENT_UNITS = ("um", "mrad")
+USUAL_UNITS = {"command": "V", "measurement": "um or mrad"}
 FORM = "its parameters do not have the form of numbers and lists it needs"
 KEYS = (
     "format",
@@ -54,7 +54,7 @@ class Model:
     axes
         Names of the axes.
     units
-        {"command": "V", "measurement": "um" | "mrad"}.
+        {"command": "V", "measurement": "um"}, say: lengths are in um, angles in mrad or deg; other units are kept as they are.
     sample_time
         s, of the data it was fitted on.
     chain
@@ -394,10 +394,12 @@ def _nearest(word: str, known: Sequence[str], otherwise: str = "") -> str:
 
 
 def _units(units: Any) -> dict[str, str]:
-    for signal, known in (("command", COMMAND_UNITS), ("measurement", MEASUREMENT_UNITS)):
-        if not isinstance(units, Mapping) or units.get(signal) not in known:
-            given = units.get(signal) if isinstance(units, Mapping) else units
-            raise InputError(f"units.{signal}: {given!r}, {' or '.join(known)} is due")
+    for signal, usual in USUAL_UNITS.items():
+        given = units.get(signal) if isinstance(units, Mapping) else units
+        if not isinstance(units, Mapping) or not isinstance(given, str):
+            raise InputError(f"units.{signal}: {given!r}, {usual} is due")
+        if reason := refusal_of_unit(given, usual):
+            raise InputError(f"units.{signal}: {reason}")
     for key in units:
         if key not in ("command", "measurement"):
             raise InputError(f"units.{key}: no such key, must be command or measurement")

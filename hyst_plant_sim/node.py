@@ -274,10 +274,10 @@ class PlantNode(ManagedNode):
                 )
         except ValueError as error:
             raise InputError(f"{name}: {error}") from None
-        if tuple(plant.axes) != self.axes or plant.units["measurement"] != self.unit:
+        if tuple(plant.axes) != self.axes or plant.units != {"command": "V", "measurement": self.unit}:
             raise InputError(
                 f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
-                f"{plant.units['measurement']}: set the parameters axes and unit to them"
+                f"{plant.units['measurement']} of {plant.units['command']}: set the parameters axes and unit to them"
             )
         found: Plant = plant
         return found

@@ -16,7 +16,10 @@ from hyst_control.errors import InputError
 from hyst_control.records import record as records
 from hyst_control.records.bag_reader import read_bag as read_signals
 from hyst_control.records.excitation import build
-from hyst_control.records.importing import UNITS, Column, column_indices, import_table, unit_and_scale, write_bag
+from hyst_control.records.importing import import_table, write_bag
+from hyst_control.records.tables.columns import Column, unit_and_scale
+from hyst_control.records.tables.selection import column_indices
+from hyst_control.records.units import unit_of
 from hyst_control.reporting.frequency_figures import bode_of_record
 from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
 
@@ -342,9 +345,10 @@ def from_arrays(
     time = records.regular_times(len(rows[0]), 1.0 / rate)
     signals = {}
     for topic, values, given in zip(TOPICS, rows, (command_unit, unit), strict=True):
-        if given not in UNITS:
-            raise InputError(f"unit: {given!r} is not known, must be one of {', '.join(UNITS)}")
-        known, factor = UNITS[given]
+        found = unit_of(given)
+        if found is None:
+            raise InputError(f"unit: {given!r} is not known, must be one such as V, um, mrad, deg, A or counts")
+        known, factor = found
         signals[topic] = records.Signal(time, factor * values, names, known)
     return Record(signals, source, hold=hold)
 
@@ -384,7 +388,7 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
     values = []
     for column in chosen:
         picked = [index for name in column.columns for index in column_indices("frame", name, columns, len(columns))]
-        values.append(column.scale * np.asarray(frame.iloc[:, picked], dtype=float))
+        values.append(column.scales[0] * np.asarray(frame.iloc[:, picked], dtype=float))
     if rate is None:
         time = np.asarray(frame.index, dtype=float)
         if len(time) < 2 or not records.increasing(time):
@@ -484,7 +488,8 @@ def _column(topic: str, given: str | Sequence[str]) -> Column:
     if None in found or len(units) != 1:
         raise InputError(f'{topic}: must be a column with its unit, such as "u [V]", several in one unit, got {given!r}')
     names = [match["name"] if match["name"].isdecimal() else text for match, text in zip(found, texts, strict=True) if match]
-    return Column(topic, tuple(names), *unit_and_scale(topic, units.pop()))
+    unit, scale = unit_and_scale(topic, units.pop())
+    return Column(topic, tuple(names), unit, (scale,) * len(names))
 
 
 def _array(topic: str, given: str | Sequence[str]) -> Column:

@@ -57,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
     parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -78,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         cache=not arguments.no_cache,
         namespace=arguments.namespace,
         unit=arguments.unit,
+        columns=arguments.columns,
         progress=not arguments.quiet and sys.stderr.isatty(),
         warm_up=arguments.warm_up,
         on=arguments.on,

@@ -24,7 +24,7 @@ WRITES = ("output", "figure")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, or .mcap or .db3 files")
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, folders of them, or .mcap or .db3 files")
     parser.add_argument(
         "--model", "--family", metavar="NAME", help="model family (default: auto, the best of several on held-out data)"
     )
@@ -57,7 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",
     )
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
     _add_when_needed(parser)
 
 
@@ -125,6 +126,7 @@ def run(arguments: argparse.Namespace) -> Result:
         strict=arguments.strict,
         namespace=arguments.namespace,
         unit=arguments.unit,
+        columns=arguments.columns,
         figure=arguments.figure,
         **given,
     )

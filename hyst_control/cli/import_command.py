@@ -1,16 +1,25 @@
-"""Convert recordings of other tools to bags: CSV, white-space tables (.gz too), .npy, .npz and MATLAB .mat files.
+"""Convert recordings of other tools to bags: text tables (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms, other bags.
 
-A bag is accepted too, even if its recorder was killed: its readable part is written as a finished bag for other tools.
+Without --columns the columns of the file are listed with a description of them that can be pasted. A bag of this package's signals needs
+no columns, even if its recorder was killed: its readable part is written as a finished bag for other tools.
 
 examples:
+  hyst import run.csv                        # what is in it?
   hyst import Model_Vi_Do.dat --output model.bag --columns "command=1[V],measurement=5[um]" --rate 200 --rows 5: --hold foh
   hyst import run.csv --output run.bag --columns "command=drive[mV],measurement=pos[nm]" --rate 20e3
   hyst import run.mat --output fsm.bag --columns "command=ux+uy[V],measurement=tx+ty[rad]" --rate 5000
+  hyst import sim.mat --output run.bag --columns "time=out.time[s],command=out.signals.values(:,1)[V],measurement=run(2).y[um]"
   hyst import scope.csv --output run.bag --columns "time=1[s],command=2[V],measurement=3[um]"
+  hyst import log.csv --output run.bag --columns "time=ts[s]+tus[us],command=u[V],measurement=y[deg]" --resample
+  hyst import robot.mcap --output run.bag --columns "command=/joint_states.effort[V],measurement=/joint_states.position(1)[um]"
+  hyst import analyzer.csv --output response.bag --columns "frequency=1[Hz],magnitude=2[dB],phase=3[deg]"
   hyst import killed.bag --output repaired.bag
 Columns are numbered from 1 (from 0 where a column 0 is named), or named by the header or the file's own arrays; several axes are joined
 with +. A number before the unit is what one in the file stands for: volts of a sensor of 5 um/V are measurement=pos[5um/V]. A matrix is
-taken with all its columns as axes, or with one of them: measurement=data(:,2)[um].
+taken with all its columns as axes, with one of them, measurement=data(:,2)[um], or with one row, data(2,:). Voltages become V, lengths
+um, radians mrad; all other units stay (deg, arcsec, A, N, m/s^2, counts, %, ...). A field of a bag is /topic.field, of any message type.
+Sample times are put on the nearest ticks of a regular clock. A time that starts again begins a further record: the bags are then
+numbered in the folder BAG, which other commands take as all of them.
 """
 
 from __future__ import annotations
@@ -19,11 +28,13 @@ import argparse
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from hyst_control.records.record import Record
+    from collections.abc import Sequence
+
+    from hyst_control.records.record import Record, Signal
     from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "import"
-HELP = "convert CSV, NPY, NPZ or MAT recordings to bags"
+HELP = "convert recordings of other tools to bags"
 JSON = "list of written files"
 READS = ("file",)
 WRITES = ("output",)
@@ -32,17 +43,26 @@ WRITES = ("output",)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument("file", metavar="FILE", help="recording to convert")
-    parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
-    parser.add_argument("--columns", help="topic=column[unit], separated by commas (not for a bag)")
+    parser.add_argument("--output", metavar="BAG", help="bag to write, which must not exist")
+    parser.add_argument("--columns", help="topic=column[unit], separated by commas")
     parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag, nor for a table with a column of times)")
     parser.add_argument("--rows", default=":", help="rows as first:end, counted from 0 (default: all)")
+    parser.add_argument("--skip", type=int, default=0, metavar="N", help="lines of a text to leave out at its beginning")
+    parser.add_argument(
+        "--resample",
+        type=float,
+        nargs="?",
+        const=0.0,
+        metavar="HZ",
+        help="interpolate irregular times, gaps and several rates, at HZ or at the file's own rate",
+    )
+    parser.add_argument("--allow-gaps", action="store_true", help="accept times that pass over rows, as identify --allow-gaps does")
     parser.add_argument(
         "--hold",
         choices=("zoh", "foh"),
-        default="zoh",
-        help="command between samples: zoh, held by a DAC (default); foh, a sampled smooth source",
+        help="command between samples: zoh, held by a DAC (default, but for a bag that states it); foh, a sampled smooth source",
     )
-    parser.add_argument("--variable", help="array to read from an .npz or .mat file")
+    parser.add_argument("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
 
 
 def run(arguments: argparse.Namespace) -> Artifacts:
@@ -51,51 +71,90 @@ def run(arguments: argparse.Namespace) -> Artifacts:
 
     from hyst_control import progress
     from hyst_control.errors import InputError
+    from hyst_control.records.bag_fields import read_fields
     from hyst_control.records.bag_reader import read_bag
-    from hyst_control.records.importing import import_table, parse_columns
+    from hyst_control.records.importing import import_records, parse_columns
+    from hyst_control.records.tables.listing import listed_columns
 
     progress.step(f"read {arguments.file}")
-    if Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3")):
-        record = read_bag(arguments.file)
-        return written(arguments.output, record, [f"note: {note}" for note in record.notes])
-    if arguments.columns is None:
-        raise InputError("--columns: is missing: a table does not say it by itself")
+    is_bag = Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3"))
+    if arguments.columns is None and not is_bag:
+        lines, suggestion = listed_columns(Path(arguments.file), arguments.variable, arguments.skip)
+        print("\n".join(lines))
+        raise InputError(f"--columns: is missing: name the columns listed above, such as {suggestion}")
+    if arguments.output is None:
+        raise InputError("--output: is missing: name the bag to write")
+    if arguments.resample is not None and not 0 <= arguments.resample < float("inf"):
+        raise InputError(f"--resample: must be a rate in Hz, got {arguments.resample:g}")
+    columns = None if arguments.columns is None else parse_columns(arguments.columns)
+    if columns is None:
+        return written(arguments.output, [read_bag(arguments.file)])
+    if is_bag:
+        record = read_fields(Path(arguments.file), columns, arguments.hold, arguments.resample, arguments.allow_gaps)
+        return written(arguments.output, [record])
     try:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
         raise InputError(f"--rows: must be first:end in whole numbers, got {arguments.rows!r}") from None
-    record = import_table(
-        arguments.file, parse_columns(arguments.columns), arguments.rate, rows, arguments.hold, arguments.variable
+    return written(
+        arguments.output,
+        import_records(
+            arguments.file,
+            columns,
+            arguments.rate,
+            rows,
+            arguments.hold or "zoh",
+            arguments.variable,
+            arguments.skip,
+            arguments.resample,
+            arguments.allow_gaps,
+        ),
     )
-    return written(arguments.output, record, [f"note: {note}" for note in record.notes])
 
 
-def written(output: str, record: Record, notes: list[str]) -> Artifacts:
-    """Write a record to a bag and describe it.
+def written(output: str, records: Sequence[Record]) -> Artifacts:
+    """Write records to a bag, or several to numbered bags in a folder, and describe them."""
+    from pathlib import Path
 
-    Parameters
-    ----------
-    output : str
-        Bag to write.
-    record : Record
-        The record.
-    notes : list of str
-        Lines printed before the description.
-
-    Returns
-    -------
-    Artifacts
-        The written files, with the number of samples of every topic.
-    """
     from hyst_control import progress
-    from hyst_control.records.importing import write_bag
+    from hyst_control.records.importing import write_bags
     from hyst_control.reporting.artifacts import Artifacts
 
     progress.step(f"write {output}")
-    write_bag(output, record)
-    made = Artifacts("import", [output], lines=notes)
-    for topic, signal in record.signals.items():
-        made.lines.append(f"{topic}: {len(signal.time)} samples, {', '.join(signal.axes)} in {signal.unit}")
-        made.add(topic, "samples", "", len(signal.time))
+    write_bags(output, records)
+    notes = [note for record in records for note in (*record.notes, *_unlike_axes(record))]
+    made = Artifacts("import", [output], lines=[f"note: {note}" for note in notes])
+    for number, record in enumerate(records, start=1):
+        for topic, signal in record.signals.items():
+            where = f"{Path(output) / str(number)}: " if len(records) > 1 else ""
+            made.lines.append(where + _described(topic, signal))
+            made.add(f"{number} {topic}" if where else topic, "samples", "", len(signal.time))
     return made
+
+
+def _unlike_axes(record: Record) -> list[str]:
+    """A note where command and measurement have other axes: a model needs the same."""
+    from hyst_control.errors import InputError
+
+    try:
+        if {"command", "measurement"} <= set(record.signals):
+            record.check_axes()
+    except InputError as error:
+        return [str(error)]
+    return []
+
+
+def _described(topic: str, signal: Signal) -> str:
+    """Samples, rate, duration and ranges of a signal: a wrong unit is seen there."""
+    from hyst_control.records.record import commonest_step
+
+    count = len(signal.time)
+    if count < 2:
+        return f"{topic}: {count} samples, {', '.join(signal.axes)} in {signal.unit}"
+    ranges = ", ".join(
+        f"{axis} {values.min():.4g} to {values.max():.4g}" for axis, values in zip(signal.axes[:6], signal.values.T, strict=False)
+    )
+    more = ", …" if len(signal.axes) > 6 else ""
+    step = commonest_step(signal.time)
+    return f"{topic}: {count} samples at {1.0 / step:.6g} Hz, {signal.time[-1] - signal.time[0] + step:.6g} s, {ranges}{more} {signal.unit}"

@@ -90,7 +90,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         lowest, highest = min(lowest, float(measurement[part].min())), max(highest, float(measurement[part].max()))
     time = regular_times(len(commands), sample_time)
     signals = {
-        "command": Signal(time, commands, tuple(model.axes), "V"),
+        "command": Signal(time, commands, tuple(model.axes), model.units["command"]),
         "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),
     }
     write_bag(arguments.output, Record(signals, arguments.output, (), hold))

@@ -47,7 +47,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "record (default)",
     )
     parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
 
 
 def run(arguments: argparse.Namespace) -> Table:
@@ -56,5 +57,12 @@ def run(arguments: argparse.Namespace) -> Table:
 
     models = arguments.models if hasattr(arguments, "models") else [arguments.model]
     return validate_bags(
-        models, arguments.bags, arguments.command, arguments.hold, arguments.start, arguments.namespace, arguments.unit
+        models,
+        arguments.bags,
+        arguments.command,
+        arguments.hold,
+        arguments.start,
+        arguments.namespace,
+        arguments.unit,
+        arguments.columns,
     )

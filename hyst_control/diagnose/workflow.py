@@ -25,6 +25,7 @@ from hyst_control.files import write_json
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.progress import step
 from hyst_control.records.array_files import read_array
+from hyst_control.records.bag_files import bags_in
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.reporting.provenance import Origin, provenance
@@ -82,6 +83,7 @@ def diagnose_bags(
     cache: bool = True,
     namespace: str | None = None,
     unit: str = "unknown",
+    columns: str | None = None,
     progress: bool = False,
     warm_up: float = 0.0,
     on: str | None = None,
@@ -99,9 +101,9 @@ def diagnose_bags(
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     nominal = None if model is None else load_model(model)
     gap = diagnose_records(
-        [read_bag(bag, namespace, unit) for bag in bags],
+        [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(bags)],
         nominal,
-        [read_bag(bag, namespace, unit) for bag in baseline],
+        [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(baseline)],
         seed=seed,
         without=without,
         cache=cache,

@@ -17,6 +17,7 @@ from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
+from hyst_control.records.bag_files import bags_in
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.record import Record
@@ -59,6 +60,7 @@ def validate_bags(
     start: str = "auto",
     namespace: str | None = None,
     unit: str = "unknown",
+    columns: str | None = None,
 ) -> Table:
     """Score every model on every record.
 
@@ -70,7 +72,7 @@ def validate_bags(
         Bags with command and measurement.
     source
         Name of the table.
-    hold, start, namespace, unit
+    hold, start, namespace, unit, columns
         How the bags are read: see `datasets_of` and `read_bag`.
 
     Returns
@@ -86,9 +88,9 @@ def validate_bags(
     """
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)
-    for bag in bags:
+    for bag in bags_in(bags):
         progress.step(f"read {bag}")
-        table.rows += validate_record(loaded, read_bag(bag, namespace, unit), source, hold, start).rows
+        table.rows += validate_record(loaded, read_bag(bag, namespace, unit, columns=columns), source, hold, start).rows
     return table
 
 
@@ -127,10 +129,10 @@ def check_pair(name: str, model: Model, data: Dataset) -> None:
     InputError
         They do not.
     """
-    if model.axes != data.axes or model.units["measurement"] != data.unit:
+    if model.axes != data.axes or model.units != {"command": data.command_unit, "measurement": data.unit}:
         raise InputError(
-            f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']}, the record {data.name} has "
-            f"{', '.join(data.axes)} in {data.unit}: use a model of this plant"
+            f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']} of {model.units['command']}, the record "
+            f"{data.name} has {', '.join(data.axes)} in {data.unit} of {data.command_unit}: use a model of this plant"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,11 +31,13 @@ from hyst_control.identify.data.dataset import Dataset, Fit, Report
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
-from hyst_control.model_file import COMMAND_UNITS, MEASUREMENT_UNITS, Model, save_model
+from hyst_control.model_file import USUAL_UNITS, Model, save_model
+from hyst_control.records.bag_files import bags_in
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.clock_alignment import aligned_by_reception
 from hyst_control.records.record import Aligned, Record
 from hyst_control.records.record_validity import Trial, check_records, refuse_invalid
+from hyst_control.records.units import refusal_of_unit
 
 AUTO = "auto"
 """In place of a family: the best one."""
@@ -137,6 +140,7 @@ def identify_bags(
     force: bool = False,
     namespace: str | None = None,
     unit: str = "unknown",
+    columns: str | None = None,
     figure: str | Path | None = None,
     strict: bool = False,
     **options: object,
@@ -155,7 +159,7 @@ def identify_bags(
         Fit report to write.
     method
         "joint" or, where the family has it, "paper".
-    hold, start, allow_gaps, namespace, unit
+    hold, start, allow_gaps, namespace, unit, columns
         How the bags are read: see `datasets_of` and `read_bag`.
     force
         Fit records, too, that are no measurement of their command, or of several plants, and write the model whatever it explains.
@@ -187,9 +191,9 @@ def identify_bags(
             raise InputError(f"figure: shows the choice between families, of which {family} is named: leave the figure out")
         check_writable(figure)
     records = []
-    for bag in bags:
+    for bag in bags_in(bags):
         progress.step(f"read {bag}")
-        records.append(read_bag(bag, namespace, unit))
+        records.append(read_bag(bag, namespace, unit, columns=columns))
     fit = identify_records(records, family, method=method, hold=hold, start=start, allow_gaps=allow_gaps, force=force, **given)
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags]})
     keep = force or fit.report["verdict"] != NOTHING
@@ -282,7 +286,23 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
 
         fit = best_family(chosen, lambda name: identify(begun, name, method, **options), second, explains)
     left = residuals_of(fit, begun)
-    return replace(fit, model=replace(fit.model, discrepancy=discrepancy(fit.model, begun, left)), residuals=tuple(left))
+    units = {"command": datasets[0].command_unit, "measurement": datasets[0].unit}
+    report = fit.report if units["command"] == "V" else _in_command_unit(fit.report, units)
+    model = replace(fit.model, units=units, discrepancy=discrepancy(fit.model, begun, left))
+    return replace(fit, model=model, report=report, residuals=tuple(left))
+
+
+def _in_command_unit(report: Any, units: Mapping[str, str]) -> Any:
+    """A report whose parameters are in the command's unit where the families write V."""
+    if isinstance(report, list):
+        return [_in_command_unit(row, units) for row in report]
+    if not isinstance(report, dict):
+        return report
+    volts = r"(?<=/)V\b" if units["measurement"] == "V" else r"\bV\b"
+    return {
+        key: re.sub(volts, units["command"], value) if key == "unit" and isinstance(value, str) else _in_command_unit(value, units)
+        for key, value in report.items()
+    }
 
 
 def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
@@ -365,20 +385,12 @@ def datasets_of(
         Topics, units or samples are unusable: names the record and the remedy.
     """
     command, measurement = (record.signal(topic) for topic in TOPICS)
-    if command.unit not in COMMAND_UNITS:
-        raise InputError(
-            f"{record.source}: command: unit must be {' or '.join(COMMAND_UNITS)}, got {command.unit!r}: import it with its unit"
-        )
-    if measurement.unit not in MEASUREMENT_UNITS:
-        raise InputError(
-            f"{record.source}: measurement: unit must be {' or '.join(MEASUREMENT_UNITS)}, got {measurement.unit!r}: import it "
-            "with its unit, or name the unit of a bag without a layout"
-        )
-    if command.axes != measurement.axes:
-        raise InputError(
-            f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
-            "record both with the same axes in the same order"
-        )
+    for topic, usual in USUAL_UNITS.items():
+        if reason := refusal_of_unit(record.signal(topic).unit, usual):
+            raise InputError(
+                f"{record.source}: {topic}: unit {reason}: import it with its unit, or name the unit of a bag without a layout"
+            )
+    record.check_axes()
     stretches = record.aligned(TOPICS, allow_gaps)
     used = _long_enough(record, stretches, notes)
     datasets = []
@@ -395,6 +407,7 @@ def datasets_of(
             measurement.unit,
             record.hold if hold in (None, AUTO) else hold,
             "unknown" if index or part.amid and start == "settled" else start,
+            command_unit=command.unit,
         )
         datasets.append(data)
     if hold in (None, AUTO) and record.hold == "zoh" and datasets:

@@ -116,10 +116,10 @@ class DiagnosisNode(SignalNode):
         self._model_path = Path(os.path.realpath(given.model))
         try:
             model = load_model(self._model_path)
-            if model.axes != self.axes or model.units["measurement"] != self.unit:
+            if model.axes != self.axes or model.units != {"command": "V", "measurement": self.unit}:
                 raise InputError(
-                    f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']}: set the "
-                    "parameters axes and unit to them"
+                    f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']} of {model.units['command']}: "
+                    "set the parameters axes and unit to them"
                 )
             self._twin = LiveTwin(model, self.period)
             self._baseline = [Path(os.path.realpath(bag)) for bag in given.baseline if bag]

@@ -48,7 +48,8 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
     Returns
     -------
     dict
-        Arrays as float64; those of a .mat file without their dimensions of length 1.
+        Arrays as float64; those of a .mat file without their dimensions of length 1, and within structures by their path
+        (``log.day1.u``, ``runs(2).u``).
 
     Raises
     ------
@@ -74,11 +75,30 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
                 if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
             }
     except _MatlabHdf:
-        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV") from None
+        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
 
 
 class _MatlabHdf(BaseException):
     """Not an `Exception`: the wrapper of foreign readers lets it pass."""
+
+
+def hdf5_arrays(path: Path) -> dict[str, Any]:
+    """Arrays of an HDF5 file by their path, with dots; those that MATLAB wrote are turned, as it stores columns first."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    budget = Budget(path.stat().st_size)
+
+    def keep(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim and not item.external:
+            budget.take(item.size * item.dtype.itemsize)
+            value = item[()]
+            by_matlab = "MATLAB_class" in item.attrs
+            found[name.replace("/", ".")] = np.squeeze(value.T) if by_matlab else value
+
+    with h5py.File(path, "r") as file:
+        file.visititems(keep)
+    return {name: _as_float64(value) for name, value in found.items() if not name.startswith("#")}
 
 
 def _as_float64(value: Any) -> Array:
@@ -131,9 +151,38 @@ def _mat(path: Path) -> dict[str, Any]:
 
     _check_mat(path)
     try:
-        return {name: value for name, value in loadmat(path, squeeze_me=True).items() if not name.startswith("__")}
+        content = loadmat(path, simplify_cells=True)
     except NotImplementedError:
-        raise _MatlabHdf from None
+        try:
+            return hdf5_arrays(path)
+        except (ModuleNotFoundError, OSError):
+            raise _MatlabHdf from None
+    found: dict[str, Any] = {}
+    objects: list[str] = []
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _flatten(name, value, found, objects)
+    if objects and not any(isinstance(value, np.ndarray) and value.dtype.kind in "iuf" for value in found.values()):
+        raise InputError(
+            f"{path}: {objects[0]}: only MATLAB reads it: save its columns there as arrays (u = T.u; save run.mat u y)"
+        )
+    return found
+
+
+def _flatten(name: str, value: Any, found: dict[str, Any], objects: list[str]) -> None:
+    """Collect the arrays within structures and cells by their path; MATLAB's own objects by name and class."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _flatten(f"{name}.{key}", inner, found, objects)
+    elif isinstance(value, list):
+        for number, inner in enumerate(value, start=1):
+            _flatten(f"{name}({number})", inner, found, objects)
+    elif isinstance(value, np.ndarray) and value.dtype.names and "s2" in value.dtype.names:
+        said = value.ravel()[0]
+        title, kind = (part.decode() if isinstance(part, bytes) else str(part) for part in (said["s0"], said["s2"]))
+        objects.append(f"{title or name} is a MATLAB object ({kind})")
+    else:
+        found[name] = value
 
 
 def _check_mat(path: Path) -> None:

@@ -4,35 +4,27 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from io import BufferedReader
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from shutil import copyfileobj
-from tempfile import TemporaryDirectory
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.foreign_readers import first_line
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.decompression import Budget, Damage, Expanded, decompress
-from hyst_control.records.mcap_stream import MAGIC, PIECE, CutOff, McapStream
+from hyst_control.records.bag_fields import read_fields
+from hyst_control.records.bag_files import Bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing
+from hyst_control.records.regular_signals import on_one_clock
 from hyst_control.records.row_store import RowStore
 from hyst_control.records.signal_message import MESSAGE_TYPE, decode, parse_label
-from hyst_control.records.sqlite_bag import sqlite_messages
-from hyst_control.yaml_files import read_yaml
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 """The topics that the package knows; another topic that is no signal is left out with a note instead of refused."""
 
 COMMAND_SIDE = ("command", "feedforward", "feedback")
-STORAGE = (".mcap", ".db3")
-COMPRESSED = tuple(f"{suffix}.zstd" for suffix in STORAGE)
 PENDING = 2048
 """Messages decoded at a time: enough for numpy's speed, few enough that the raw bytes take no room."""
 
@@ -49,7 +41,11 @@ Array = NDArray[np.float64]
 
 
 def read_bag(
-    path: str | Path, namespace: str | None = None, unit: str = "unknown", topics: Collection[str] | None = None
+    path: str | Path,
+    namespace: str | None = None,
+    unit: str = "unknown",
+    topics: Collection[str] | None = None,
+    columns: str | None = None,
 ) -> Record:
     """Read every signal topic of a bag: a rosbag2 directory, or a single .mcap or .db3 file.
 
@@ -63,6 +59,9 @@ def read_bag(
         Unit of measurement and reference in a bag whose messages have no layout.
     topics
         Last parts of the names of the topics to read; all by default.
+    columns
+        Topics and fields that stand for the signals, such as "command=/drive.data[V],measurement=/joint_states.position[um]", for a
+        bag of other messages.
 
     Returns
     -------
@@ -75,15 +74,20 @@ def read_bag(
         The bag cannot be read, holds no signal messages, or one of its signals is not valid; the text names file and remedy.
     """
     path = Path(path)
+    if columns is not None:
+        return read_fields(path, columns)
     notes: list[str] = []
-    bag = _Bag(path, notes)
+    bag = Bag(path, notes)
     found: dict[str, _Topic] = {}
     for topic, time, raw in bag.messages():
         if topic not in found:
             found[topic] = _Topic(topics is None or topic.rpartition("/")[2] in topics)
         found[topic].add(raw, time)
     if not found:
-        raise InputError(f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded")
+        raise InputError(
+            f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded, or name fields as in --columns "
+            f'"command=/drive.data[V],measurement=/joint_states.position[um]" of its topics: {bag.listed()}'
+        )
     named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
     notes += [f"{path}: {topic}: holds no messages" for topic in sorted(bag.topics - set(found))]
     found.clear()
@@ -102,6 +106,12 @@ def read_bag(
             notes.append(f"{path}: {name}: holds no rows")
     if any(signal.timing == "receive" for signal in signals.values()):
         notes.append(f"{path}: messages without a layout: the time of reception stands for the sample time, with its jitter")
+        received = {name: each for name, each in signals.items() if name in SIGNALS and len(each.time) > 1}
+        if all(signal.timing == "receive" for signal in received.values()):
+            with suppress(InputError):  # of several rates, or without any: told by who needs one
+                regular, more = on_one_clock(str(path), received, bag.hold, allow_gaps=True)
+                signals |= regular
+                notes += more
     record = Record(signals, str(path), tuple(notes), bag.hold)
     return replace(record, notes=(*record.notes, *_not_followed(record)))
 
@@ -139,161 +149,6 @@ def _by_last_part(path: Path, topics: Collection[str], namespace: str | None) ->
     if not chosen:
         raise InputError(f"{path}: no topic in the namespace {namespace!r} (topics: {', '.join(sorted(topics))})")
     return chosen
-
-
-@dataclass(frozen=True)
-class _Metadata:
-    """Content of metadata.yaml: storage files by name; compression "", "file" or "message"."""
-
-    files: tuple[str, ...]
-    compression: str
-    hold: str
-
-
-@dataclass
-class _Bag:
-    """A bag being read: what is known of it besides its messages."""
-
-    path: Path
-    notes: list[str]
-    topics: set[str] = field(default_factory=set)
-    """Every signal topic that the bag knows, also those without a message."""
-    hold: str = "zoh"
-
-    def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, receive time in ns, CDR bytes) of every Float64MultiArray message."""
-        path = self.path
-        if not path.exists():
-            raise InputError(f"{path}: does not exist: give the path of a bag")
-        metadata = _metadata(path, self.notes)
-        files = _files(path, metadata)
-        for file in files:
-            if file.stat().st_size == 0:
-                raise InputError(f"{file}: is empty: the recording wrote nothing")
-        if metadata is not None:
-            self.hold = metadata.hold
-        mode = metadata.compression if metadata is not None else ""
-        finished = metadata is not None and all(file.suffix != ".mcap" or _has_footer(file) for file in files)
-        for file in files:
-            budget = Budget(file.stat().st_size)
-            yield from self._of_file(file, finished, budget, mode == "message")
-
-    def _of_file(self, file: Path, finished: bool, budget: Budget, packed: bool) -> Iterator[tuple[str, int, bytes]]:
-        """Messages of one storage file; of one that nobody finished all that can be read, with a note on the rest.
-
-        packed: every message is compressed by itself.
-        """
-        compressed = file.suffix == ".zstd"
-        count = 0
-        try:
-            if file.name.endswith((".db3", ".db3.zstd")):
-                for topic, time, raw in self._sqlite(file, finished, budget, compressed):
-                    count += 1
-                    yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
-                return
-            with ExitStack() as opened:
-                stream: BinaryIO = opened.enter_context(open(file, "rb"))
-                if compressed:
-                    stream = BufferedReader(Expanded(stream, budget), PIECE)
-                mcap = McapStream(stream, None if compressed else file.stat().st_size, budget)
-                try:
-                    for topic, time, raw in mcap.messages():
-                        count += 1
-                        yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
-                finally:
-                    self.topics.update(mcap.topics.values())
-                if finished and mcap.announced is not None and mcap.announced != mcap.found:
-                    raise Damage(f"holds {mcap.found} messages where {mcap.announced} are announced")
-        except CutOff:
-            if finished:
-                raise InputError(f"{self.path}: is damaged (a record is longer than the file): record again or repair it") from None
-            if not count:
-                raise InputError(f"{file}: is cut off before its first whole chunk: record again") from None
-            self.notes.append(f"{file}: has no footer (recorder killed?): {count} messages up to its last whole chunk were read")
-        except InputError:
-            raise
-        except Exception as error:  # damage is also what a decompressor says of it
-            if finished or file.name.endswith((".db3", ".db3.zstd")):
-                raise InputError(f"{file}: is damaged ({first_line(error)}): record again or repair it") from None
-            if not count:
-                raise InputError(
-                    f"{file}: is damaged or cut off before its first whole chunk ({first_line(error)}): record again"
-                ) from None
-            self.notes.append(f"{file}: is damaged ({first_line(error)}): {count} messages before the damage were read")
-
-    def _sqlite(self, file: Path, finished: bool, budget: Budget, compressed: bool) -> Iterator[tuple[str, int, bytes]]:
-        topics: dict[int, str] = {}
-        try:
-            if not compressed:
-                yield from sqlite_messages(file, finished, topics)
-                return
-            with TemporaryDirectory() as folder:  # SQLite reads files only
-                whole = Path(folder) / file.stem
-                with open(file, "rb") as stream, open(whole, "wb") as copy:
-                    copyfileobj(BufferedReader(Expanded(stream, budget), PIECE), copy, PIECE)
-                yield from sqlite_messages(whole, True, topics)
-        finally:
-            self.topics.update(topics.values())
-
-
-def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
-    """Content of metadata.yaml; None where it is missing or cannot be used, which is noted."""
-    file = path / "metadata.yaml"
-    if not path.is_dir() or not file.exists():
-        return None
-    try:
-        if not file.is_file():
-            raise InputError("is no file")
-        said = read_yaml(file)
-        found = said["rosbag2_bagfile_information"]
-        names = found["relative_file_paths"]
-        mode = str(found.get("compression_mode") or "").lower()
-        compression = "" if mode == "none" else mode
-        if compression not in ("", "file", "message"):
-            raise InputError(f"compression mode {mode[:20]!r} is not known")
-        if compression and found.get("compression_format") != "zstd":
-            raise InputError(f"compression format {str(found.get('compression_format'))[:20]!r} is not known")
-        if not isinstance(names, list) or not names or not all(isinstance(name, str) and Path(name).name for name in names):
-            raise InputError("relative_file_paths is no list of names")
-        custom = found.get("custom_data")
-        hold = "foh" if isinstance(custom, dict) and custom.get("hold") == "foh" else "zoh"
-        return _Metadata(tuple(Path(name).name for name in names), compression, hold)
-    except InputError as error:
-        reason = str(error).removeprefix(f"{file}: ")
-    except (KeyError, TypeError, AttributeError, ValueError):
-        reason = "it says nothing of a bag"
-    notes.append(f"{file}: cannot be used ({reason}): the bag's files were read without it")
-    return None
-
-
-def _files(path: Path, metadata: _Metadata | None) -> list[Path]:
-    """The storage files of a bag, in the order that its metadata has them in."""
-    known = (*STORAGE, *COMPRESSED)
-    if metadata is not None:
-        files = [path / name for name in metadata.files]
-        if missing := [file.name for file in files if not file.is_file()]:
-            raise InputError(
-                f"{path}: its metadata names files that are not there ({', '.join(missing)[:200]}): copy the whole bag"
-            )
-        # rosbag2 names the file before it was compressed in some versions
-    elif path.is_file():
-        files = [path]
-    else:
-        files = sorted(file for file in path.iterdir() if file.name.endswith(known))
-    if not files or not all(file.name.endswith(known) for file in files):
-        raise InputError(f"{path}: is no bag: must be a rosbag2 directory, or an .mcap or .db3 file")
-    if len({file.name.removesuffix(".zstd").rpartition(".")[2] for file in files}) > 1:
-        raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")
-    return files
-
-
-def _has_footer(file: Path) -> bool:
-    with open(file, "rb") as stream:
-        stream.seek(0, 2)
-        if stream.tell() < 2 * len(MAGIC):
-            return False
-        stream.seek(-len(MAGIC), 2)
-        return stream.read() == MAGIC
 
 
 Form = tuple[str, int]

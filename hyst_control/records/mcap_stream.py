@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -40,16 +40,20 @@ class McapStream:
     stream: BinaryIO
     size: int | None
     budget: Budget
+    chosen: Collection[str] | None = None
+    """Topics to read, whatever their type; None: those of signal messages."""
     topics: dict[int, str] = field(default_factory=dict)
-    """Signal topics by channel."""
+    """The topics that are read, by channel."""
+    types: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """Type and definition of every topic of the file that has been met."""
     announced: int | None = None
     """Messages that the file says it holds, of all channels."""
     found: int = 0
     """Messages met so far, of all channels."""
-    _schemas: dict[int, str] = field(default_factory=dict)
+    _schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """(topic, log time in ns, CDR bytes) of every signal message. Raises `Damage` or `CutOff` behind the last readable one."""
+        """(topic, log time in ns, CDR bytes) of every message of these topics. Raises `Damage` or `CutOff` behind the last readable one."""
         if self._exactly(len(MAGIC)) != MAGIC:
             raise Damage("does not begin as an MCAP file does")
         while True:
@@ -111,7 +115,10 @@ class McapStream:
     def _schema(self, record: bytes) -> None:
         if len(record) < 2:
             raise Damage("holds a schema cut short")
-        self._schemas[int.from_bytes(record[:2], "little")] = _text(record, 2)[0]
+        name, position = _text(record, 2)
+        encoding, position = _text(record, position)
+        definition = record[position + 4 :].decode(errors="replace") if encoding == "ros2msg" else ""
+        self._schemas[int.from_bytes(record[:2], "little")] = name, definition
 
     def _channel(self, record: bytes) -> None:
         if len(record) < 4:
@@ -119,7 +126,8 @@ class McapStream:
         number, schema = struct.unpack_from("<HH", record)
         topic, position = _text(record, 4)
         encoding, _ = _text(record, position)
-        if self._schemas.get(schema) == MESSAGE_TYPE:
+        self.types[topic] = self._schemas.get(schema, ("", ""))
+        if topic in self.chosen if self.chosen is not None else self.types[topic][0] == MESSAGE_TYPE:
             if encoding != "cdr":
                 raise Damage(f"holds {topic} encoded as {encoding[:20]!r}, only cdr is read")
             if self.topics.setdefault(number, topic) != topic:

@@ -237,6 +237,21 @@ class Record:
                 f"t = {first:g} s: cut them out or record again"
             )
 
+    def check_axes(self) -> None:
+        """Raise `InputError` when command and measurement have other axes, with what to do."""
+        command, measurement = self.signal("command").axes, self.signal("measurement").axes
+        if command == measurement:
+            return
+        if len(command) == 1 < len(measurement):
+            remedy = "import one sensor at a time, or name the command once for each of them (command=u+u[V],measurement=y1+y2[um])"
+        elif len(measurement) == 1 < len(command):
+            remedy = "import one command at a time, of a record in which the others rest"
+        else:
+            remedy = "record both with the same axes in the same order"
+        raise InputError(
+            f"{self.source}: command has axes {', '.join(command)}, measurement has {', '.join(measurement)}: {remedy}"
+        )
+
     def sample_time(self, topics: Sequence[str]) -> float:
         """The common sample time (s) of these topics, from the commonest step of their times.
 

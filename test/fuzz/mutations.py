@@ -42,8 +42,21 @@ LONGEST = 60.0
 """s, at least, that the tests of one mutant may take; one that hangs is noticed."""
 
 REFUSALS = "test/records/test_refusals.py"
-BAGS = (REFUSALS, "test/records/test_hostile_bags.py", "test/records/test_bag_writer.py", "test/records/test_record.py")
-TABLES = (REFUSALS, "test/records/test_hostile_tables.py", "test/records/test_importing.py")
+BAGS = (
+    REFUSALS,
+    "test/records/test_hostile_bags.py",
+    "test/records/test_bag_writer.py",
+    "test/records/test_record.py",
+    "test/records/test_bag_fields.py",
+)
+TABLES = (
+    REFUSALS,
+    "test/records/test_hostile_tables.py",
+    "test/records/test_importing.py",
+    "test/records/test_instrument_texts.py",
+    "test/records/test_containers.py",
+    "test/records/test_sample_grid.py",
+)
 ENTRY = ("test/nodes/test_entry.py",)
 VALIDITY = ("test/records/test_record_validity.py", "test/diagnose/test_invalid_records.py")
 LOOP = (
@@ -94,7 +107,13 @@ MODULES: dict[str, Module] = {
     "hyst_control/foreign_readers.py": Module(TABLES),
     "hyst_control/records/array_files.py": Module(TABLES),
     "hyst_control/records/importing.py": Module(TABLES),
+    "hyst_control/records/regular_signals.py": Module(TABLES),
+    "hyst_control/records/tables/columns.py": Module(TABLES),
+    "hyst_control/records/tables/selection.py": Module(TABLES),
+    "hyst_control/records/tables/text.py": Module(TABLES),
     "hyst_control/records/bag_reader.py": Module(BAGS),
+    "hyst_control/records/bag_files.py": Module(BAGS),
+    "hyst_control/records/bag_fields.py": Module(BAGS),
     "hyst_control/records/mcap_stream.py": Module(BAGS),
     "hyst_control/records/sqlite_bag.py": Module(BAGS),
     "hyst_control/records/decompression.py": Module(BAGS),

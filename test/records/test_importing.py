@@ -10,7 +10,7 @@ from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.records.importing import import_records, import_table, parse_columns
 
 VOLTS = np.linspace(0.0, 5000.0, 40)
 NANOMETRES = np.sqrt(VOLTS)
@@ -92,7 +92,7 @@ def test_a_measurement_in_volts_is_told(tmp_path):
     [
         ("command=3[V]", 10.0, "1,2\n3,4", "column 3 of 2"),
         ("command=drive[V]", 10.0, "u,y\n3,4", "no column 'drive': u, y"),
-        ("command=1[V]", 10.0, "1,2\n3,four", "line 2, column 2: 'four' is no number"),
+        ("command=2[V]", 10.0, "1,2\n3,four", "line 2, column 2: 'four' is no number"),
         ("command=1[V]", 10.0, "1,2\n3", "line 2 has 1 columns, the first has 2"),
         ("command=1[V]", 10.0, "1,2\na,b\n3,4\n5,6", "line 2, column 1: 'a' is no number"),
         ("command=1[V]", 10.0, "u,y\n1,2\na,b\n3,4\n5,6", "line 3, column 1: 'a' is no number"),
@@ -169,7 +169,12 @@ def test_rows_that_a_column_of_times_passes_over_are_told(tmp_path):
     time = np.delete(np.arange(100) / 50.0, [10, 11, 40])
     np.savetxt(tmp_path / "run.csv", np.column_stack([time, time, time]), delimiter=",")
     columns = parse_columns("time=1[s],command=2[V],measurement=3[um]")
-    [note] = import_table(tmp_path / "run.csv", columns, None).notes
-    assert "3 rows are missing, in 2 gaps, the first after 0.18 s" in note
+    words = "3 rows are missing, in 2 gaps, the first after 0.18 s"
+    with pytest.raises(InputError, match=f"{words}: --resample interpolates them, --allow-gaps"):
+        import_table(tmp_path / "run.csv", columns, None)
+    [kept] = import_records(tmp_path / "run.csv", columns, None, allow_gaps=True)
+    assert words in kept.notes[0] and [len(part.time) for part in kept.aligned(["measurement"], allow_gaps=True)] == [10, 28, 59]
+    [filled] = import_records(tmp_path / "run.csv", columns, None, resample=0.0)
+    np.testing.assert_allclose(filled.signals["measurement"].values[:, 0], np.arange(100) / 50.0, atol=1e-12)
     np.savetxt(tmp_path / "whole.csv", np.column_stack([np.arange(50) / 50.0] * 3), delimiter=",")
     assert import_table(tmp_path / "whole.csv", columns, None).notes == ()

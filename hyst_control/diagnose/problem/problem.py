@@ -298,13 +298,11 @@ def check_units(model: Model, unit: str, source: str) -> None:
         )
 
 
-def check_command(record: Record) -> None:
-    """Check that the command of a record is one of its measurement."""
-    command, measurement = record.signal("command"), record.signal("measurement")
-    if command.unit not in ("unknown", "V"):
-        raise InputError(f"{record.source}: command: unit must be V, got {command.unit!r}: import it with its unit")
-    if command.axes != measurement.axes:
+def check_command(model: Model, record: Record) -> None:
+    """Check that the command of a record is one of its measurement, in the model's unit."""
+    unit = record.signal("command").unit
+    if unit not in ("unknown", model.units["command"]):
         raise InputError(
-            f"{record.source}: command has axes {', '.join(command.axes)}, measurement has {', '.join(measurement.axes)}: "
-            "record both with the same axes in the same order"
+            f"{record.source}: command is in {unit}, the model's in {model.units['command']}: give the model of this plant"
         )
+    record.check_axes()

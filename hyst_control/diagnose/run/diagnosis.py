@@ -175,7 +175,7 @@ def problem_of(
     pieces, notes, sample_times, holds = [], [], set(), set()
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
-        check_command(record)
+        check_command(model, record)
         stretches = record.aligned(("command", "measurement"), allow_gaps=True)
         used = [stretch for stretch in stretches if len(stretch.time) >= least_rows]
         if not used:

@@ -58,6 +58,8 @@ class Dataset:
         lets the hysteresis memory fill before it counts the error; "auto": found from the record by `identify`.
     beginning
         Memory at an unknown start, as found from the record.
+    command_unit
+        Unit of the command, where it is not V.
     """
 
     name: str
@@ -69,6 +71,7 @@ class Dataset:
     hold: str = "zoh"
     start: str = "settled"
     beginning: Beginning | None = None
+    command_unit: str = "V"
 
     @property
     def range(self) -> Array:
@@ -99,6 +102,7 @@ class Dataset:
             self.hold,
             self.start if begin == 0 else "unknown",
             self.beginning if begin == 0 else None,
+            self.command_unit,
         )
 
 
@@ -122,10 +126,10 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
         raise InputError("no record: give at least one bag with command and measurement")
     first = datasets[0]
     for data in datasets:
-        if data.axes != first.axes or data.unit != first.unit:
+        if (data.axes, data.unit, data.command_unit) != (first.axes, first.unit, first.command_unit):
             raise InputError(
-                f"{data.name}: axes {', '.join(data.axes)} in {data.unit}, but {first.name} has "
-                f"{', '.join(first.axes)} in {first.unit}: give records of one plant"
+                f"{data.name}: axes {', '.join(data.axes)} in {data.unit} of {data.command_unit}, but {first.name} has "
+                f"{', '.join(first.axes)} in {first.unit} of {first.command_unit}: give records of one plant"
             )
         if len(data.command) < least:
             raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")

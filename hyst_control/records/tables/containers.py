@@ -1,0 +1,129 @@
+"""Arrays by name out of the containers of other programs: NumPy, MATLAB, HDF5, Parquet, TDMS; sheets of a workbook as lines of text."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.errors import InputError
+from hyst_control.foreign_readers import foreign_reader
+from hyst_control.records.array_files import KINDS, hdf5_arrays, read_arrays
+from hyst_control.records.decompression import Budget
+
+REMEDY = "check how it was written, or save it as CSV"
+KINDS_BY_LIBRARY = {"openpyxl": "an Excel workbook", "pyarrow": "a Parquet file", "h5py": "an HDF5 file", "npTDMS": "a TDMS file"}
+OTHERS = {
+    ".xls": "an old Excel workbook",
+    ".ods": "an OpenDocument sheet",
+    ".feather": "a Feather file",
+    ".pkl": "a pickled object",
+}
+
+
+@dataclass(frozen=True)
+class Container:
+    """Arrays of real numbers by name; numbered: they are the columns of one table; sample_time: s, where the file states it."""
+
+    arrays: dict[str, Array]
+    numbered: bool = False
+    sample_time: float | None = None
+
+
+def read_container(path: Path, kind: str) -> Container | None:
+    """Arrays of a file of this ending; None where it is a text. Raises `InputError` where it cannot be read."""
+    if kind in OTHERS:
+        raise InputError(f"{path}: is {OTHERS[kind]}: save it as .xlsx, .parquet or CSV")
+    if kind in KINDS:
+        return Container(read_arrays(path, kind))
+    if kind not in _READERS:
+        return None
+    needed, read = _READERS[kind]
+    library = optional_library(needed, path)
+    with foreign_reader(path, f"a {kind} file", REMEDY):
+        return read(path, library)
+
+
+def optional_library(name: str, path: Path) -> Any:
+    """A library that not everybody needs. Raises `InputError` where it is not installed."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        package = name.partition(".")[0].replace("nptdms", "npTDMS")
+        raise InputError(
+            f"{path}: is {KINDS_BY_LIBRARY[package]}, and {package}, which reads it, is not installed: pip install {package}, or save "
+            "it as CSV"
+        ) from None
+
+
+def sheet_lines(path: Path, sheet: str | None) -> Callable[[], Iterator[tuple[int, str]]]:
+    """Rows of a sheet of an .xlsx workbook (None: the first that holds numbers) as numbered lines, cells apart by tabs."""
+    library = optional_library("openpyxl", path)
+    with foreign_reader(path, "an Excel workbook", REMEDY):
+        budget = Budget(path.stat().st_size)
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                budget.take(member.file_size)
+        book = library.load_workbook(path, read_only=True, data_only=True)
+        names = book.sheetnames
+        if sheet is not None and sheet not in names:
+            raise InputError(f"{path}: has no sheet {sheet}: name one of {', '.join(names)} as the variable")
+        for name in [sheet] if sheet is not None else names:
+            rows = [list(row) for row in book[name].iter_rows(values_only=True)]
+            lines = [(number, "\t".join(map(_cell_text, row))) for number, row in enumerate(rows, start=1)]
+            if any(isinstance(cell, (int, float)) for row in rows for cell in row):
+                break
+    return lambda: iter(lines)
+
+
+def _cell_text(cell: Any) -> str:
+    return "" if cell is None else cell.isoformat(sep=" ") if hasattr(cell, "isoformat") else str(cell).replace("\t", " ")
+
+
+def _parquet(path: Path, library: Any) -> Container:
+    file = library.ParquetFile(path)
+    Budget(path.stat().st_size).take(8 * file.metadata.num_rows * file.metadata.num_columns)
+    columns = file.read().flatten()
+    return Container(_real({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}), numbered=True)
+
+
+def _hdf5(path: Path, library: Any) -> Container:
+    return Container(hdf5_arrays(path))
+
+
+def _tdms(path: Path, library: Any) -> Container:
+    budget = Budget(path.stat().st_size)
+    found, increments = {}, set()
+    with library.TdmsFile.open(path) as file:
+        for group in file.groups():
+            for channel in group.channels():
+                budget.take(8 * len(channel))
+                found[f"{group.name}.{channel.name}"] = channel[:]
+                increments.add(channel.properties.get("wf_increment"))
+    increment = increments.pop() if len(increments) == 1 else None
+    return Container(_real(found), numbered=True, sample_time=float(increment) if increment else None)
+
+
+def _real(found: dict[str, Any]) -> dict[str, Array]:
+    """The arrays of real numbers as float64; moments as seconds from the first."""
+    arrays = {}
+    for name, value in found.items():
+        if value.dtype.kind == "M" and value.ndim == 1 and len(value):
+            value = (value - value[0]) / np.timedelta64(1, "ns") * 1e-9
+        if value.dtype.kind in "iuf":
+            arrays[name] = np.asarray(value, dtype=np.float64)
+    return arrays
+
+
+_READERS: dict[str, tuple[str, Callable[[Path, Any], Container]]] = {
+    ".parquet": ("pyarrow.parquet", _parquet),
+    ".h5": ("h5py", _hdf5),
+    ".hdf5": ("h5py", _hdf5),
+    ".tdms": ("nptdms", _tdms),
+}

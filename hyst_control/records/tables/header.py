@@ -1,0 +1,244 @@
+"""The form of a text table: separator, decimal mark, and where the header of an instrument ends and the rows of numbers begin."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+
+from hyst_control.records.units import scaled_unit
+
+SAMPLE_LINES = 1000
+"""Lines from which the form is judged."""
+
+TAIL = 4
+"""The last quarter of these lines tells the columns: an instrument's header is shorter than that."""
+
+SETTINGS = 0.05
+"""Rows of numbers above a line of words, per row below it, up to which they are settings with names of their own."""
+
+HEADER_ROWS = 3
+COMMON_UNITS = ("V", "s", "um", "nm", "mm", "ms", "us", "mV", "µm", "\u03bcm")
+"""Short texts that are a unit rather than a name where they stand alone."""
+
+_WORDS = re.compile(r'"[^"]*"|\S+')
+_GAPS = re.compile(r"\s{2,}|\t")
+_LITERAL_START = re.compile(r"^\s*(\w[\w.]*\s*=\s*)?\[\s*(?=[-+.\d])")
+_LITERAL_END = re.compile(r"(?<=[\d.])[ ]*(\][ ]*;?|;)?[ ]*(\.\.\.)?[ ]*$")
+_COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?")
+_UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+))$")
+_UNIT_CELL = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
+_MOMENT = re.compile(r"(?P<day>\d{4}[-/]\d\d[-/]\d\d)?[T ]?(?P<time>\d{1,2}:\d\d.*)")
+_GCS = re.compile(r"#\s*(?P<key>[A-Z_]+?)(?P<number>\d*)\s*=\s*(?P<value>.*)")
+
+
+@dataclass(frozen=True)
+class Form:
+    """Rule by which a line is cut into cells: separator (None: white space) and decimal mark ("either" where the lines do not tell it)."""
+
+    separator: str | None
+    decimal: str
+
+    def cells(self, line: str) -> list[str]:
+        """Cells of a line, without quotes and spaces around them."""
+        if self.separator is None:
+            return [cell.strip('"') for cell in _WORDS.findall(line)]
+        if '"' not in line:
+            return [cell.strip() for cell in line.split(self.separator)]
+        return [
+            cell.strip().strip('"').strip() for cell in next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+        ]
+
+    def is_number(self, cell: str) -> bool:
+        """Check that a cell is a number, or a moment."""
+        return self.number(cell) is not None
+
+    def number(self, cell: str) -> float | None:
+        """The number of a cell, seconds of a date or a time of day; None where it is none."""
+        if self.decimal == "," or (self.decimal == "either" and "," in cell):
+            return float(cell.replace(",", ".")) if _COMMA_NUMBER.fullmatch(cell) else _moment(cell)
+        try:
+            return float(cell)
+        except ValueError:
+            return _moment(cell)
+
+
+def _moment(cell: str) -> float | None:
+    """Seconds since 1970 of a date with a time, since midnight of a time of day; None where a cell is neither."""
+    match = _MOMENT.fullmatch(cell)
+    if match is None:
+        return None
+    time = match["time"].replace(",", ".")
+    try:
+        moment = datetime.fromisoformat(f"{(match['day'] or '1970-01-01').replace('/', '-')} {'0' * (time[1] == ':')}{time}")
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp()
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A text's form, number of cells of its rows, the line of its first row (of those that were looked at), and its header.
+
+    names: of every column its header's cells, from the nearest up; sample_time: s, where the header states it.
+    """
+
+    form: Form
+    width: int
+    numeric: tuple[int, ...]
+    first: int
+    names: tuple[tuple[str, ...], ...]
+    sample_time: float | None = None
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def column(self, name: str) -> int | None:
+        """Number from 0 of the column of this name, with or without the unit behind it."""
+        for same in (lambda cell: cell == name, lambda cell: without_unit(cell) == without_unit(name)):
+            for index, cells in enumerate(self.names):
+                if any(same(cell) for cell in cells):
+                    return index
+        return None
+
+    def title(self, index: int) -> str:
+        """Name of a column; "" where it has none."""
+        named = [cell for cell in self.names[index] if cell and unit_alone(cell) is None]
+        return named[0] if named else ""
+
+    def unit(self, index: int) -> str | None:
+        """Unit of a column, of its name or of a line of units; None where it is not said."""
+        for cell in self.names[index]:
+            behind = _UNIT_BEHIND.search(cell)
+            unit = unit_alone(cell) or (behind and next(filter(None, behind.groups()), ""))
+            if unit and scaled_unit(unit) is not None:
+                return unit
+        return None
+
+
+def without_unit(cell: str) -> str:
+    """A name without the unit behind it: "Position" of "Position [um]"."""
+    return _UNIT_BEHIND.sub("", cell).strip()
+
+
+def unit_alone(cell: str) -> str | None:
+    """The unit that a cell of a line of units holds."""
+    bracketed = _UNIT_CELL.fullmatch(cell)
+    if bracketed:
+        return (bracketed[1] or bracketed[2] or "").strip()
+    return cell if (len(cell) > 2 or cell in COMMON_UNITS) and scaled_unit(cell) is not None else None
+
+
+def plain(line: str) -> str:
+    """A line without the brackets and semicolons of a MATLAB literal."""
+    if "[" not in line and not line.rstrip(" ").endswith((";", "]", "...")):
+        return line
+    return _LITERAL_END.sub("", _LITERAL_START.sub("", line))
+
+
+def is_comment(line: str) -> bool:
+    """Check that a line is a comment."""
+    return line.lstrip().startswith(("#", "%"))
+
+
+def find_layout(lines: Sequence[str]) -> Layout | None:
+    """The layout of a text that begins with these lines; None where they hold no row of numbers."""
+    rows = [(index, line) for index, line in enumerate(lines) if not is_comment(line)]
+    texts = [line for _, line in rows]
+    form = _form(texts[-max(len(texts) // TAIL, 8) :])
+    cells = [form.cells(line) for line in texts]
+    flags = [[form.is_number(cell) for cell in row] for row in cells]
+    width, numeric = _columns(flags[-max(len(flags) // TAIL, 8) :])
+    data = [len(row) == width and all(row[index] for index in numeric) for row in flags]
+    if not numeric or True not in data:
+        return None
+
+    def wordy(at: int) -> bool:
+        known = [index for index in numeric if index < len(cells[at])]
+        return any(cells[at][index] for index in known) and not any(flags[at][index] for index in known)
+
+    first, notes = data.index(True), []
+    for at in range(first + 1, len(data)):
+        if wordy(at) and True in data[at:] and sum(data[first:at]) <= SETTINGS * sum(data[at:]):
+            notes.append(f"{sum(data[first:at])} rows of numbers above the names were taken as settings")
+            first = at + data[at:].index(True)
+    above = first - 1
+    if above >= 0 and len(cells[above]) == width and not wordy(above) and any(cells[above]):
+        first = above  # a damaged row, which the reader names
+    header: list[list[str]] = []
+    for at in range(first - 1, max(first - 1 - HEADER_ROWS, -1), -1):
+        found = _header_cells(texts[at], form, width)
+        if found is None or not wordy(at):
+            break
+        header.append(found)
+    start = rows[first][0]
+    comments = [line for line in lines[:start] if is_comment(line)]
+    sample_time, named = _gcs(comments)
+    if named:
+        header.insert(0, named)
+    elif not header and comments:
+        found = _header_cells(comments[-1].lstrip("#% \t"), form, width)
+        header = [found] if found and not any(map(form.is_number, found)) else []
+    names = tuple(tuple(row[index] for row in header if index < len(row)) for index in range(width))
+    return Layout(form, width, numeric, start, _unrepeated(names), sample_time, tuple(notes))
+
+
+def _form(lines: Sequence[str]) -> Form:
+    """The form in which most cells are numbers, in the most columns."""
+    best, best_score = Form(",", "."), (-1.0, -1)
+    for separator in ("\t", ";", ",", None):
+        if separator and not any(separator in line for line in lines):
+            continue
+        scores = {}
+        for decimal in (".",) if separator == "," else (".", ","):
+            form = Form(separator, decimal)
+            cells = [cell for line in lines for cell in form.cells(line) if cell]
+            numbers = sum(map(form.is_number, cells))
+            scores[decimal] = (numbers / max(len(cells), 1), numbers)
+        decimal = max(scores, key=lambda mark: scores[mark])
+        if scores[decimal] > best_score:
+            same = len(scores) == 2 and scores["."] == scores[","]
+            best, best_score = Form(separator, "either" if same else decimal), scores[decimal]
+    return best
+
+
+def _columns(flags: Sequence[Sequence[bool]]) -> tuple[int, tuple[int, ...]]:
+    """Width of most rows that hold numbers, and the columns in which at least half of them have one."""
+    holding = [row for row in flags if any(row)]
+    if not holding:
+        return 0, ()
+    width = Counter(map(len, holding)).most_common(1)[0][0]
+    same = [row for row in holding if len(row) == width]
+    return width, tuple(index for index in range(width) if 2 * sum(row[index] for row in same) >= len(same))
+
+
+def _header_cells(line: str, form: Form, width: int) -> list[str] | None:
+    """Cells of a line of names above rows of `width` cells; None where it is something else."""
+    cells = form.cells(line)
+    if form.separator is None:
+        cells = [cell.strip(",;") for cell in cells]
+        apart = [cell.strip() for cell in _GAPS.split(line.strip())]
+        return cells if len(cells) == width else apart if len(apart) == width else None
+    return cells if abs(len(cells) - width) <= 1 else None
+
+
+def _gcs(comments: Sequence[str]) -> tuple[float | None, list[str]]:
+    """Sample time and names of the columns in the header of a GCS array, as Physik Instrumente writes it."""
+    said = [match for line in comments if (match := _GCS.match(line.strip()))]
+    names = [match["value"].strip() for match in said if match["key"] == "NAME" and match["number"]]
+    times = [match["value"] for match in said if match["key"] == "SAMPLE_TIME"]
+    try:
+        return (float(times[0]) or None) if times and names else None, names
+    except ValueError:
+        return None, names
+
+
+def _unrepeated(names: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+    """Names without those that an earlier column has."""
+    seen: set[str] = set()
+    found = []
+    for cells in names:
+        found.append(tuple(cell for cell in cells if cell not in seen or unit_alone(cell) is not None))
+        seen.update(cells)
+    return tuple(found)

@@ -1,0 +1,171 @@
+"""Signals from any topic and field of a bag, against the numbers that were written by another library."""
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.records.bag_files import bags_in
+from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.importing import write_bag
+
+COUNT, STEP, START = 200, 2_000_000, 1_700_000_000 * 10**9
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STORE.register(get_types_from_msg("float32 volts\nfloat64[3] moved\nstring state\n", "lab_msgs/msg/Stage"))
+TYPES = STORE.types
+DRIVE, MOVED = np.arange(COUNT) * 0.1, np.cos(np.arange(COUNT) * 0.1)
+
+
+def header(stamp):
+    time = TYPES["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return TYPES["std_msgs/msg/Header"](stamp=time, frame_id="stage")
+
+
+def message(kind, k):
+    stamp, made = START + k * STEP, TYPES[kind]
+    if kind == "std_msgs/msg/Float64":
+        return made(data=DRIVE[k])
+    if kind == "std_msgs/msg/Float64MultiArray":
+        return made(layout=TYPES["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0), data=np.array([DRIVE[k], MOVED[k]]))
+    if kind == "sensor_msgs/msg/JointState":
+        position, none = np.array([5.0, MOVED[k]]), np.zeros(0)
+        return made(header=header(stamp), name=["a", "b"], position=position, velocity=none, effort=DRIVE[k : k + 1])
+    if kind == "geometry_msgs/msg/Vector3Stamped":
+        return made(header=header(stamp), vector=TYPES["geometry_msgs/msg/Vector3"](x=DRIVE[k], y=MOVED[k], z=0.0))
+    return made(volts=DRIVE[k], moved=np.array([MOVED[k], 1.0, 2.0]), state="x" * (k % 3))
+
+
+def written(path, topics, plugin=StoragePlugin.MCAP, late=None):
+    late = np.zeros(COUNT, dtype=int) if late is None else late
+    with Writer(path, version=9, storage_plugin=plugin) as bag:
+        for topic, kind in topics.items():
+            connection = bag.add_connection(topic, kind, typestore=STORE)
+            for k in range(COUNT):
+                bag.write(connection, START + k * STEP + int(late[k]), STORE.serialize_cdr(message(kind, k), kind))
+    return path
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize(
+    "topics, columns",
+    [
+        ({"/a/joints": "sensor_msgs/msg/JointState"}, "command=/a/joints.effort[V],measurement=/a/joints.position(2)[um]"),
+        ({"/a/joints": "sensor_msgs/msg/JointState"}, "command=/a/joints.effort(1)[V],measurement=/a/joints.position(b)[um]"),
+        ({"/v": "geometry_msgs/msg/Vector3Stamped"}, "command=v.vector.x[V],measurement=/v.vector.y[um]"),
+        ({"/stage": "lab_msgs/msg/Stage"}, "command=/stage.volts[V],measurement=/stage.moved(1)[um]"),
+        ({"/both": "std_msgs/msg/Float64MultiArray"}, "command=/both(1)[V],measurement=/both.data(2)[um]"),
+        (
+            {"/drive": "std_msgs/msg/Float64", "/both": "std_msgs/msg/Float64MultiArray"},
+            "command=/drive[V],measurement=/both(2)[um]",
+        ),
+    ],
+    ids=["joints", "joint by name", "vector", "own type", "array", "two topics"],
+)
+def test_any_field_of_any_topic(tmp_path, topics, columns, plugin):
+    columns = columns.replace("both(", "both.data(")
+    path = written(tmp_path / "bag", topics, plugin)
+    record = read_bag(path, columns=columns)
+    np.testing.assert_allclose(record.signals["command"].values[:, 0], DRIVE, rtol=1e-6)
+    np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
+    np.testing.assert_allclose(record.signals["measurement"].time, np.arange(COUNT) * 2e-3, atol=1e-12)
+    assert record.signals["measurement"].unit == "um"
+
+
+def test_stamps_are_the_times_and_late_messages_shift_nothing(tmp_path):
+    late = np.random.default_rng(0).integers(0, 1_500_000, COUNT)
+    for kind, columns in (
+        ("geometry_msgs/msg/Vector3Stamped", "command=/a.vector.x[V],measurement=/b.vector.y[um]"),
+        ("std_msgs/msg/Float64MultiArray", "command=/a.data(1)[V],measurement=/b.data(2)[um]"),
+    ):
+        path = written(tmp_path / kind[-5:], {"/a": kind, "/b": kind}, late=late)
+        record = read_bag(path, columns=columns)
+        assert any("the time of reception stands for" in note for note in record.notes) == kind.endswith("MultiArray")
+        [part] = record.aligned(["command", "measurement"])
+        assert part.sample_time == pytest.approx(2e-3, rel=1e-3) and len(part.time) == COUNT
+        np.testing.assert_array_equal(part.values["command"][:, 0], DRIVE)
+
+
+def test_axes_on_several_topics_and_units(tmp_path):
+    path = written(tmp_path / "bag", {"/a": "std_msgs/msg/Float64", "/b": "std_msgs/msg/Float64"})
+    record = read_bag(path, columns="command=/a+/b[mV],measurement=/b+/a[2deg/V]")
+    np.testing.assert_allclose(record.signals["command"].values, np.stack([DRIVE, DRIVE], axis=1) * 1e-3)
+    assert record.signals["measurement"].unit == "deg" and record.signals["measurement"].values[10, 1] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "columns, words",
+    [
+        ("command=/nowhere[V]", r"has no messages of /nowhere: its topics are /v \(geometry_msgs/msg/Vector3Stamped\)"),
+        ("command=/v.vector.w[V]", "/v: has no field vector.w: geometry_msgs/msg/Vector3Stamped has x, y, z"),
+        ("command=/v.vector[V]", "/v: vector is no number: name a field of numbers"),
+        ("command=/v.vector.x(2)[V]", "vector.x: has no item 2: must be 1 to 1"),
+        ("time=/v.header.stamp[s],command=/v.vector.x[V]", "a bag's messages have their own times"),
+    ],
+)
+def test_fields_that_are_not_there_are_named(tmp_path, columns, words, capsys):
+    path = written(tmp_path / "bag", {"/v": "geometry_msgs/msg/Vector3Stamped"})
+    with pytest.raises(InputError, match=words):
+        read_bag(path, columns=columns)
+    with pytest.raises(InputError, match="name fields as in --columns .* of its topics: /v .geometry_msgs"):
+        read_bag(path)
+
+
+def test_damaged_messages_are_refused_in_one_line(tmp_path):
+    kind = "sensor_msgs/msg/JointState"
+    whole = STORE.serialize_cdr(message(kind, 3), kind)
+    rng = np.random.default_rng(0)
+    for number in range(60):
+        spoilt = bytearray(whole)
+        for _ in range(3):
+            spoilt[rng.integers(4, len(spoilt))] = rng.integers(256)
+        with Writer(tmp_path / str(number), version=9) as bag:
+            connection = bag.add_connection("/j", kind, typestore=STORE)
+            for k in range(3):
+                bag.write(
+                    connection, START + k * STEP, bytes(spoilt[: rng.integers(8, len(spoilt) + 1)]) if k == 1 else bytes(whole)
+                )
+        try:
+            record = read_bag(tmp_path / str(number), columns="command=/j.effort[V],measurement=/j.position[um]")
+        except InputError as error:
+            assert "\n" not in str(error) and str(tmp_path) in str(error)
+        else:
+            assert np.isfinite(record.signals["measurement"].values).all()
+
+
+def test_a_bag_is_imported_and_a_folder_of_bags_is_all_of_them(tmp_path, capsys):
+    path = written(tmp_path / "robot", {"/a/joints": "sensor_msgs/msg/JointState"})
+    columns = "command=/a/joints.effort[V],measurement=/a/joints.position(2)[um]"
+    for number in ("runs/1", "runs/2"):
+        assert main(["import", str(path), "--columns", columns, "--output", str(tmp_path / number)]) == 0
+    assert "measurement: 200 samples at 500 Hz, 0.4 s" in capsys.readouterr().out
+    assert bags_in([tmp_path / "runs", path]) == [tmp_path / "runs/1", tmp_path / "runs/2", path]
+    write_bag(tmp_path / "again", read_bag(tmp_path / "runs/1"))
+    np.testing.assert_array_equal(read_bag(tmp_path / "again").signals["measurement"].values[:, 0], MOVED)
+
+
+@pytest.mark.parametrize("columns", [None, "command=/command.data(1)[V],measurement=/measurement.data(1)[um]"])
+def test_messages_in_bursts_and_lost_ones(tmp_path, columns):
+    """Five at a time, 0.1 ms apart, every 10 ms: the median step is no sample time."""
+    topics = {"/command": "std_msgs/msg/Float64MultiArray", "/measurement": "std_msgs/msg/Float64MultiArray"}
+    late = np.tile([8_000_000, 6_100_000, 4_200_000, 2_300_000, 400_000], COUNT // 5)
+    record = read_bag(written(tmp_path / "bursts", topics, late=late), columns=columns)
+    [part] = record.aligned(["command", "measurement"])
+    assert part.sample_time == pytest.approx(2e-3, rel=2e-3) and len(part.time) == COUNT
+    np.testing.assert_array_equal(part.values["command"][:, 0], DRIVE)
+    path = tmp_path / "lost"
+    with Writer(path, version=9) as bag:
+        for topic, kind in topics.items():
+            connection = bag.add_connection(topic, kind, typestore=STORE)
+            for k in [k for k in range(COUNT) if topic == "/command" or k not in (70, 71)]:
+                bag.write(connection, START + k * STEP + int(late[k]) // 10, STORE.serialize_cdr(message(kind, k), kind))
+    if columns is None:
+        lost = read_bag(path)
+        assert any("2 rows are missing" in note for note in lost.notes)
+        parts = lost.aligned(["command", "measurement"], allow_gaps=True)
+        assert [len(part.time) for part in parts] == [70, COUNT - 72]
+        np.testing.assert_array_equal(parts[1].values["command"][:, 0], DRIVE[72:])
+    else:
+        with pytest.raises(InputError, match="2 rows are missing, after 0.1.*--resample"):
+            read_bag(path, columns=columns)

@@ -1,0 +1,126 @@
+"""Texts as instruments and programs write them: whatever stands above and beside the numbers, the numbers come out."""
+
+import numpy as np
+import pytest
+
+from hyst_control.cli import main
+from hyst_control.errors import InputError
+from hyst_control.records.importing import import_records, import_table, parse_columns
+from hyst_control.records.tables.listing import listed_columns
+
+COUNT = 80
+TIME, DRIVE, MOVED = np.arange(COUNT) * 1e-3, np.arange(COUNT) * 0.5 - 3.0, np.cos(np.arange(COUNT)).round(5)
+ROWS = list(zip(TIME, DRIVE, MOVED, strict=True))
+
+
+def body(form, comma=False):
+    text = "".join(form.format(k=k, t=t, u=u, y=y) for k, (t, u, y) in enumerate(ROWS))
+    return text.replace(".", ",") if comma else text
+
+
+BESIDE = ["Record Length,80", "Interval,1.0e-03", "Trigger,0", ",", "Vertical Units,V"] + [","] * (COUNT - 5)
+TEXTS = {
+    "settings beside the rows": (
+        "".join(f"{beside},,{t:.9f},{u:.5f},{y:.5f}\n" for beside, (t, u, y) in zip(BESIDE, ROWS, strict=True)),
+        "time=4[s],command=5[V],measurement=6[um]",
+    ),
+    "two markers, decimal commas": (
+        "Recorder\t\nDecimal\t,\n***End_of_Header***\t\nChannels\t2\t\nSamples\t80\t80\t\n***End_of_Header***\t\n"
+        "X_Value\tdrive\tpos\tComment\t\n" + body("{t:.6f}\t{u:.6f}\t{y:.6f}\t\n", True),
+        "time=X_Value[s],command=drive[V],measurement=pos[um]",
+    ),
+    "settings of numbers": (
+        "Gain\tRange\tTemp,C\n010\t0000100\t+025.00\nTime,s\tCh1,V\tCh2,um\n" + body("{t:.4f}\t{u:.4f}\t{y:.5f}\n"),
+        "time=Time[s],command=Ch1[V],measurement=Ch2[um]",
+    ),
+    "quoted names with commas": (
+        '"Time, rel. [s]","Drive, ch. 1 [V]","Position [um]"\n' + body("{t:.4f},{u:.4f},{y:.5f}\n"),
+        "time=Time, rel.[s],command=Drive, ch. 1[V],measurement=Position[um]",
+    ),
+    "names and units below": (
+        "X;CH1;CH2\nSecond;Volt;Micron\n" + body("{t};{u};{y}\n", True),
+        "time=X[s],command=CH1[V],measurement=CH2[um]",
+    ),
+    "quoted numbers": (body('"{t:.4f}","{u:.4f}","{y:.5f}"\n'), "time=1[s],command=2[V],measurement=3[um]"),
+    "a literal of MATLAB": (
+        "data = [\n" + body(" {t:.4f}, {u:.4f}, {y:.5f};\n") + "];\n",
+        "time=1[s],command=2[V],measurement=3[um]",
+    ),
+    "a literal in one bracket": ("[" + body("{t:.4f} {u:.4f} {y:.5f};\n")[:-2] + "]", "time=1[s],command=2[V],measurement=3[um]"),
+    "names in a comment": ("# made by a logger\n# t u y\n" + body("{t} {u} {y}\n"), "time=t[s],command=u[V],measurement=y[um]"),
+    "an array of PI's controllers": (
+        "# REM E-712\n# VERSION = 1\n# TYPE = 1\n# SEPARATOR = 32\n# DIM = 2\n# SAMPLE_TIME = 0.001\n# NDATA = 80\n#\n"
+        "# NAME0 = Target Position of axis X\n# NAME1 = Current Position of axis X\n#\n# END_HEADER\n" + body("{u:.4f} {y:.5f}\n"),
+        "command=Target Position of axis X[V],measurement=Current Position of axis X[um]",
+    ),
+    "moments": (
+        "when,u,y\n" + "".join(f"2024-05-03 23:59:59.{k:03d},{u},{y}\n" for k, (_, u, y) in enumerate(ROWS)),
+        "time=when[s],command=u[V],measurement=y[um]",
+    ),
+    "words in a column that is not used": ("t,state,u,y\n" + body("{t},ok,{u},{y}\n"), "time=t[s],command=u[V],measurement=y[um]"),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "cp1252"])
+@pytest.mark.parametrize("kind", TEXTS)
+def test_the_numbers_come_out(tmp_path, kind, encoding):
+    text, columns = TEXTS[kind]
+    path = tmp_path / "run.csv"
+    path.write_bytes(text.encode(encoding))
+    record = import_table(path, parse_columns(columns), None)
+    for topic, due in (("command", DRIVE), ("measurement", MOVED)):
+        np.testing.assert_allclose(record.signals[topic].values[:, 0], due, atol=1e-9)
+        np.testing.assert_allclose(record.signals[topic].time, TIME, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_the_suggestion_can_be_pasted(tmp_path, kind, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text(TEXTS[kind][0])
+    assert main(["import", str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert "columns of numbers, with their ranges" in out and err.count("\n") == 1
+    _, suggestion = listed_columns(path)
+    columns = suggestion.split('"')[1]
+    assert columns in err and parse_columns(columns)[-1].topic == "measurement"
+    rate = 1000.0 if "--rate" in suggestion else None
+    record = import_table(path, parse_columns(columns), rate)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED, atol=1e-9)
+    np.testing.assert_allclose(record.signals["command"].values[:, 0], DRIVE, atol=1e-9)
+
+
+def test_units_in_the_header_are_suggested(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time [ms],Angle (arcsec),Coil current [mA]\n" + body("{k},{y},{u}\n"))
+    lines, suggestion = listed_columns(path)
+    assert suggestion.startswith('--columns "time=1[ms],command=3[mA],measurement=2[arcsec]"')
+    assert "3 'Coil current [mA]': 80 rows, -3 to 36.5 mA" in lines[3]
+
+
+def test_words_below_the_numbers_are_left_out_and_words_among_them_are_not(tmp_path):
+    path, columns = tmp_path / "run.csv", parse_columns("time=t[s],command=u[V],measurement=y[um]")
+    path.write_text("t,u,y\n" + body("{t},{u},{y}\n") + "stopped by hand\nEND,,\n")
+    record = import_table(path, columns, None)
+    assert len(record.signals["command"].time) == COUNT and "from line 82 on holds no numbers" in record.notes[0]
+    path.write_text("t,u,y\n" + body("{t},{u},{y}\n") + "stopped by hand\n0.08,1,2\n")
+    with pytest.raises(InputError, match="line 82 has 1 columns, the first has 3"):
+        import_table(path, columns, None)
+
+
+def test_lines_can_be_skipped(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("1,2,3\n" * 20 + "t,u,y\n" + body("{t},{u},{y}\n"))
+    columns = parse_columns("time=t[s],command=u[V],measurement=y[um]")
+    with pytest.raises(InputError, match="has no column 't'"):
+        import_records(path, columns, None)
+    [record] = import_records(path, columns, None, skip=20)
+    np.testing.assert_allclose(record.signals["command"].values[:, 0], DRIVE)
+
+
+def test_what_was_imported_is_told(tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text(TEXTS["names in a comment"][0])
+    options = ["--columns", "time=t[s],command=u[V],measurement=y[nm]", "--output", str(tmp_path / "bag")]
+    assert main(["import", str(path), *options]) == 0
+    out = capsys.readouterr().out
+    assert "command: 80 samples at 1000 Hz, 0.08 s, x -3 to 36.5 V" in out and "x -0.001 to 0.001 um" in out
