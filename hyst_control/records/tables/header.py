@@ -96,7 +96,8 @@ class Layout:
 
     def column(self, name: str) -> int | None:
         """Number from 0 of the column of this name, with or without the unit behind it."""
-        for same in (lambda cell: cell == name, lambda cell: without_unit(cell) == without_unit(name)):
+        bare = without_unit(name)
+        for same in (lambda cell: cell == name, lambda cell: without_unit(cell) == name, lambda cell: without_unit(cell) == bare):
             for index, cells in enumerate(self.names):
                 if any(same(cell) for cell in cells):
                     return index
