@@ -87,9 +87,7 @@ def unit_and_scale(topic: str, text: str) -> tuple[str, float]:
     """Unit of a topic's signal and how many of it one in the file is, of a text such as "mV" or "5um/V"."""
     known = _time_unit(text) if topic == TIME else (text.strip(), 1.0) if topic in RESPONSE else scaled_unit(text)
     if known is None:
-        examples = (
-            ", ".join(TIME_UNITS) if topic == TIME else "V, nm, um, mm, urad, mrad, deg, arcsec, A, N, m/s^2, counts, %, …"
-        )
+        examples = ", ".join(TIME_UNITS) if topic == TIME else "V, nm, um, mm, urad, mrad, deg, arcsec, A, N, m/s^2, counts, %, …"
         raise InputError(
             f"columns: {topic}: unit {text!r} is not known, must be one of {examples}, with a number before it where one in the file "
             "stands for so much ([5um/V])"
