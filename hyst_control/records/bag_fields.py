@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import first_line
 from hyst_control.records.bag_files import Bag
-from hyst_control.records.record import Record, Signal, axis_names, increasing
+from hyst_control.records.record import Array, Record, Signal, axis_names, increasing
 from hyst_control.records.regular_signals import on_one_clock, without_repeated
 from hyst_control.records.row_store import RowStore
 from hyst_control.records.signal_message import MESSAGE_TYPE, decode, parse_label

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.records.record import Signal, commonest_step, regular_times
+from hyst_control.records.record import Array, Signal, commonest_step, regular_times
 from hyst_control.records.row_store import blocks
 from hyst_control.records.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
 

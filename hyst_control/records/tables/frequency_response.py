@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
-from hyst_control.records.record import Record, Signal, axis_names
+from hyst_control.records.record import Array, Record, Signal, axis_names
 from hyst_control.records.tables.columns import Column
 from hyst_control.records.units import unit_of
 

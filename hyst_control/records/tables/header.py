@@ -96,10 +96,12 @@ class Layout:
 
     def column(self, name: str) -> int | None:
         """Number from 0 of the column of this name, with or without the unit behind it."""
-        for same in (lambda cell: cell == name, lambda cell: without_unit(cell) == without_unit(name)):
-            for index, cells in enumerate(self.names):
-                if any(same(cell) for cell in cells):
-                    return index
+        if exact := [index for index, cells in enumerate(self.names) if name in cells]:
+            return exact[0]
+        for bare in (name, without_unit(name)):
+            alike = [index for index, cells in enumerate(self.names) if bare in map(without_unit, cells)]
+            if len(alike) == 1:
+                return alike[0]
         return None
 
     def title(self, index: int) -> str:

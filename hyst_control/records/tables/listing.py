@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.records.record import Array
 from hyst_control.records.sample_grid import find_grid
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.header import without_unit

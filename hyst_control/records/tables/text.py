@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
 from hyst_control.errors import InputError
 from hyst_control.foreign_readers import foreign_reader
 from hyst_control.records.decompression import Budget
+from hyst_control.records.record import Array
 from hyst_control.records.row_store import RowStore
 from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, is_comment, plain
 
