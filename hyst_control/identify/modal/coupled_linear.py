@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,14 +17,12 @@ from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.record_drift import without_drift
+from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
 from hyst_control.records.row_store import blocks
-
-if TYPE_CHECKING:
-    from hyst_control.identify.modal.linear import LinearOptions
 
 MAX_LINES = 6000
 """Largest number of lines of one record in a fit: those where the command is strongest."""

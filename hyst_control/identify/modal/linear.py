@@ -22,9 +22,8 @@ from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.families.estimator import Estimator, register
-from hyst_control.identify.families.options import INTEGER, NUMBER, TRUTH, Options, option
-from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.modal import coupled_linear
+from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
@@ -63,24 +62,6 @@ VARIANTS = (
     Variant(direct=True, delay=False, smooth=False),
 )
 """In the order of preference where they have equally many parameters: a delay rather than a zero in the right half plane."""
-
-
-@dataclass(frozen=True)
-class LinearOptions(Options):
-    """Options of a linear fit."""
-
-    order: int | None = option(None, INTEGER, "number of states, where it is not to be chosen on held-out data", lower=1)
-    coupled: bool | None = option(
-        None,
-        TRUTH,
-        "whether axes drive each other (a state_space, the default for several axes) or not (a transfer_function per axis)",
-    )
-    delay: float | str = option(
-        "estimate", NUMBER, "delay, where it is not to be estimated", unit="s", lower=0.0, choices=("estimate",)
-    )
-    direct: bool = option(True, TRUTH, "allow a direct path D besides the states")
-    iterations: int = option(60, INTEGER, "most steps of the refinement", lower=0)
-    nuisance: str = nuisance_option("linear")
 
 
 @dataclass(frozen=True)
