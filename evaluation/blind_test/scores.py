@@ -1,20 +1,29 @@
-"""Scores of a blind test: every metric with its Wilson interval and number of cases, beside its target."""
+"""Scores of a blind test: each diagnosed case becomes a row of results, and a grouping of the rows becomes the published table.
+
+A published row is a filter and a measure in `ROWS`; its name may hold columns in braces, of which each value has a row by itself.
+"""
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+import csv
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import mannwhitneyu
+from scipy.stats import binomtest, mannwhitneyu
 
-from evaluation.blind_test.error_report import VERDICT
-from evaluation.blind_test.metric import Metric, proportion
-from hyst_control.effects import EFFECTS
+from evaluation.blind_test.case import VERDICTS, Case
+from evaluation.blind_test.injected_machines import SIMULATED
+from hyst_control.diagnose.report.document import sentence
+from hyst_control.files import write_text
 from hyst_control.reporting.tables import Table
 
-Pair = tuple[dict[str, Any], dict[str, Any]]
+ERROR = "error"
+"""Verdict of a case whose diagnosis ended in an error."""
 
 PUBLISHED = ("pea_published", "fsm_published")
 """Plants whose model is right up to its coefficients."""
@@ -29,271 +38,399 @@ FAMILIES = {
 }
 """Effects of similar signature; each effect not listed is a family by itself."""
 
-
 OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity", "hysteresis_shape")
 """Effects whose parameters have another definition in the plants (a curve over their stroke or rating instead of the record's range)."""
 LAW = "law"
 """Parameter of the plants that chooses another course than the usual one, whose size is no end value: of a logarithm, or reached at tau."""
 
 
-def metrics(pairs: Sequence[Pair], left_out: Sequence[Pair] = (), without_gap: Sequence[Pair] = ()) -> list[Metric]:
-    """Compute every figure of the targets' table that the cases allow."""
-    found: list[Metric] = []
+@dataclass(frozen=True)
+class Result:
+    """One row of results: a case, and what its report is worth."""
 
-    def share(name: str, target: float, cases: Iterable[Pair], right: Callable[[Pair], bool], at_least: bool = True) -> None:
-        chosen = list(cases)
-        if chosen:
-            k = sum(right(pair) for pair in chosen)
-            found.append(proportion(name, k, len(chosen), target, at_least))
+    case: Case
+    role: str  # "" of a scored case, "left_out" without its effect in the catalogue, "without_gap" of false alarms alone
+    verdict: str
+    named: tuple[str, ...]  # Names that count, in the order of the report
+    leads: bool  # The first name is right
+    first: bool  # The same, with a verdict that names effects
+    some: bool  # One of the names is right
+    exact: bool  # The names are those of the effects
+    decided: bool  # The verdict is one that is right for the kind
+    quiet: bool  # Nothing is named where nothing is
+    in_set: bool  # The first effect is among the candidates
+    probability: float | None  # Of the first name
+    novelty: float
+    covered: bool | None  # The interval of the first effect's parameter holds the true value; None where there is none
+    reduction_error: float | None  # Predicted - realized reduction in a later session
+    foreseen_error: float | None  # The same, predicted for that session's command
+    processor_seconds: float
+    said: str  # The report in one sentence
 
-    def value(
-        name: str, target: float, amounts: Sequence[float], at_least: bool, reduce: Callable[[Sequence[float]], float]
-    ) -> None:
-        if len(amounts):
-            found.append(Metric(name, float(reduce(amounts)), len(amounts), None, target, at_least))
+    @property
+    def kind(self) -> str:
+        """Kind that is scored."""
+        return self.case.answer.kind
 
-    singles = [pair for pair in pairs if _label(pair)["kind"] == "single"]
-    rich = [p for p in singles if _label(p)["excitation"] == "rich" and _label(p)["gap_rms"] >= 3 * _label(p)["noise_rms"]]
-    published = [pair for pair in rich if _label(pair)["plant"] in PUBLISHED]
-    share("top-1, single effects on published plants, rich record, gap >= 3 sigma", 0.97, published, _first)
-    share("its family", 0.98, published, lambda pair: _family(_named(pair)[0] if _named(pair) else "") == _family(_truth(pair)[0]))
-    if published:
-        found.append(Metric("macro-F1", _macro_f1(published), len(published), None, 0.95))
-    drawn = {False: "realizations that tuning drew", True: "realizations that tuning never drew"}
-    for untuned, target in ((False, 0.97), (True, 0.92)):
-        cases = [pair for pair in published if bool(pair[0].get("untuned")) == untuned]
-        share(f"top-1, the same, {drawn[untuned]}", target, cases, _first)
-    for noise in (5e-4, 3e-3):
-        cases = [pair for pair in published if _label(pair)["noise"] == noise]
-        share(f"top-1, the same, noise {100 * noise:g} %", 0.97, cases, _first)
-    for plant in sorted({_label(pair)["plant"] for pair in rich}):
-        share(f"top-1, rich record, {plant}", 0.97, [pair for pair in rich if _label(pair)["plant"] == plant], _first)
-    sine = [pair for pair in singles if _label(pair)["excitation"] == "sine"]
-    share("single sine: wrong name", 0.03, sine, _wrong, False)
-    share("single sine: truth among the candidates", 0.95, sine, lambda pair: _truth(pair)[0] in _candidates(pair))
-    for excitation in ("multisine", "closed_loop"):
-        share(f"top-1, {excitation.replace('_', ' ')}", 0.85, [p for p in singles if _label(p)["excitation"] == excitation], _first)
-    none = [pair for pair in (*pairs, *without_gap) if _label(pair)["kind"] == "none" and not _label(pair).get("hidden")]
-    share(
-        "false alarm on records without a gap",
-        0.02,
-        none,
-        _alarmed,
-        False,
-    )
-    for plant in sorted({_label(pair)["plant"] for pair in without_gap}):
-        share(f"false alarm, {plant}", 0.02, [pair for pair in none if _label(pair)["plant"] == plant], _alarmed, False)
-    share(
-        "gap too small to be scored: a wrong name",
-        0.05,
-        [pair for pair in pairs if _label(pair).get("hidden")],
-        lambda pair: bool(_named(pair)) and not set(_named(pair)) & set(_label(pair)["hidden"]),
-        False,
-    )
-    share(
-        "coefficients beyond tolerance: verdict parameters",
-        0.92,
-        [p for p in pairs if _label(p)["kind"] == "parameters"],
-        lambda pair: pair[1]["verdict"] == "parameters",
-    )
-    opened = [pair for pair in pairs if _label(pair)["kind"] == "open_set"]
-    share("open set: called unknown", 0.90, opened, lambda pair: pair[1]["verdict"] == "unknown")
-    share("single effects called unknown", 0.04, singles, lambda pair: pair[1]["verdict"] == "unknown", False)
-    if opened and singles:
-        area = _auroc([_unknown(pair) for pair in opened], [_unknown(pair) for pair in singles])
-        found.append(Metric("open set: AUROC of the novelty score", area, len(opened) + len(singles), None, 0.95))
-    if left_out and singles:
-        area = _auroc([_unknown(pair) for pair in left_out], [_unknown(pair) for pair in singles])
-        found.append(Metric("leave-one-out: AUROC", area, len(left_out) + len(singles), None, 0.90))
-    doubles = [pair for pair in pairs if _label(pair)["kind"] == "pair"]
-    share("pairs: exactly both", 0.75, doubles, lambda pair: set(_named(pair)) == set(_truth(pair)))
-    share(
-        "pairs: exactly both, where each shows beside the other",
-        0.82,
-        [pair for pair in doubles if len(_label(pair).get("shown", ())) == 2],
-        lambda pair: set(_named(pair)) == set(_truth(pair)),
-    )
-    share("pairs: at least one", 0.97, doubles, lambda pair: bool(set(_named(pair)) & set(_truth(pair))))
-    apart = [pair[1]["shrink_realised"] for pair in pairs if pair[1].get("shrink_realised")]
-    value("shrink, predicted - realized: median", 0.02, [abs(a - b) for a, b, _ in apart], False, np.median)
-    value(
-        "shrink, predicted - realized: 90 % quantile", 0.10, [abs(a - b) for a, b, _ in apart], False, lambda x: np.quantile(x, 0.9)
-    )
-    ahead = [
-        abs(pair[1]["foreseen"]["shrink"] - pair[1]["shrink_realised"][1])
-        for pair in pairs
-        if pair[1].get("shrink_realised") and pair[1].get("foreseen")
-    ]
-    value("shrink, foreseen for the fresh command - realized: median", 0.02, ahead, False, np.median)
-    value("shrink, foreseen for the fresh command - realized: 90 % quantile", 0.10, ahead, False, lambda x: np.quantile(x, 0.9))
-    share(
-        "true parameter within its 90 % interval",
-        0.85,
-        [p for p in singles if _covered(p) is not None],
-        lambda p: bool(_covered(p)),
-    )
-    sure = [
-        pair
-        for pair in singles + doubles
-        if pair[1]["effects"] and pair[1]["effects"][0]["probability"] >= 0.95 and pair[1]["verdict"] == "effect"
-    ]
-    share("right where it says >= 0.95", 0.97, sure, _first)
-    if singles:
-        found.append(Metric("calibration error (ECE)", _ece(singles), len(singles), None, 0.03, False))
-    value("processor seconds a record: median", 6.0, [pair[1]["processor_seconds"] for pair in pairs], False, np.median)
-    return found
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """What nobody could see."""
+        return self.case.answer.hidden or ()
+
+    @property
+    def size(self) -> float:
+        """True gap over what hides it."""
+        return self.case.answer.gap_rms / max(self.case.answer.noise_rms, 1e-300)
+
+    @property
+    def noise_percent(self) -> float:
+        """Noise of the sensor, per cent of the stroke."""
+        return 100 * self.case.noise
+
+    @property
+    def right(self) -> bool:
+        """Whether the case went right as a whole; what nobody should see may be named nevertheless."""
+        if self.kind in ("single", "pair"):
+            return self.first if self.kind == "single" else self.exact and self.decided
+        return (self.quiet if self.kind == "none" else self.decided) or bool(set(self.named) & set(self.hidden))
 
 
-def table(found: Sequence[Metric], source: str) -> Table:
-    """Convert metrics to a result table, the target in place of a published figure."""
-    result = Table(source)
-    for metric in found:
-        result.add(
-            "Blind test",
-            metric.name,
-            "diagnosis",
-            "seconds" if "seconds" in metric.name else "share",
-            "s" if "seconds" in metric.name else "",
-            metric.value,
-            published=metric.target,
-            n=metric.n,
-            ci95=metric.ci95,
-        )
-    return result
-
-
-def confusion(pairs: Sequence[Pair]) -> tuple[list[str], list[str], np.ndarray]:
-    """Count the names given by true name, over single effects and records without a gap."""
-    counts: Counter[tuple[str, str]] = Counter()
-    for pair in pairs:
-        kind = _label(pair)["kind"]
-        if kind in ("single", "none", "open_set", "parameters"):
-            truth = _truth(pair)[0] if kind == "single" else kind.replace("none", "no_gap")
-            verdict = pair[1]["verdict"]
-            counts[truth, _named(pair)[0] if verdict in ("effect", "ambiguous") and _named(pair) else verdict] += 1
-    order = [*EFFECTS, "no_gap", "parameters", "open_set", "unknown", VERDICT]
-    rows = sorted({row for row, _ in counts}, key=order.index)
-    columns = sorted({column for _, column in counts}, key=order.index)
-    return rows, columns, np.array([[counts[row, column] for column in columns] for row in rows])
-
-
-def worst(pairs: Sequence[Pair], count: int = 12) -> list[Pair]:
-    """Select the cases that went wrong, the largest gaps first."""
-    wrong = [pair for pair in pairs if not _right(pair)]
-    return sorted(wrong, key=lambda pair: -_label(pair)["gap_rms"] / max(_label(pair)["noise_rms"], 1e-300))[:count]
-
-
-def _right(pair: Pair) -> bool:
-    kind, verdict = _label(pair)["kind"], pair[1]["verdict"]
-    if kind == "single":
-        return _first(pair)
-    if kind == "pair":
-        return set(_named(pair)) == set(_truth(pair))
-    if kind == "none" and set(_named(pair)) & set(_label(pair).get("hidden", ())):
-        return True  # visible nevertheless
-    right = {"none": ("no_gap", "parameters"), "parameters": ("parameters",), "open_set": ("unknown",)}
-    return verdict in right[kind]
-
-
-def _label(pair: Pair) -> dict[str, Any]:
-    label: dict[str, Any] = pair[0]["label"]
-    return label
-
-
-def _truth(pair: Pair) -> list[str]:
-    return list(_label(pair)["names"])
-
-
-def _named(pair: Pair) -> list[str]:
-    return [effect["name"] for effect in pair[1]["effects"]]
-
-
-def _candidates(pair: Pair) -> set[str]:
-    report = pair[1]
-    return (
-        set(_named(pair))
-        | {name for effect in report["effects"] for name in effect["equivalent"]}
-        | {row["name"] for row in report["candidates"]}
+def score(case: Case, report: Mapping[str, Any], role: str = "") -> Result:
+    """Score the report on a case."""
+    label, verdict = case.answer, report["verdict"]
+    accepted = label.accepted if label.accepted is not None else tuple((name,) for name in label.names)
+    right = {name for names in accepted for name in names}
+    named = tuple(effect["name"] for effect in report["effects"] if effect["name"] not in (label.ignored or ()))
+    decided = verdict in (label.verdicts or VERDICTS[label.kind])
+    leads = bool(named) and named[0] in right
+    said = {*named, *(row["name"] for row in report.get("candidates", ()))}
+    said |= {name for effect in report["effects"] for name in effect.get("equivalent", ())}
+    realized, foreseen = report.get("shrink_realised"), report.get("foreseen")
+    return Result(
+        case,
+        role,
+        verdict,
+        named,
+        leads,
+        leads and decided,
+        bool(right & set(named)),
+        set(named) <= right and all(set(named) & set(names) for names in accepted),
+        decided,
+        decided or (verdict == "effect" and not named),
+        bool(accepted) and bool(said & set(accepted[0])),
+        report["effects"][0].get("probability") if report["effects"] else None,
+        float(report.get("novelty") or report.get("unexplained_share") or 0.0),
+        _covered(case, report),
+        abs(realized[0] - realized[1]) if realized else None,
+        abs(foreseen["shrink"] - realized[1]) if realized and foreseen else None,
+        report.get("processor_seconds", 0.0),
+        report["error"] if verdict == ERROR else sentence(dict(report)) if "gap" in report else "",
     )
 
 
-def _first(pair: Pair) -> bool:
-    return pair[1]["verdict"] in ("effect", "ambiguous") and bool(_named(pair)) and _named(pair)[0] in _truth(pair)
+def _covered(case: Case, report: Mapping[str, Any]) -> bool | None:
+    """Whether the interval of the first effect's main parameter holds the true value; None where it was not named."""
+    label = case.answer
+    truth = _own_truth(case) if label.truth is None else label.truth
+    if label.truth is not None and report["verdict"] not in VERDICTS["single"]:
+        return None
+    for effect in report["effects"]:
+        for parameter, row in effect["parameters"].items():
+            if effect["name"] not in label.names[:1] or parameter not in truth or row["ci90"][0] is None:
+                continue
+            values = truth[parameter]
+            axes = [case.axes.index(axis) for axis in effect["axis"]] if case.axes else []
+            true = np.mean([values[axis] for axis in axes] or values)
+            return bool(row["ci90"][0] <= true <= row["ci90"][1])
+    return None
 
 
-def _wrong(pair: Pair) -> bool:
-    """Report whether an absent effect was named with certainty."""
-    return pair[1]["verdict"] == "effect" and not set(_named(pair)) & set(_truth(pair))
+def _own_truth(case: Case) -> dict[str, tuple[float, ...]]:
+    """True parameters of a simulated case's first effect, where plant and gap report define them alike."""
+    effect = case.effects[0] if case.effects else {"name": ""}
+    if effect["name"] in OTHERWISE_DEFINED or effect.get(LAW):
+        return {}
+    return {name: (value,) for name, value in effect.items() if isinstance(value, (int, float)) and name != "frequency"}
 
 
-def _alarmed(pair: Pair) -> bool:
-    return pair[1]["verdict"] in ("effect", "ambiguous", "unknown", VERDICT)
+@dataclass(frozen=True)
+class Metric:
+    """One published figure: a proportion with its Wilson 95 % interval, or a plain value, beside its target."""
+
+    name: str
+    value: float
+    n: int  # Number of cases
+    ci95: tuple[float, float] | None  # None for a plain value
+    target: float | None
+    at_least: bool = True  # The value should reach the target; False: it should not exceed it
+
+    @property
+    def met(self) -> bool:
+        """True when the figure itself reaches its target."""
+        return self.target is None or (self.value >= self.target if self.at_least else self.value <= self.target)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the published table."""
+
+    name: str  # With columns of the result `r` in braces: a row for each of their values
+    target: float | None
+    chosen: Callable[[Result], bool]  # Filter
+    measure: Callable[[Result], Any]  # Of a case; None where it is not counted
+    at_least: bool = True
+    value: Callable[[Sequence[Any]], float] | None = None  # Of all measures; None: their share, with Wilson's interval
+
+
+def group_by(results: Iterable[Result], row: Row) -> list[Metric]:
+    """Group the results by a row's name, and compute the figure of each group; one that is no number is left out."""
+    groups: dict[str, list[Any]] = {}
+    for r in results:
+        if row.chosen(r) and (measured := row.measure(r)) is not None:
+            groups.setdefault(row.name.format(r=r), []).append(measured)
+    found = []
+    for name, measures in sorted(groups.items()):
+        n, value = len(measures), np.mean(measures) if row.value is None else row.value(measures)
+        interval = wilson(sum(measures), n) if row.value is None else None
+        found.append(Metric(name, float(value), n, interval, row.target, row.at_least))
+    return [metric for metric in found if np.isfinite(metric.value)]
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a proportion k / n."""
+    interval = binomtest(k, n).proportion_ci(0.95, "wilson")
+    return float(interval.low), float(interval.high)
+
+
+def conformal(scores: Sequence[float], share: float = 0.04) -> float:
+    """Compute the threshold that a further score, exchangeable with these, exceeds in at most a given share of the cases."""
+    rank = int(np.ceil((len(scores) + 1) * (1.0 - share)))
+    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
+
+
+def _macro_f1(pairs: Sequence[tuple[str, str]]) -> float:
+    """Mean over the true names of F1, of (true name, given name)."""
+    true, given = (Counter(names) for names in zip(*pairs, strict=True))
+    right = Counter(truth for truth, name in pairs if truth == name)
+    return float(np.mean([2 * right[name] / max(true[name] + given[name], 1) for name in true]))
+
+
+def _auroc(scores: Sequence[tuple[bool, float]]) -> float:
+    """Fraction of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
+    positive, negative = ([value for sign, value in scores if sign == wanted] for wanted in (True, False))
+    if not positive or not negative:
+        return np.nan
+    return float(mannwhitneyu(positive, negative, method="asymptotic").statistic / (len(positive) * len(negative)))
+
+
+def _ece(pairs: Sequence[tuple[float | None, bool]], bins: int = 5) -> float:
+    """Expected calibration error of the first name's probability, of (probability, right); a case without a name has None."""
+    given = np.array([(p, right) for p, right in pairs if p is not None]).reshape(-1, 2)
+    boxes = np.minimum((given[:, 0] * bins).astype(int), bins - 1)
+    off = np.array([np.sum(given[boxes == box, 0] - given[boxes == box, 1]) for box in range(bins)])
+    return float(np.sum(np.abs(off)) / max(len(given), 1))
+
+
+def _quantile(values: Sequence[float]) -> float:
+    return float(np.quantile(values, 0.9))
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values))
 
 
 def _family(name: str) -> str:
     return next((family for family, members in FAMILIES.items() if name in members), name)
 
 
-def _unknown(pair: Pair) -> float:
-    return _novelty(pair[1])
+def _same_family(r: Result) -> bool:
+    return _family(r.named[0] if r.named else "") == _family(r.case.answer.names[0])
 
 
-def _novelty(report: Mapping[str, Any]) -> float:
-    return float(report.get("novelty") or report.get("unexplained_share") or 0.0)
+def _given(r: Result) -> tuple[str, str]:
+    told = r.named and (r.first or r.verdict == "effect")
+    return r.case.answer.names[0], r.named[0] if told else "none"
 
 
-def novelty_quantile(reports: Sequence[Mapping[str, Any]]) -> list[Metric]:
-    """Compute the novelty score that 4 % of the single effects exceed: 0.5 where the diagnosis' conformal threshold was calibrated."""
-    found = conformal([_novelty(report) for report in reports], 0.04)
-    name = "all single effects: novelty score that 4 % exceed (unknown from 0.5)"
-    return [Metric(name, found, len(reports), None, 0.5, False)] if np.isfinite(found) else []
+def _calibration(r: Result) -> tuple[float | None, bool]:
+    return r.probability if r.verdict in VERDICTS["single"] else None, r.first
 
 
-def conformal(scores: Sequence[float], share: float) -> float:
-    """Compute the threshold that a further score, exchangeable with these, exceeds in at most a given share of the cases."""
-    rank = int(np.ceil((len(scores) + 1) * (1.0 - share)))
-    return float(np.sort(scores)[rank - 1]) if rank <= len(scores) else np.inf
+def _unknown(r: Result) -> bool:
+    return r.verdict == "unknown"
 
 
-def _macro_f1(pairs: Sequence[Pair]) -> float:
-    right: Counter[str] = Counter()
-    given: Counter[str] = Counter()
-    true: Counter[str] = Counter()
-    for pair in pairs:
-        truth, named = (
-            _truth(pair)[0],
-            _named(pair)[0] if _first(pair) or pair[1]["verdict"] == "effect" and _named(pair) else "none",
-        )
-        true[truth] += 1
-        given[named] += 1
-        right[truth] += truth == named
-    return float(np.mean([2 * right[name] / max(true[name] + given[name], 1) for name in true]))
+def _simulated(*kinds: str) -> Callable[[Result], bool]:
+    return lambda r: r.case.source == "simulated" and not r.role and r.kind in kinds
 
 
-def _auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
-    """Fraction of pairs in which the positive one is the greater, ties counting half: the statistic U of Mann and Whitney, of 1."""
-    return float(mannwhitneyu(positive, negative, method="asymptotic").statistic / (len(positive) * len(negative)))
+def _rich(r: Result) -> bool:
+    return SINGLE(r) and r.case.excitation == "rich" and r.case.answer.gap_rms >= 3 * r.case.answer.noise_rms
 
 
-def _ece(pairs: Sequence[Pair], bins: int = 5) -> float:
-    """Expected calibration error of the first name's probability."""
-    boxes: dict[int, list[tuple[float, bool]]] = defaultdict(list)
-    for pair in pairs:
-        if pair[1]["effects"] and pair[1]["verdict"] in ("effect", "ambiguous"):
-            p = pair[1]["effects"][0]["probability"]
-            boxes[min(int(p * bins), bins - 1)].append((p, _first(pair)))
-    total = sum(map(len, boxes.values()))
-    return float(sum(abs(sum(p for p, _ in box) - sum(right for _, right in box)) for box in boxes.values()) / max(total, 1))
+def _published(r: Result) -> bool:
+    return _rich(r) and r.case.plant in PUBLISHED
 
 
-def _covered(pair: Pair) -> bool | None:
-    """Coverage: True when the true value of the named effect's main parameter lies in its interval; None where it was not named."""
-    effect = _label(pair)["effects"][0]
-    named = next((row for row in pair[1]["effects"] if row["name"] == effect["name"]), None)
-    if named is None or effect["name"] in OTHERWISE_DEFINED or effect.get(LAW):
-        return None
-    for name, row in named["parameters"].items():
-        if name in effect and name != "frequency":
-            low, high = row["ci90"]
-            return low is not None and low <= effect[name] <= high
-    return None
+def _on(excitation: str) -> Callable[[Result], bool]:
+    return lambda r: SINGLE(r) and r.case.excitation == excitation
+
+
+def _no_gap(r: Result) -> bool:
+    return r.case.source == "simulated" and r.role != "left_out" and r.kind == "none" and not r.hidden
+
+
+def _injected(kind: str, regime: str | None = None, multiple: float | None = None) -> Callable[[Result], bool]:
+    """Filter of injected cases; with a regime, of those in measured records."""
+    return lambda r: (
+        r.case.source == "injected"
+        and r.kind == kind
+        and (regime is None or (r.case.regime == regime and r.case.multiple == multiple and r.case.plant not in SIMULATED))
+    )
+
+
+def _clean(stands_in: bool) -> Callable[[Result], bool]:
+    return lambda r: r.case.source == "injected" and r.kind == "none" and (r.case.plant in SIMULATED) == stands_in
+
+
+SINGLE, PAIR, OPEN = _simulated("single"), _simulated("pair"), _simulated("open_set")
+ALL = _simulated(*VERDICTS)
+BESIDE = "clean record of another command", "clean record of the same command"
+REDUCTION, FORESEEN = "shrink, predicted - realized", "shrink, foreseen for the fresh command - realized"
+
+ROWS = (
+    Row("top-1, single effects on published plants, rich record, gap >= 3 sigma", 0.97, _published, lambda r: r.first),
+    Row("its family", 0.98, _published, _same_family),
+    Row("macro-F1", 0.95, _published, _given, value=_macro_f1),
+    Row("top-1, the same, realizations that tuning drew", 0.97, lambda r: _published(r) and not r.case.untuned, lambda r: r.first),
+    Row(
+        "top-1, the same, realizations that tuning never drew", 0.92, lambda r: _published(r) and r.case.untuned, lambda r: r.first
+    ),
+    Row("top-1, the same, noise {r.noise_percent:g} %", 0.97, _published, lambda r: r.first),
+    Row("top-1, rich record, {r.case.plant}", 0.97, _rich, lambda r: r.first),
+    Row("single sine: wrong name", 0.03, _on("sine"), lambda r: r.verdict == "effect" and not r.some, False),
+    Row("single sine: truth among the candidates", 0.95, _on("sine"), lambda r: r.in_set),
+    Row("top-1, multisine", 0.85, _on("multisine"), lambda r: r.first),
+    Row("top-1, closed loop", 0.85, _on("closed_loop"), lambda r: r.first),
+    Row("false alarm on records without a gap", 0.02, _no_gap, lambda r: not r.quiet, False),
+    Row("false alarm, {r.case.plant}", 0.02, _no_gap, lambda r: not r.quiet, False),
+    Row(
+        "gap too small to be scored: a wrong name",
+        0.05,
+        lambda r: ALL(r) and bool(r.hidden),
+        lambda r: bool(r.named) and not set(r.named) & set(r.hidden),
+        False,
+    ),
+    Row("coefficients beyond tolerance: verdict parameters", 0.92, _simulated("parameters"), lambda r: r.decided),
+    Row("open set: called unknown", 0.90, OPEN, _unknown),
+    Row("single effects called unknown", 0.04, SINGLE, _unknown, False),
+    Row(
+        "open set: AUROC of the novelty score",
+        0.95,
+        _simulated("open_set", "single"),
+        lambda r: (r.kind == "open_set", r.novelty),
+        value=_auroc,
+    ),
+    Row(
+        "leave-one-out: AUROC",
+        0.90,
+        lambda r: SINGLE(r) or r.role == "left_out",
+        lambda r: (r.role == "left_out", r.novelty),
+        value=_auroc,
+    ),
+    Row("pairs: exactly both", 0.75, PAIR, lambda r: r.exact),
+    Row(
+        "pairs: exactly both, where each shows beside the other",
+        0.82,
+        lambda r: PAIR(r) and len(r.case.answer.shown or ()) == 2,
+        lambda r: r.exact,
+    ),
+    Row("pairs: at least one", 0.97, PAIR, lambda r: r.some),
+    Row(f"{REDUCTION}: median", 0.02, ALL, lambda r: r.reduction_error, False, _median),
+    Row(f"{REDUCTION}: 90 % quantile", 0.10, ALL, lambda r: r.reduction_error, False, _quantile),
+    Row(f"{FORESEEN}: median", 0.02, ALL, lambda r: r.foreseen_error, False, _median),
+    Row(f"{FORESEEN}: 90 % quantile", 0.10, ALL, lambda r: r.foreseen_error, False, _quantile),
+    Row("true parameter within its 90 % interval", 0.85, SINGLE, lambda r: r.covered),
+    Row(
+        "right where it says >= 0.95",
+        0.97,
+        lambda r: _simulated("single", "pair")(r) and r.verdict == "effect" and (r.probability or 0.0) >= 0.95,
+        lambda r: r.first,
+    ),
+    Row("calibration error (ECE)", 0.03, SINGLE, _calibration, False, _ece),
+    Row("processor seconds a record: median", 6.0, ALL, lambda r: r.processor_seconds, False, _median),
+    Row(
+        "`third` and Bouc-Wen stage, model identified, no clean record: top-1 at >= 3 x its own error",
+        0.85,
+        lambda r: _injected("single")(r) and r.case.plant in SIMULATED,
+        lambda r: r.first,
+    ),
+    Row("injected, no clean record: top-1 at 3 x", 0.70, _injected("single", "none", 3.0), lambda r: r.first),
+    Row("injected, no clean record: top-1 at 10 x", 0.90, _injected("single", "none", 10.0), lambda r: r.first),
+    Row(f"injected, {BESIDE[0]}: top-1 at 3 x", 0.85, _injected("single", "other_command", 3.0), lambda r: r.first),
+    Row(f"injected, {BESIDE[0]}: top-1 at 10 x", 0.95, _injected("single", "other_command", 10.0), lambda r: r.first),
+    Row(f"injected, {BESIDE[1]}: top-1 at 1 x", 0.85, _injected("single", "same_command", 1.0), lambda r: r.first),
+    Row(f"injected, {BESIDE[1]}: top-1 at 3 x", 0.97, _injected("single", "same_command", 3.0), lambda r: r.first),
+    Row(f"injected, {BESIDE[1]}: pairs exact", 0.85, _injected("pair"), lambda r: r.exact and r.decided),
+    Row(f"injected, {BESIDE[1]}: pairs, at least one", 0.97, _injected("pair"), lambda r: r.first),
+    Row("injected, open set: called unknown", 0.90, _injected("open_set"), _unknown),
+    Row("injected, single effects called unknown", 0.04, _injected("single"), _unknown, False),
+    Row(
+        "clean measured records: anything but no_gap, parameters or a companion", 0.03, _clean(False), lambda r: not r.quiet, False
+    ),
+    Row(
+        "clean records of `third` and the Bouc-Wen stage: anything but no_gap, parameters or a companion",
+        0.02,
+        _clean(True),
+        lambda r: not r.quiet,
+        False,
+    ),
+    Row("injected: true parameter within its 90 % interval", 0.85, _injected("single"), lambda r: r.covered),
+    Row("withheld: all cases solved", None, lambda r: r.case.source == "withheld", lambda r: r.right),
+    Row("withheld elements: named first", None, lambda r: r.case.source == "withheld" and r.kind == "single", lambda r: r.leads),
+    Row(
+        "all single effects: novelty score that 4 % exceed (unknown from 0.5)",
+        0.5,
+        lambda r: SINGLE(r) or _injected("single")(r),
+        lambda r: r.novelty,
+        False,
+        conformal,
+    ),
+)
+"""The published table."""
+
+BY_MACHINE = Row(
+    "{r.case.plant} | {r.case.regime} | {r.case.multiple:g}",
+    None,
+    lambda r: r.case.source == "injected" and r.kind == "single",
+    lambda r: r.first,
+)
+"""First names by machine, clean records, and size."""
+
+
+def metrics(results: Sequence[Result], rows: Sequence[Row] = ROWS) -> list[Metric]:
+    """Compute every figure of a table that the results allow."""
+    return [metric for row in rows for metric in group_by(results, row)]
+
+
+def table(found: Sequence[Metric], source: str) -> Table:
+    """Convert metrics to a result table, the target in place of a published figure."""
+    result = Table(source)
+    for one in found:
+        quantity, unit = ("seconds", "s") if "seconds" in one.name else ("share", "")
+        result.add("Blind test", one.name, "diagnosis", quantity, unit, one.value, published=one.target, n=one.n, ci95=one.ci95)
+    return result
+
+
+def write_results(path: Path, results: Sequence[Result]) -> None:
+    """Write a CSV file with a row for every case: its columns, and what its report is worth."""
+    rows = []
+    for result in results:
+        columns = asdict(result)
+        case = columns.pop("case")
+        rows.append({**case, **{f"true_{name}": value for name, value in case.pop("label").items()}, **columns})
+    text = StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
