@@ -9,6 +9,7 @@ import csv
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,46 @@ class Result:
     def noise_percent(self) -> float:
         """Noise of the sensor, per cent of the stroke."""
         return 100 * self.case.noise
+
+    @property
+    def clear(self) -> bool:
+        """Whether the record is rich, and the gap at least 3 sigma."""
+        return self.case.excitation == "rich" and self.case.answer.gap_rms >= 3 * self.case.answer.noise_rms
+
+    @property
+    def published(self) -> bool:
+        """Whether the model is right up to its coefficients."""
+        return self.case.plant in PUBLISHED
+
+    @property
+    def stand_in(self) -> bool:
+        """Whether the machine is a simulation."""
+        return self.case.plant in SIMULATED
+
+    @property
+    def both_shown(self) -> bool:
+        """Whether each effect of a pair shows beside the other."""
+        return len(self.case.answer.shown or ()) == 2
+
+    @property
+    def sure(self) -> bool:
+        """Whether it names an effect and is sure."""
+        return self.verdict == "effect" and (self.probability or 0.0) >= 0.95
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the verdict is unknown."""
+        return self.verdict == "unknown"
+
+    @property
+    def alarm(self) -> bool:
+        """Whether something is named where nothing is."""
+        return not self.quiet
+
+    @property
+    def wrong(self) -> bool:
+        """Whether names are given of which none is right."""
+        return bool(self.named) and not set(self.named) & {*self.case.answer.names, *self.hidden}
 
     @property
     def right(self) -> bool:
@@ -177,7 +218,7 @@ class Row:
     name: str  # With columns of the result `r` in braces: a row for each of their values
     target: float | None
     chosen: Callable[[Result], bool]  # Filter
-    measure: Callable[[Result], Any]  # Of a case; None where it is not counted
+    measure: str | Callable[[Result], Any]  # Column of the result, or what is computed of it; None where it is not counted
     at_least: bool = True
     value: Callable[[Sequence[Any]], float] | None = None  # Of all measures; None: their share, with Wilson's interval
 
@@ -186,7 +227,10 @@ def group_by(results: Iterable[Result], row: Row) -> list[Metric]:
     """Group the results by a row's name, and compute the figure of each group; one that is no number is left out."""
     groups: dict[str, list[Any]] = {}
     for r in results:
-        if row.chosen(r) and (measured := row.measure(r)) is not None:
+        measured = None
+        if row.chosen(r):
+            measured = getattr(r, row.measure) if isinstance(row.measure, str) else row.measure(r)
+        if measured is not None:
             groups.setdefault(row.name.format(r=r), []).append(measured)
     found = []
     for name, measures in sorted(groups.items()):
@@ -256,78 +300,52 @@ def _calibration(r: Result) -> tuple[float | None, bool]:
     return r.probability if r.verdict in VERDICTS["single"] else None, r.first
 
 
-def _unknown(r: Result) -> bool:
-    return r.verdict == "unknown"
+def _only(source: str, *kinds: str, **columns: object) -> Callable[[Result], bool]:
+    """Filter: scored cases of a source, of some kinds, whose columns have these values."""
 
+    def chosen(r: Result) -> bool:
+        if r.case.source != source or r.role or r.kind not in (kinds or VERDICTS):
+            return False
+        return all(getattr(r if hasattr(r, name) else r.case, name) == value for name, value in columns.items())
 
-def _simulated(*kinds: str) -> Callable[[Result], bool]:
-    return lambda r: r.case.source == "simulated" and not r.role and r.kind in kinds
-
-
-def _rich(r: Result) -> bool:
-    return SINGLE(r) and r.case.excitation == "rich" and r.case.answer.gap_rms >= 3 * r.case.answer.noise_rms
-
-
-def _published(r: Result) -> bool:
-    return _rich(r) and r.case.plant in PUBLISHED
-
-
-def _on(excitation: str) -> Callable[[Result], bool]:
-    return lambda r: SINGLE(r) and r.case.excitation == excitation
+    return chosen
 
 
 def _no_gap(r: Result) -> bool:
     return r.case.source == "simulated" and r.role != "left_out" and r.kind == "none" and not r.hidden
 
 
-def _injected(kind: str, regime: str | None = None, multiple: float | None = None) -> Callable[[Result], bool]:
-    """Filter of injected cases; with a regime, of those in measured records."""
-    return lambda r: (
-        r.case.source == "injected"
-        and r.kind == kind
-        and (regime is None or (r.case.regime == regime and r.case.multiple == multiple and r.case.plant not in SIMULATED))
-    )
-
-
-def _clean(stands_in: bool) -> Callable[[Result], bool]:
-    return lambda r: r.case.source == "injected" and r.kind == "none" and (r.case.plant in SIMULATED) == stands_in
-
-
-SINGLE, PAIR, OPEN = _simulated("single"), _simulated("pair"), _simulated("open_set")
-ALL = _simulated(*VERDICTS)
-BESIDE = "clean record of another command", "clean record of the same command"
+SIMULATION, INJECTION, WITHHELD = (partial(_only, source) for source in ("simulated", "injected", "withheld"))
+CLEAR, PUBLISHED_PLANTS = SIMULATION("single", clear=True), partial(SIMULATION, "single", clear=True, published=True)
+SINGLE, PAIR, ALL = SIMULATION("single"), SIMULATION("pair"), SIMULATION()
+MACHINE, STAND_IN = partial(INJECTION, stand_in=False), partial(INJECTION, stand_in=True)
+NONE, OTHER, SAME = "no clean record", "clean record of another command", "clean record of the same command"
 REDUCTION, FORESEEN = "shrink, predicted - realized", "shrink, foreseen for the fresh command - realized"
 
 ROWS = (
-    Row("top-1, single effects on published plants, rich record, gap >= 3 sigma", 0.97, _published, lambda r: r.first),
-    Row("its family", 0.98, _published, _same_family),
-    Row("macro-F1", 0.95, _published, _given, value=_macro_f1),
-    Row("top-1, the same, realizations that tuning drew", 0.97, lambda r: _published(r) and not r.case.untuned, lambda r: r.first),
+    Row("top-1, single effects on published plants, rich record, gap >= 3 sigma", 0.97, PUBLISHED_PLANTS(), "first"),
+    Row("its family", 0.98, PUBLISHED_PLANTS(), _same_family),
+    Row("macro-F1", 0.95, PUBLISHED_PLANTS(), _given, value=_macro_f1),
+    Row("top-1, the same, realizations that tuning drew", 0.97, PUBLISHED_PLANTS(untuned=False), "first"),
+    Row("top-1, the same, realizations that tuning never drew", 0.92, PUBLISHED_PLANTS(untuned=True), "first"),
+    Row("top-1, the same, noise {r.noise_percent:g} %", 0.97, PUBLISHED_PLANTS(), "first"),
+    Row("top-1, rich record, {r.case.plant}", 0.97, CLEAR, "first"),
     Row(
-        "top-1, the same, realizations that tuning never drew", 0.92, lambda r: _published(r) and r.case.untuned, lambda r: r.first
+        "single sine: wrong name", 0.03, SIMULATION("single", excitation="sine"), lambda r: r.wrong and r.verdict == "effect", False
     ),
-    Row("top-1, the same, noise {r.noise_percent:g} %", 0.97, _published, lambda r: r.first),
-    Row("top-1, rich record, {r.case.plant}", 0.97, _rich, lambda r: r.first),
-    Row("single sine: wrong name", 0.03, _on("sine"), lambda r: r.verdict == "effect" and not r.some, False),
-    Row("single sine: truth among the candidates", 0.95, _on("sine"), lambda r: r.in_set),
-    Row("top-1, multisine", 0.85, _on("multisine"), lambda r: r.first),
-    Row("top-1, closed loop", 0.85, _on("closed_loop"), lambda r: r.first),
-    Row("false alarm on records without a gap", 0.02, _no_gap, lambda r: not r.quiet, False),
-    Row("false alarm, {r.case.plant}", 0.02, _no_gap, lambda r: not r.quiet, False),
-    Row(
-        "gap too small to be scored: a wrong name",
-        0.05,
-        lambda r: ALL(r) and bool(r.hidden),
-        lambda r: bool(r.named) and not set(r.named) & set(r.hidden),
-        False,
-    ),
-    Row("coefficients beyond tolerance: verdict parameters", 0.92, _simulated("parameters"), lambda r: r.decided),
-    Row("open set: called unknown", 0.90, OPEN, _unknown),
-    Row("single effects called unknown", 0.04, SINGLE, _unknown, False),
+    Row("single sine: truth among the candidates", 0.95, SIMULATION("single", excitation="sine"), "in_set"),
+    Row("top-1, multisine", 0.85, SIMULATION("single", excitation="multisine"), "first"),
+    Row("top-1, closed loop", 0.85, SIMULATION("single", excitation="closed_loop"), "first"),
+    Row("false alarm on records without a gap", 0.02, _no_gap, "alarm", False),
+    Row("false alarm, {r.case.plant}", 0.02, _no_gap, "alarm", False),
+    Row("gap too small to be scored: a wrong name", 0.05, lambda r: ALL(r) and bool(r.hidden), "wrong", False),
+    Row("coefficients beyond tolerance: verdict parameters", 0.92, SIMULATION("parameters"), "decided"),
+    Row("open set: called unknown", 0.90, SIMULATION("open_set"), "unknown"),
+    Row("single effects called unknown", 0.04, SINGLE, "unknown", False),
     Row(
         "open set: AUROC of the novelty score",
         0.95,
-        _simulated("open_set", "single"),
+        SIMULATION("open_set", "single"),
         lambda r: (r.kind == "open_set", r.novelty),
         value=_auroc,
     ),
@@ -338,73 +356,56 @@ ROWS = (
         lambda r: (r.role == "left_out", r.novelty),
         value=_auroc,
     ),
-    Row("pairs: exactly both", 0.75, PAIR, lambda r: r.exact),
-    Row(
-        "pairs: exactly both, where each shows beside the other",
-        0.82,
-        lambda r: PAIR(r) and len(r.case.answer.shown or ()) == 2,
-        lambda r: r.exact,
-    ),
-    Row("pairs: at least one", 0.97, PAIR, lambda r: r.some),
-    Row(f"{REDUCTION}: median", 0.02, ALL, lambda r: r.reduction_error, False, _median),
-    Row(f"{REDUCTION}: 90 % quantile", 0.10, ALL, lambda r: r.reduction_error, False, _quantile),
-    Row(f"{FORESEEN}: median", 0.02, ALL, lambda r: r.foreseen_error, False, _median),
-    Row(f"{FORESEEN}: 90 % quantile", 0.10, ALL, lambda r: r.foreseen_error, False, _quantile),
-    Row("true parameter within its 90 % interval", 0.85, SINGLE, lambda r: r.covered),
-    Row(
-        "right where it says >= 0.95",
-        0.97,
-        lambda r: _simulated("single", "pair")(r) and r.verdict == "effect" and (r.probability or 0.0) >= 0.95,
-        lambda r: r.first,
-    ),
+    Row("pairs: exactly both", 0.75, PAIR, "exact"),
+    Row("pairs: exactly both, where each shows beside the other", 0.82, SIMULATION("pair", both_shown=True), "exact"),
+    Row("pairs: at least one", 0.97, PAIR, "some"),
+    Row(f"{REDUCTION}: median", 0.02, ALL, "reduction_error", False, _median),
+    Row(f"{REDUCTION}: 90 % quantile", 0.10, ALL, "reduction_error", False, _quantile),
+    Row(f"{FORESEEN}: median", 0.02, ALL, "foreseen_error", False, _median),
+    Row(f"{FORESEEN}: 90 % quantile", 0.10, ALL, "foreseen_error", False, _quantile),
+    Row("true parameter within its 90 % interval", 0.85, SINGLE, "covered"),
+    Row("right where it says >= 0.95", 0.97, SIMULATION("single", "pair", sure=True), "first"),
     Row("calibration error (ECE)", 0.03, SINGLE, _calibration, False, _ece),
-    Row("processor seconds a record: median", 6.0, ALL, lambda r: r.processor_seconds, False, _median),
+    Row("processor seconds a record: median", 6.0, ALL, "processor_seconds", False, _median),
     Row(
         "`third` and Bouc-Wen stage, model identified, no clean record: top-1 at >= 3 x its own error",
         0.85,
-        lambda r: _injected("single")(r) and r.case.plant in SIMULATED,
-        lambda r: r.first,
+        STAND_IN("single"),
+        "first",
     ),
-    Row("injected, no clean record: top-1 at 3 x", 0.70, _injected("single", "none", 3.0), lambda r: r.first),
-    Row("injected, no clean record: top-1 at 10 x", 0.90, _injected("single", "none", 10.0), lambda r: r.first),
-    Row(f"injected, {BESIDE[0]}: top-1 at 3 x", 0.85, _injected("single", "other_command", 3.0), lambda r: r.first),
-    Row(f"injected, {BESIDE[0]}: top-1 at 10 x", 0.95, _injected("single", "other_command", 10.0), lambda r: r.first),
-    Row(f"injected, {BESIDE[1]}: top-1 at 1 x", 0.85, _injected("single", "same_command", 1.0), lambda r: r.first),
-    Row(f"injected, {BESIDE[1]}: top-1 at 3 x", 0.97, _injected("single", "same_command", 3.0), lambda r: r.first),
-    Row(f"injected, {BESIDE[1]}: pairs exact", 0.85, _injected("pair"), lambda r: r.exact and r.decided),
-    Row(f"injected, {BESIDE[1]}: pairs, at least one", 0.97, _injected("pair"), lambda r: r.first),
-    Row("injected, open set: called unknown", 0.90, _injected("open_set"), _unknown),
-    Row("injected, single effects called unknown", 0.04, _injected("single"), _unknown, False),
-    Row(
-        "clean measured records: anything but no_gap, parameters or a companion", 0.03, _clean(False), lambda r: not r.quiet, False
-    ),
+    Row(f"injected, {NONE}: top-1 at 3 x", 0.70, MACHINE("single", regime="none", multiple=3.0), "first"),
+    Row(f"injected, {NONE}: top-1 at 10 x", 0.90, MACHINE("single", regime="none", multiple=10.0), "first"),
+    Row(f"injected, {OTHER}: top-1 at 3 x", 0.85, MACHINE("single", regime="other_command", multiple=3.0), "first"),
+    Row(f"injected, {OTHER}: top-1 at 10 x", 0.95, MACHINE("single", regime="other_command", multiple=10.0), "first"),
+    Row(f"injected, {SAME}: top-1 at 1 x", 0.85, MACHINE("single", regime="same_command", multiple=1.0), "first"),
+    Row(f"injected, {SAME}: top-1 at 3 x", 0.97, MACHINE("single", regime="same_command", multiple=3.0), "first"),
+    Row(f"injected, {SAME}: pairs exact", 0.85, INJECTION("pair"), "right"),
+    Row(f"injected, {SAME}: pairs, at least one", 0.97, INJECTION("pair"), "first"),
+    Row("injected, open set: called unknown", 0.90, INJECTION("open_set"), "unknown"),
+    Row("injected, single effects called unknown", 0.04, INJECTION("single"), "unknown", False),
+    Row("clean measured records: anything but no_gap, parameters or a companion", 0.03, MACHINE("none"), "alarm", False),
     Row(
         "clean records of `third` and the Bouc-Wen stage: anything but no_gap, parameters or a companion",
         0.02,
-        _clean(True),
-        lambda r: not r.quiet,
+        STAND_IN("none"),
+        "alarm",
         False,
     ),
-    Row("injected: true parameter within its 90 % interval", 0.85, _injected("single"), lambda r: r.covered),
-    Row("withheld: all cases solved", None, lambda r: r.case.source == "withheld", lambda r: r.right),
-    Row("withheld elements: named first", None, lambda r: r.case.source == "withheld" and r.kind == "single", lambda r: r.leads),
+    Row("injected: true parameter within its 90 % interval", 0.85, INJECTION("single"), "covered"),
+    Row("withheld: all cases solved", None, WITHHELD(), "right"),
+    Row("withheld elements: named first", None, WITHHELD("single"), "leads"),
     Row(
         "all single effects: novelty score that 4 % exceed (unknown from 0.5)",
         0.5,
-        lambda r: SINGLE(r) or _injected("single")(r),
-        lambda r: r.novelty,
+        lambda r: SINGLE(r) or INJECTION("single")(r),
+        "novelty",
         False,
         conformal,
     ),
 )
 """The published table."""
 
-BY_MACHINE = Row(
-    "{r.case.plant} | {r.case.regime} | {r.case.multiple:g}",
-    None,
-    lambda r: r.case.source == "injected" and r.kind == "single",
-    lambda r: r.first,
-)
+BY_MACHINE = Row("{r.case.plant} | {r.case.regime} | {r.case.multiple:g}", None, INJECTION("single"), "first")
 """First names by machine, clean records, and size."""
 
 
