@@ -51,15 +51,27 @@ class Result:
 
     case: Case
     role: str  # "" of a scored case, "left_out" without its effect in the catalogue, "without_gap" of false alarms alone
+    kind: str  # Kind that is scored: none where nobody could see the gap
+    hidden: tuple[str, ...]  # What nobody could see
+    size: float  # True gap over what hides it
+    noise_percent: float  # Noise of the sensor, per cent of the stroke
+    clear: bool  # The record is rich, and the gap at least 3 sigma
+    published: bool  # The model is right up to its coefficients
+    stand_in: bool  # The machine is a simulation
+    both_shown: bool  # Each effect of a pair shows beside the other
     verdict: str
     named: tuple[str, ...]  # Names that count, in the order of the report
     leads: bool  # The first name is right
     first: bool  # The same, with a verdict that names effects
     some: bool  # One of the names is right
     exact: bool  # The names are those of the effects
+    wrong: bool  # Names are given, of which none is in the case
     decided: bool  # The verdict is one that is right for the kind
-    quiet: bool  # Nothing is named where nothing is
+    alarm: bool  # Something is named, or unknown, where nothing is
+    right: bool  # The case went right as a whole; what nobody should see may be named nevertheless
     in_set: bool  # The first effect is among the candidates
+    unknown: bool  # The verdict is unknown
+    sure: bool  # An effect is named with a probability of at least 0.95
     probability: float | None  # Of the first name
     novelty: float
     covered: bool | None  # The interval of the first effect's parameter holds the true value; None where there is none
@@ -68,104 +80,54 @@ class Result:
     processor_seconds: float
     said: str  # The report in one sentence
 
-    @property
-    def kind(self) -> str:
-        """Kind that is scored."""
-        return self.case.answer.kind
-
-    @property
-    def hidden(self) -> tuple[str, ...]:
-        """What nobody could see."""
-        return self.case.answer.hidden or ()
-
-    @property
-    def size(self) -> float:
-        """True gap over what hides it."""
-        return self.case.answer.gap_rms / max(self.case.answer.noise_rms, 1e-300)
-
-    @property
-    def noise_percent(self) -> float:
-        """Noise of the sensor, per cent of the stroke."""
-        return 100 * self.case.noise
-
-    @property
-    def clear(self) -> bool:
-        """Whether the record is rich, and the gap at least 3 sigma."""
-        return self.case.excitation == "rich" and self.case.answer.gap_rms >= 3 * self.case.answer.noise_rms
-
-    @property
-    def published(self) -> bool:
-        """Whether the model is right up to its coefficients."""
-        return self.case.plant in PUBLISHED
-
-    @property
-    def stand_in(self) -> bool:
-        """Whether the machine is a simulation."""
-        return self.case.plant in SIMULATED
-
-    @property
-    def both_shown(self) -> bool:
-        """Whether each effect of a pair shows beside the other."""
-        return len(self.case.answer.shown or ()) == 2
-
-    @property
-    def sure(self) -> bool:
-        """Whether it names an effect and is sure."""
-        return self.verdict == "effect" and (self.probability or 0.0) >= 0.95
-
-    @property
-    def unknown(self) -> bool:
-        """Whether the verdict is unknown."""
-        return self.verdict == "unknown"
-
-    @property
-    def alarm(self) -> bool:
-        """Whether something is named where nothing is."""
-        return not self.quiet
-
-    @property
-    def wrong(self) -> bool:
-        """Whether names are given of which none is right."""
-        return bool(self.named) and not set(self.named) & {*self.case.answer.names, *self.hidden}
-
-    @property
-    def right(self) -> bool:
-        """Whether the case went right as a whole; what nobody should see may be named nevertheless."""
-        if self.kind in ("single", "pair"):
-            return self.first if self.kind == "single" else self.exact and self.decided
-        return (self.quiet if self.kind == "none" else self.decided) or bool(set(self.named) & set(self.hidden))
-
 
 def score(case: Case, report: Mapping[str, Any], role: str = "") -> Result:
     """Score the report on a case."""
     label, verdict = case.answer, report["verdict"]
+    hidden = label.hidden or ()
     accepted = label.accepted if label.accepted is not None else tuple((name,) for name in label.names)
     right = {name for names in accepted for name in names}
     named = tuple(effect["name"] for effect in report["effects"] if effect["name"] not in (label.ignored or ()))
     decided = verdict in (label.verdicts or VERDICTS[label.kind])
     leads = bool(named) and named[0] in right
-    said = {*named, *(row["name"] for row in report.get("candidates", ()))}
-    said |= {name for effect in report["effects"] for name in effect.get("equivalent", ())}
+    exact = set(named) <= right and all(set(named) & set(names) for names in accepted)
+    alarm = not decided and (verdict != "effect" or bool(named))
+    whole = {"single": leads and decided, "pair": exact and decided, "none": not alarm or bool(set(named) & set(hidden))}
+    candidates = {*named, *(row["name"] for row in report.get("candidates", ()))}
+    candidates |= {name for effect in report["effects"] for name in effect.get("equivalent", ())}
+    probability = report["effects"][0].get("probability") if report["effects"] else None
     realized, foreseen = report.get("shrink_realised"), report.get("foreseen")
     return Result(
-        case,
-        role,
-        verdict,
-        named,
-        leads,
-        leads and decided,
-        bool(right & set(named)),
-        set(named) <= right and all(set(named) & set(names) for names in accepted),
-        decided,
-        decided or (verdict == "effect" and not named),
-        bool(accepted) and bool(said & set(accepted[0])),
-        report["effects"][0].get("probability") if report["effects"] else None,
-        float(report.get("novelty") or report.get("unexplained_share") or 0.0),
-        _covered(case, report),
-        abs(realized[0] - realized[1]) if realized else None,
-        abs(foreseen["shrink"] - realized[1]) if realized and foreseen else None,
-        report.get("processor_seconds", 0.0),
-        report["error"] if verdict == ERROR else sentence(dict(report)) if "gap" in report else "",
+        case=case,
+        role=role,
+        kind=label.kind,
+        hidden=hidden,
+        size=label.gap_rms / max(label.noise_rms, 1e-300),
+        noise_percent=100 * case.noise,
+        clear=case.excitation == "rich" and label.gap_rms >= 3 * label.noise_rms,
+        published=case.plant in PUBLISHED,
+        stand_in=case.plant in SIMULATED,
+        both_shown=len(label.shown or ()) == 2,
+        verdict=verdict,
+        named=named,
+        leads=leads,
+        first=leads and decided,
+        some=bool(right & set(named)),
+        exact=exact,
+        wrong=bool(named) and not set(named) & {*label.names, *hidden},
+        decided=decided,
+        alarm=alarm,
+        right=whole.get(label.kind, decided),
+        in_set=bool(accepted) and bool(candidates & set(accepted[0])),
+        unknown=verdict == "unknown",
+        sure=verdict == "effect" and (probability or 0.0) >= 0.95,
+        probability=probability,
+        novelty=float(report.get("novelty") or report.get("unexplained_share") or 0.0),
+        covered=_covered(case, report),
+        reduction_error=abs(realized[0] - realized[1]) if realized else None,
+        foreseen_error=abs(foreseen["shrink"] - realized[1]) if realized and foreseen else None,
+        processor_seconds=report.get("processor_seconds", 0.0),
+        said=report["error"] if verdict == ERROR else sentence(dict(report)) if "gap" in report else "",
     )
 
 

@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
     if arguments.fleet:
-        from evaluation.blind_test.simulated_fleet import make_fleet
+        from evaluation.benchmarks.simulated_fleet import make_fleet
         from hyst_control import progress
 
         units, nights = arguments.fleet

@@ -84,8 +84,8 @@ def test_names_that_are_right():
     assert first(delay, "effect", "sensor_lowpass") and first(delay, "effect", "offset", "delay")
     assert not first(injected("delay", one_frequency=False), "effect", "sensor_lowpass")
     assert not first(delay, "unknown", "delay") and not first(delay, "effect", "offset")
-    quiet = [score(injected(kind="none"), one).quiet for one in (report("parameters"), report("effect", "offset"))]
-    assert all(quiet) and not score(injected(kind="none"), report("effect", "gain")).quiet
+    said = (report("parameters"), report("effect", "offset"), report("effect", "gain"))
+    assert [score(injected(kind="none"), one).alarm for one in said] == [False, False, True]
 
     def both(verdict: str, *names: str) -> bool:
         return score(injected("delay", "backlash", kind="pair"), report(verdict, *names)).right
@@ -203,5 +203,5 @@ def test_a_diagnosis_that_ends_in_an_error_costs_its_case(tmp_path):
     diagnose_all([batch], note=lambda _: None)
     (result,) = batch.results()
     assert result.verdict == "error" and "bag" in result.said
-    assert not (result.first or result.exact or result.quiet or result.right) and result.covered is None
+    assert not (result.first or result.exact or result.right) and result.covered is None
     assert next(metric for metric in metrics([result]) if "top-1" in metric.name).value == 0.0
