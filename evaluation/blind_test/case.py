@@ -54,7 +54,7 @@ class Case:
     """One row of the table of cases."""
 
     name: str  # Name of the case
-    plant: str  # Truth plant, or machine
+    plant: str  # Reference simulation, or machine
     kind: str  # One of `KINDS`
     excitation: str  # One of `EXCITATIONS`, or the machine's record
     noise: float  # Noise of the sensor, rms / stroke; 0 of a measured record
@@ -65,7 +65,7 @@ class Case:
     untuned: bool = False  # True with an effect in a realization that tuning seeds never draw
     duration: float = 1.5  # Length of the rich record, s
     source: str = "simulated"  # "simulated", "injected" into a record, or "withheld" from the model
-    regime: str = "none"  # Clean records beside the new one: none, of another command, of the same command
+    regime: str = "none"  # Baseline records beside the new one: none, of another command, of the same command
     multiple: float = 0.0  # Size of each injected effect, times the model's own error
     axes: tuple[str, ...] = ()  # Axes of the label's true parameters
 
@@ -89,7 +89,7 @@ class Made:
     model: Model  # The model to diagnose it with
     label: Label  # The answer
     effects: tuple[Mapping[str, Any], ...]  # What was put in, with the sizes that were found
-    beside: tuple[Record, ...] = ()  # Clean records
+    beside: tuple[Record, ...] = ()  # Baseline records
     warm_up: float = 0.0  # Begin of the records that does not count, s
     coming: Array | None = None  # Command of a later session, for which the reduction is predicted
 

@@ -19,7 +19,7 @@ from evaluation.blind_test.injected_machines import SIMULATED, Machine
 from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, Injection
 
 MODES = ("none", "other_command", "same_command")
-"""Clean records beside the new one."""
+"""Baseline records beside the new one."""
 ALIKE = (("delay", "sensor_lowpass", "amplifier_lowpass"), ("gain", "resonance", "gain_drift"), ("creep", "gain_drift"))
 """Effects that are not put together into a pair: most records tell them apart alone, but not one beside the other."""
 

@@ -1,6 +1,6 @@
 """The blind test: cases are made, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (clean records beside the new
+Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (baseline records beside the new
 one; the command of a later session, for which the reduction is predicted; the begin that does not count). labels.json is kept separate (its
 SHA-256 is printed before anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) and evidence/NAME.json are the output
 of the diagnosis, results.csv has a row for every case. A run that was interrupted goes on where it stopped.

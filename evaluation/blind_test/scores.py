@@ -368,7 +368,7 @@ ROWS = (
 """The published table."""
 
 BY_MACHINE = Row("{r.case.plant} | {r.case.regime} | {r.case.multiple:g}", None, INJECTION("single"), "first")
-"""First names by machine, clean records, and size."""
+"""First names by machine, baseline records, and size."""
 
 
 def metrics(results: Sequence[Result], rows: Sequence[Row] = ROWS) -> list[Metric]:
@@ -391,7 +391,8 @@ def write_results(path: Path, results: Sequence[Result]) -> None:
     for result in results:
         columns = asdict(result)
         case = columns.pop("case")
-        rows.append({**case, **{f"true_{name}": value for name, value in case.pop("label").items()}, **columns})
+        label = {f"true_{name}": value for name, value in case.pop("label").items()}
+        rows.append({**case, **label, **columns, "kind": case["kind"], "scored_kind": result.kind})
     text = StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
