@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.mirror_models import DELAYS, fit, own_error
+from evaluation.blind_test.mirror_models import DELAYS, fit, stated_model
 from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
@@ -114,8 +114,7 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
         return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
 
     def model() -> Model:
-        bare = mirror.model_of(fit(data, DELAYS[-1]).model, data.name, float(np.abs(data.command).max()))
-        return replace(bare, discrepancy=own_error(bare, data, other))
+        return stated_model(fit(data, DELAYS[-1]), data, other, data.name)
 
     warm_up = mirror.PERIOD * mirror.SAMPLE_TIME
     return Machine(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -49,11 +48,12 @@ def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array
     return list((level.measurement[:, :, realization] - simulated[..., None]).transpose(2, 0, 1))
 
 
-def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, Any]:
-    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does."""
-    commands = list(level.command[:, :, realization].transpose(2, 0, 1))
-    measurements = list(level.measurement[:, :, realization].transpose(2, 0, 1))
-    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
+def stated_model(found: Candidate, level: mirror.Level, realization: int, name: str) -> Model:
+    """Convert a fit to a model that states its error on a realization that it was not fitted on, as `hyst identify` does."""
+    model = mirror.model_of(found.model, name, float(np.abs(level.command).max()))
+    commands, measurements = (list(rows[:, :, realization].transpose(2, 0, 1)) for rows in (level.command, level.measurement))
+    own = discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
+    return replace(model, discrepancy=own)
 
 
 def record_of(level: mirror.Level, realization: int) -> Record:

@@ -8,8 +8,8 @@ without hysteresis, and one with too few operators, against the nested loops of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -20,9 +20,9 @@ from evaluation.blind_test.mirror_models import (
     MODE,
     fit,
     models_without_elements,
-    own_error,
     record_of,
     rms_error,
+    stated_model,
     with_stages,
 )
 from evaluation.reproduction import fsm_cubespec_records as mirror
@@ -49,54 +49,33 @@ NOTHING = "nothing"
 HYSTERESIS = ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
 
 
-@dataclass(frozen=True)
-class Withheld:
-    """A measured record and a model that lacks an element of its machine."""
-
-    right: tuple[str, ...]  # Names of effects that are right for the element; none of a whole model
-    model: Model  # The model without it
-    record: Record  # The record to diagnose
-    warm_up: float  # Time that is not compared, s
-    floor: float  # Residual of the whole model on this record, rms in the measurement unit
-
-
 def drawn(plants: Sequence[str] = PLANTS, levels: Sequence[int] = LEVELS, modes: str = "all") -> list[Case]:
     """List the cases of some plants, and of the mirror's models of some levels."""
-    elements = [("stack", element) for element in _stack()] if "stack" in plants else []
+    rows = [("stack", one) for one in _stack().values()] if "stack" in plants else []
     for level in levels if "mirror" in plants else ():
-        kept = [element for element in _mirror(level) if level in MODES[modes] or not element.startswith(MODE)]
-        elements += [(f"mirror, {level} mV", element) for element in kept]
+        kept = [one for element, one in _mirror(level).items() if level in MODES[modes] or not element.startswith(MODE)]
+        rows += [(f"mirror, {level} mV", one) for one in kept]
     return [
-        Case(
-            f"case_{index:04d}",
-            plant,
-            "none" if element == NOTHING else "single",
-            "measured",
-            0.0,
-            0,
-            () if element == NOTHING else ({"name": element},),
-            source="withheld",
-        )
-        for index, (plant, element) in enumerate(elements)
+        Case(f"case_{index:04d}", plant, one.label.kind, one.record.source, 0.0, 0, one.effects, source="withheld")
+        for index, (plant, one) in enumerate(rows)
     ]
 
 
 def made(case: Case) -> Made:
     """Make a case: the record, and the model without the element."""
-    element = case.names[0] if case.effects else NOTHING
-    one = _stack()[element] if case.plant == "stack" else _mirror(int(case.plant.split()[1]))[element]
-    command, measurement = (one.record.signal(name).values for name in ("command", "measurement"))
-    counted = slice(round(one.warm_up / (one.model.sample_time or 1.0)), None)
-    gap = float(np.sqrt(np.mean((measurement - simulate(one.model, command))[counted] ** 2)))
-    label = Label(
-        case.kind,
-        case.names,
-        gap,
-        one.floor,
-        accepted=(one.right,) if one.right else (),
-        verdicts=("effect", "parameters") if one.right else ("no_gap",),
-    )
-    return Made(one.record, one.model, label, case.effects, warm_up=one.warm_up)
+    table = _stack() if case.plant == "stack" else _mirror(int(case.plant.split()[1]))
+    return table[case.names[0] if case.effects else NOTHING]
+
+
+def _without(element: str, right: tuple[str, ...], model: Model, record: Record, warm_up: float, floor: float) -> Made:
+    """A record with a model that lacks an element, for which some names are right; `floor`: what the whole model leaves, rms."""
+    command, measurement = (record.signal(name).values for name in ("command", "measurement"))
+    counted = slice(round(warm_up / (model.sample_time or 1.0)), None)
+    gap = float(np.sqrt(np.mean((measurement - simulate(model, command))[counted] ** 2)))
+    if element == NOTHING:
+        return Made(record, model, Label("none", (), gap, floor, verdicts=("no_gap",)), (), warm_up=warm_up)
+    label = Label("single", (element,), gap, floor, accepted=(right,), verdicts=("effect", "parameters"))
+    return Made(record, model, label, ({"name": element},), warm_up=warm_up)
 
 
 @cache
@@ -109,26 +88,23 @@ def _whole() -> dict[int, Candidate]:
 
 
 @cache
-def _mirror(level: int) -> dict[str, Withheld]:
+def _mirror(level: int) -> dict[str, Made]:
     """The mirror's model of a level without each of its elements, and against every higher level."""
     measured, whole = dict(zip(LEVELS, mirror.load_levels(), strict=True)), _whole()
-    data = measured[level]
-    bare = mirror.model_of(whole[level].model, f"fsm_{level}mV", float(np.abs(data.command).max()))
-    model = replace(bare, discrepancy=own_error(bare, data, mirror.SELECT[0]))
-    record, warm_up = record_of(data, mirror.TEST[0]), mirror.PERIOD * mirror.SAMPLE_TIME
-    floor = rms_error(model, data, mirror.TEST[0])
-    found = {NOTHING: Withheld((), model, record, warm_up, floor)}
-    for element, right, crippled in models_without_elements(model, data, floor):
-        found[element] = Withheld(right, crippled, record, warm_up, floor)
+    model = stated_model(whole[level], measured[level], mirror.SELECT[0], f"fsm_{level}mV")
+    floor = rms_error(model, measured[level], mirror.TEST[0])
+    found: list[tuple[str, tuple[str, ...], Model, int, float]] = [(NOTHING, (), model, level, floor)]
+    for element, right, crippled in models_without_elements(model, measured[level], floor):
+        found.append((element, right, crippled, level, floor))
     for other in (other for other in LEVELS if other > level):
-        higher, least = record_of(measured[other], mirror.TEST[0]), mirror.model_of(whole[other].model, "", 1.0)
-        floor = rms_error(least, measured[other], mirror.TEST[0])
-        found[f"amplitude of {other} mV"] = Withheld(("softening_modes",), model, higher, warm_up, floor)
-    return found
+        least = rms_error(mirror.model_of(whole[other].model, "", 1.0), measured[other], mirror.TEST[0])
+        found.append((f"amplitude of {other} mV", ("softening_modes",), model, other, least))
+    records, warm_up = {of: record_of(measured[of], mirror.TEST[0]) for of in LEVELS}, mirror.PERIOD * mirror.SAMPLE_TIME
+    return {element: _without(element, right, model, records[of], warm_up, floor) for element, right, model, of, floor in found}
 
 
 @cache
-def _stack() -> dict[str, Withheld]:
+def _stack() -> dict[str, Made]:
     """The stack's models without hysteresis and with too few operators, against the nested loops of the other file."""
     full, nested = stack.load()
     cycle = stack.cycles(full)[0]
@@ -140,17 +116,16 @@ def _stack() -> dict[str, Withheld]:
     few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model
     part = nested.rows(0, rows.stop)
     floor = float(np.std(part.measurement[rows, 0] - simulate(whole, part.command)[rows, 0]))
-
-    def cases() -> Iterator[tuple[str, tuple[str, ...], Model]]:
-        yield NOTHING, (), whole
-        yield "hysteresis", HYSTERESIS, _without_memory(few, cycle)
-        yield f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", HYSTERESIS, few
-
     found = {}
-    for element, right, model in cases():
+    for element, right, model in (
+        (NOTHING, (), whole),
+        ("hysteresis", HYSTERESIS, _without_memory(few, cycle)),
+        (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", HYSTERESIS, few),
+    ):
         zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))  # the sensor's differs between the files
         record = plain_record(part.command, part.measurement - zero, stack.SAMPLE_TIME, ("x",), nested.name)
-        found[element] = Withheld(right, replace(model, discrepancy=own), record, rows.start * stack.SAMPLE_TIME, floor)
+        warm_up = rows.start * stack.SAMPLE_TIME
+        found[element] = _without(element, right, replace(model, discrepancy=own), record, warm_up, floor)
     return found
 
 
