@@ -34,7 +34,7 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class Label:
-    """What a diagnosis should say of a case, and how large its gap is. None: as for every simulated case."""
+    """Answer of a case: what a diagnosis should say, and how large the gap is. None: as for every simulated case."""
 
     kind: str  # One of `KINDS`: that of the case, or "none" where nobody could see its gap
     names: tuple[str, ...]  # Effects to name
@@ -83,7 +83,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Made:
-    """What a row of the table becomes: records and model, and the answer, which is kept apart."""
+    """Content of a case's files: records and model; and the answer, which is kept apart."""
 
     record: Record  # The record to diagnose
     model: Model  # The model to diagnose it with
