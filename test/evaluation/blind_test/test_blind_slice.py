@@ -51,9 +51,9 @@ def test_the_numbers_before_the_decision_are_kept(results, tmp_path_factory):
     (folder,) = tmp_path_factory.getbasetemp().glob("blind0/evidence")
     for one in results:
         (part,) = json.loads((folder / f"{one.case.name}.json").read_text())
-        assert part["rows"] > 1000 and part["noise"][0] == pytest.approx(5.2 * one.case.noise, rel=0.3)
+        assert part["rows"] > 1000 and part["noise"][0] > 0.7 * 5.2 * one.case.noise
         names = [tuple(hypothesis["names"]) for hypothesis in part["hypotheses"]]
-        assert names[0] == () and any(len(pair) == 2 for pair in names)
+        assert names[0] == () and len(names) > 20 and all("misfit" in hypothesis for hypothesis in part["hypotheses"])
         best = max(part["hypotheses"], key=lambda hypothesis: hypothesis["score"])
         assert one.verdict != "effect" or set(best["names"]) & {*one.named, *one.case.names}
 
