@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from evaluation.benchmarks.simulated_fleet import CLEAN_NIGHTS, make_fleet
 from hyst_control.cluster import LOOPBACK
 from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import read_manifest

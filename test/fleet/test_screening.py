@@ -11,7 +11,7 @@ pytest.importorskip("pyarrow")
 import pyarrow.parquet
 from one_process import one_process
 
-from evaluation.blind_test import simulated_fleet
+from evaluation.benchmarks import simulated_fleet
 from hyst_control.effects import EFFECTS
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import GAPS, ONSETS, RecordJob, compute

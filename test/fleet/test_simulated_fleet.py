@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.blind_test.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from evaluation.benchmarks.simulated_fleet import CLEAN_NIGHTS, make_fleet
 from hyst_control.cli import main
 from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import read_manifest
