@@ -52,7 +52,8 @@ def main() -> None:
             add(path)
         print(f"headers: added to {len(found)} files")
     elif found:
-        sys.exit("\n".join(["headers: python .ci/headers.py --write adds them to", *(f"  {path.relative_to(ROOT)}" for path in found)]))
+        names = [f"  {path.relative_to(ROOT)}" for path in found]
+        sys.exit("\n".join(["headers: python .ci/headers.py --write adds them to", *names]))
     else:
         print("headers: every source file has its copyright and license")
 

@@ -6,6 +6,7 @@ time of its own. So what comes out of a file is bounded by a multiple of its siz
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from io import BytesIO, RawIOBase
 from typing import TYPE_CHECKING, BinaryIO
@@ -61,12 +62,12 @@ def decompress(data: bytes, compression: str, size: int | None, budget: Budget) 
         most = budget.left if size is None else size
         if size is not None:
             budget.take(size)  # before anything is made
-        if compression == "zstd":
-            found = _zstd(data, most)
-        elif compression == "lz4":
-            found = _lz4(data, most)
-        else:
+        if compression not in READERS:
             raise Damage(f"is compressed with {compression[:20]!r}, only zstd and lz4 are read")
+        try:
+            found = READERS[compression](data, most)
+        except ModuleNotFoundError as error:  # rosdep has no key for either
+            raise Damage(f"is compressed with {compression}, and the package {error.name} is not installed") from None
         if size is None:
             budget.take(len(found))
     if size is not None and len(found) != size:
@@ -104,6 +105,9 @@ def _lz4(data: bytes, most: int) -> bytes:
     if len(found) > most or not reader.eof:
         raise Damage("holds a block that expands to more than is announced, or is cut off")
     return found
+
+
+READERS: dict[str, Callable[[bytes, int], bytes]] = {"zstd": _zstd, "lz4": _lz4}
 
 
 class Expanded(RawIOBase):
