@@ -73,7 +73,9 @@ def rows() -> list[tuple[str, str, str]]:
 def main() -> None:
     """Check every license, and write the table or compare with it."""
     found = rows()
-    refused = [f"{name}: {text or 'states no license'}" for _, name, text in found if name not in OPTIONAL and not COMPATIBLE.search(text)]
+    refused = [
+        f"{name}: {text or 'states no license'}" for _, name, text in found if name not in OPTIONAL and not COMPATIBLE.search(text)
+    ]
     refused += [f"{name}: {text}" for _, name, text in found if re.search(r"(?<!L)GPL|Affero|Commercial", text)]
     if refused:
         sys.exit("\n".join(["licenses that do not fit Apache-2.0, or are not known (STATED in .ci/licenses.py):", *refused]))

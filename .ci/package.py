@@ -37,7 +37,11 @@ def main() -> None:
     warnings: list[str] = []
     package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
-    by_pip = [f"{each.name}: a key for pip, which no distribution's package may need" for each in all_depends(package) if "-pip" in each.name]
+    by_pip = [
+        f"{each.name} is installed by pip, on which no Debian package can depend"
+        for each in depends(package)
+        if "-pip" in each.name
+    ]
     faults = [*warnings, *by_pip, *versions(package), *dependencies(package)]
     if faults:
         sys.exit("\n".join(f"package.xml: {fault}" for fault in faults))
@@ -46,7 +50,7 @@ def main() -> None:
     )
 
 
-def all_depends(package: Package) -> list[Dependency]:
+def depends(package: Package) -> list[Dependency]:
     """What the package depends on for anything: building, running, tests, documents."""
     return [*package.build_depends, *package.exec_depends, *package.test_depends, *package.doc_depends]
 

@@ -47,7 +47,7 @@ FAST_DDS_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 KNOWN = {
     middleware.name: middleware
     for middleware in (
-        # Its writers announce what they sent every 0.1 s by themselves, and iceoryx' shared memory is off unless CYCLONEDDS_URI asks for it.
+        # Its writers announce by themselves every 0.1 s what they sent; shared memory is off unless CYCLONEDDS_URI asks for it.
         Middleware(
             "rmw_cyclonedds_cpp",
             chosen_by=("CYCLONEDDS_URI",),
@@ -66,7 +66,9 @@ KNOWN = {
 
 def _fast_dds(name: str) -> Middleware:
     """Fast DDS, whose version 3 (Kilted and later) renamed the variable and the tags of its settings."""
-    third = any(Path(prefix, "share", "fastdds").is_dir() for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix])
+    third = any(
+        Path(prefix, "share", "fastdds").is_dir() for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(":"), sys.prefix]
+    )
     return Middleware(
         name,
         tried=name == DEFAULT,

@@ -41,8 +41,6 @@ def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
 
 
 def environment_with_source():
-    import os
-
     return {**os.environ, "PYTHONPATH": str(config_folders()[0].parent)}
 
 
