@@ -1,4 +1,4 @@
-"""Write the hashes of what is pinned into the requirement files: `python .ci/pins.py python3.10 python3.11 ...`.
+"""Write the hashes of pinned lines that have none into the requirement files: `python .ci/pins.py python3.10 python3.11 ...`.
 
 Each interpreter's pip names, without installing anything, the file that it would take for each version. The platform is this machine's,
 x86-64 Linux; pip refuses any other file for these versions.
@@ -24,10 +24,17 @@ def pinned(text: str) -> list[str]:
     return [line.removesuffix("\\").rstrip() for line in text.splitlines() if not line.lstrip().startswith("--hash")]
 
 
+def known_hashes(text: str) -> dict[tuple[str, str], set[str]]:
+    """Hashes that a requirement file has already."""
+    lines = text.replace("\\\n", " ").splitlines()
+    found = {name_and_version(line): set(re.findall(r"--hash=sha256:(\w+)", line)) for line in lines if not line.startswith("#")}
+    return {key: digests for key, digests in found.items() if digests}
+
+
 def name_and_version(line: str) -> tuple[str, str]:
     """Name, as PyPI normalizes it, and version of a pinned line."""
     name, _, rest = line.partition("==")
-    return re.sub(r"[-_.]+", "-", name.strip()).lower(), rest.split(";")[0].strip()
+    return re.sub(r"[-_.]+", "-", name.strip()).lower(), re.split(r"[;\s]", rest.strip())[0]
 
 
 def hashes(python: str, lines: list[str]) -> dict[tuple[str, str], set[str]]:
@@ -58,20 +65,21 @@ def with_hashes(lines: list[str], found: dict[tuple[str, str], set[str]]) -> str
 
 
 def main() -> None:
-    """Ask every interpreter for every file, and write each file that all have answered."""
+    """Ask every interpreter for what has no hash, and write each file that all have answered."""
     if len(sys.argv) < 2:
         sys.exit(__doc__)
-    lines = {name: pinned((ROOT / name).read_text(encoding="utf-8")) for name in FILES}
+    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in FILES}
+    known = {name: known_hashes(text) for name, text in texts.items()}
+    lines = {name: [line for line in pinned(text) if "==" in line] for name, text in texts.items()}
+    new = {name: [line for line in lines[name] if name_and_version(line) not in known[name]] for name in FILES}
     with ThreadPoolExecutor(len(FILES) * len(sys.argv)) as pool:  # pip mostly waits for the index
-        asked = {name: [pool.submit(hashes, python, lines[name]) for python in sys.argv[1:]] for name in FILES}
+        asked = {name: [pool.submit(hashes, python, wanted) for python in sys.argv[1:]] for name, wanted in new.items() if wanted}
         for name, answers in asked.items():
-            found: dict[tuple[str, str], set[str]] = {}
             for answer in answers:
                 for key, digests in answer.result().items():
-                    found.setdefault(key, set()).update(digests)
-            text = with_hashes(lines[name], found)
-            (ROOT / name).write_text(text, encoding="utf-8")
-            print(f"{name}: {len(found)} versions, {text.count('--hash')} hashes", flush=True)
+                    known[name].setdefault(key, set()).update(digests)
+            (ROOT / name).write_text(with_hashes(pinned(texts[name]), known[name]), encoding="utf-8")
+            print(f"{name}: {len(new[name])} lines got their hashes", flush=True)
 
 
 if __name__ == "__main__":
