@@ -1,4 +1,4 @@
-"""What differs between the middlewares below ROS 2, chosen by RMW_IMPLEMENTATION; docs/middleware.md says what was tried."""
+"""Differences between the middlewares below ROS 2, chosen by RMW_IMPLEMENTATION; docs/middleware.md says what was tried."""
 
 from __future__ import annotations
 
