@@ -12,15 +12,15 @@ from itertools import product
 
 import numpy as np
 
-from hyst_control.chain.hysteresis.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, TRUTH, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
-from hyst_control.identify.oscillator.oscillator_fit import AxisFit, Linear, Problem, assemble, problem_of
 from hyst_control.identify.solve.simulation_error import Solution
 from hyst_control.parallel import map_forked
+from hysteretic_oscillators.families.oscillator_fit import AxisFit, Linear, Problem, assemble, problem_of
+from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 SHARE = 0.5
 """Share of the force in the stiffness for small motions about which the parameters are stated."""

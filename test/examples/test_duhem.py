@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
-from hyst_control.chain.hysteresis.duhem import Duhem
 from hyst_control.errors import InputError
+from hysteretic_oscillators.stages.duhem import Duhem
 
 STAGE = Duhem(
     slope=[0.1, 0.2], alpha=[-0.03, 0.05], beta=[0.02, 0.04], gamma=[-0.006, 0.01], exponent=[1.3, 1.0], growth=[4e-3, 0.0]

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.hysteresis.hysteretic_oscillator import HystereticOscillator, Law
 from hyst_control.chain.parameter import Scattering, VectorPerAxis, vector
 from hyst_control.chain.stage import depth, per_axis, register
 from hyst_control.errors import InputError
+from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, Law
 
 
 @register

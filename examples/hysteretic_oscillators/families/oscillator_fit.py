@@ -13,7 +13,6 @@ from typing import Protocol
 import numpy as np
 
 from hyst_control.chain import Stage
-from hyst_control.chain.hysteresis.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Array, Sampling
@@ -26,6 +25,7 @@ from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
 from hyst_control.records.row_store import blocks, spread_parts
+from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
 
 SELECTION_ROWS = 200_000
 """Rows on which starts and structures are compared."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
-from hyst_control.chain.hysteresis.duhem import Duhem
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.parameter import Array, declared
 from hyst_control.identify.assess.assembly import assembled, chain_model
@@ -30,6 +29,7 @@ from hyst_control.identify.solve.parameter_covariance import Uncertainty, indepe
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.parallel import map_forked
+from hysteretic_oscillators.stages.duhem import Duhem
 
 NAMES = tuple(declared(Duhem))
 """Parameters of the hysteresis."""

@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hyst_control.chain.chain import Chain
-from hyst_control.chain.hysteresis.bouc_wen import BoucWen
-from hyst_control.chain.hysteresis.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.stage import Sampling, Stage
 from hyst_control.errors import InputError
+from hysteretic_oscillators.stages.bouc_wen import BoucWen
+from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 SAMPLE_TIME = 1e-4
 MASS, DAMPING, STIFFNESS = 1e-6, 8e-4, 6.0

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyst_control.chain.hysteresis.hysteretic_oscillator import HystereticOscillator, Law
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
+from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, Law
 
 
 @register
