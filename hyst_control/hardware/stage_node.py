@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.errors import InputError
 from hyst_control.hardware.driver_thread import Call, DriverThread
-from hyst_control.nodes import interrupts
-from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
-from hyst_control.nodes.common_parameters import TIMER
-from hyst_control.nodes.duration_histogram import Durations
-from hyst_control.nodes.loop_latency import LoopLatency
-from hyst_control.nodes.managed import AUTOSTART, UNCONFIGURED, ManagedNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import LONGEST_WIND_DOWN
-from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.run import LONGEST_WIND_DOWN
+from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
+from hyst_control.nodes.signal_node.common_parameters import TIMER
+from hyst_control.nodes.signal_node.duration_histogram import Durations
+from hyst_control.nodes.signal_node.loop_latency import LoopLatency
+from hyst_control.nodes.signal_node.managed import AUTOSTART, UNCONFIGURED, ManagedNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 
 Array = NDArray[np.float64]

@@ -15,28 +15,17 @@ from hyst_control.errors import InputError
 from hyst_control.export.backend import CompiledFeedforward
 from hyst_control.export.controller import Feedforward as WithC
 from hyst_control.model_file import load_model
-from hyst_control.nodes import feedforward_learning
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.common_parameters import BACKEND, C
-from hyst_control.nodes.feedforward_learning import FeedforwardLearning
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.loop import feedforward_learning
+from hyst_control.nodes.loop.feedforward_learning import FeedforwardLearning
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.common_parameters import BACKEND, C
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 
 
 def settings_of(kind: str) -> tuple[Setting, ...]:
-    """Parameters of a feedforward node.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of compensator that it has by default.
-
-    Returns
-    -------
-    tuple of Setting
-        The parameters.
-    """
+    """Parameters of a feedforward node."""
     return (
         *feedforward_learning.SETTINGS,
         Setting("model", "", "", "model file that the compensator inverts"),
@@ -94,17 +83,7 @@ class Feedforward(SignalNode):
         cls.SETTINGS = settings_of(cls.KIND)
 
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
-        """Create the node.
-
-        Parameters
-        ----------
-        name : str
-            Name of the node.
-        compensator : Compensator, optional
-            Used instead of the one that the parameters describe.
-        **options : object
-            Passed on to `rclpy.node.Node`.
-        """
+        """Create the node."""
         super().__init__(name, **options)
         self._compensator = compensator or self._described()
         if self.settings.backend == C:

@@ -16,13 +16,13 @@ from hyst_control.control.safe_loop import SafeLoop, Safety
 from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.control.slope_demand import SlopeDemand
 from hyst_control.errors import InputError
-from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
-from hyst_control.nodes.managed import AUTOSTART, ManagedNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.rival_watch import RivalWatch
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.nodes.takeover import Takeover
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.loop.rival_watch import RivalWatch
+from hyst_control.nodes.loop.takeover import Takeover
+from hyst_control.nodes.signal_node.common_parameters import BACKEND, TIMER, C
+from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.actuator_following import CLOSE
 from hyst_control.records.signal_message import label_for
 
@@ -45,13 +45,6 @@ class PiFeedback(ManagedNode):
     `safe_command` at `safe_rate`. It returns by itself when the fault is over, or with `recovery: manual` after `~/reset`, in both
     cases without a jump. A node that is started during a run takes over from what the plant says on `applied`. `control.safe_loop` has
     the states.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (

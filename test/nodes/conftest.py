@@ -7,7 +7,8 @@ import signal
 import pytest
 from nodes_bench import Bench
 
-from hyst_control.nodes import base, interrupts
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.signal_node import base
 
 DIAGNOSTICS_INTERVAL = 0.2
 """s, instead of 1: what a test waits for most is the next diagnostics of its nodes."""

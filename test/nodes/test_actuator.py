@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.errors import InputError
-from hyst_control.nodes.actuator import Actuator
+from hyst_control.nodes.loop.actuator import Actuator
 from hyst_control.records.signal_rows import Missing, SignalRows
 
 PERIOD, LOWER, UPPER, RATE, AGE = 0.01, 0.1, 20.0, 100.0, 0.05

@@ -12,14 +12,15 @@ import pytest
 from loop_case import MODEL, RATE, parameters, recorded
 
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes import node_diagnostics, recorder, signal_ports
+from hyst_control.nodes import recorder
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_ports import REPEATED_ROWS, Output
+from hyst_control.nodes.signal_node import node_diagnostics, signal_ports
+from hyst_control.nodes.signal_node.signal_ports import REPEATED_ROWS, Output
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode

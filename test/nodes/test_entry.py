@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from loop_case import MODEL
 
-from hyst_control.nodes import rival_watch
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.loop import rival_watch
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 

@@ -20,10 +20,10 @@ from std_srvs.srv import Trigger
 from hyst_control.config_files import config_folders
 from hyst_control.errors import InputError
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.message_io import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.signal_node.message_io import QUEUE, to_message
 from hyst_control.processes.node_processes import Processes
 from hyst_control.records.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
@@ -308,7 +308,7 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
 SWALLOWED = """
 import signal
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.run import main
+from hyst_control.nodes.execution.run import main
 
 def make():
     try:
@@ -354,7 +354,7 @@ def test_exit_watchdog_keeps_the_status_while_the_interpreter_is_locked(status):
     """The lock is held by a call that does not come back: no Python code could end the process."""
     program = (
         "import ctypes\n"
-        "from hyst_control.nodes.exit_watchdog import exit_within\n"
+        "from hyst_control.nodes.execution.exit_watchdog import exit_within\n"
         f"exit_within({status}, 0.2)\n"
         "ctypes.PyDLL(None).sleep(1000)\n"
     )

@@ -13,10 +13,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from hyst_control.control.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
+from hyst_control.nodes.execution.run import spin
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import spin
 from hyst_plant_sim.node import PlantNode
 
 RATE = 200.0

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.nodes.tick_timer import LONGEST_GAP, Jitter, TickTimer
+from hyst_control.nodes.execution.tick_timer import LONGEST_GAP, Jitter, TickTimer
 
 PERIOD, BLOCK = 0.01, 5
 INTERVAL = PERIOD * BLOCK

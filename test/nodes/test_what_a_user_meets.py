@@ -17,17 +17,17 @@ from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.hardware.simulated_converter import SimulatedStage
-from hyst_control.nodes import command_line
-from hyst_control.nodes.common_parameters import COMMON
-from hyst_control.nodes.ending_node import EndingNode
+from hyst_control.nodes.execution import command_line
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import main
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
-from hyst_control.nodes.node_diagnostics import NodeHealth, StateLog
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import main
+from hyst_control.nodes.signal_node.common_parameters import COMMON
+from hyst_control.nodes.signal_node.node_diagnostics import NodeHealth, StateLog
 from hyst_control.processes import executables
 from hyst_control.processes.node_list import NODES
 from hyst_control.records.signal_rows import Wait
@@ -335,7 +335,7 @@ def test_a_recorder_says_how_much_it_has_recorded(bench, tmp_path):
     ]
 
 
-@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.interrupts"])
+@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.execution.interrupts"])
 def test_an_interrupt_while_a_node_is_being_loaded_prints_nothing(module):
     program = f"""
 import os, signal, sys

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from rclpy.clock import Clock
 from rclpy.node import Node
 
-from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.signal_node.duration_histogram import Durations
 
 LONGEST_GAP = 1.0  # s, of missed ticks that are caught up
 
@@ -38,17 +38,7 @@ class TickOwner(Protocol):
 
 
 class TickTimer:
-    """Timer that ticks a node on the steady clock or in simulated time.
-
-    Parameters
-    ----------
-    owner : TickOwner
-        The node.
-    period : float
-        Time in s between two samples.
-    block : int
-        Samples per tick.
-    """
+    """Timer that ticks a node on the steady clock or in simulated time."""
 
     def __init__(self, owner: TickOwner, period: float, block: int) -> None:
         self.period, self.block = period, block
@@ -79,19 +69,7 @@ class TickTimer:
         return self._now()
 
     def start(self, node: Node, clock: Clock, phase: float, simulated: bool) -> None:
-        """Start ticking.
-
-        Parameters
-        ----------
-        node : Node
-            The node whose timer it is.
-        clock : Clock
-            Its clock, steady or simulated.
-        phase : float
-            Share of a tick after its beginning at which the node is called.
-        simulated : bool
-            True when the clock is simulated.
-        """
+        """Start ticking."""
         self.phase, self._simulated = phase, simulated
         if simulated:
             self._now = lambda: float(clock.now().nanoseconds * 1e-9)
@@ -100,17 +78,7 @@ class TickTimer:
             self.call_instead(node, clock, self.call)
 
     def call_instead(self, node: Node, clock: Clock, callback: Callable[[], None] | None) -> None:
-        """Replace the function that the timer calls at every tick of the steady clock.
-
-        Parameters
-        ----------
-        node : Node
-            The node whose timer it is.
-        clock : Clock
-            The steady clock.
-        callback : callable or None
-            The function; None removes the timer.
-        """
+        """Replace the function that the timer calls at every tick of the steady clock."""
         if self._timer is not None:
             node.destroy_timer(self._timer)
         self._timer = None
@@ -119,13 +87,7 @@ class TickTimer:
             self._timer = node.create_timer(self.interval, callback, clock=clock)
 
     def call(self, now: float | None = None) -> None:
-        """Tick the node, unless it was already called for this tick.
-
-        Parameters
-        ----------
-        now : float, optional
-            Time in s of the clock that paces the node; default: read from that clock.
-        """
+        """Tick the node, unless it was already called for this tick."""
         now = self._now() if now is None else now
         owner = self._owner
         number = math.floor(now / self.interval)
@@ -163,13 +125,7 @@ class Jitter:
         self._count, self._sum, self._squares = 0, 0.0, 0.0
 
     def add(self, interval: float) -> None:
-        """Count an interval.
-
-        Parameters
-        ----------
-        interval : float
-            The interval in s.
-        """
+        """Count an interval."""
         self._count += 1
         self._sum += interval
         self._squares += interval * interval

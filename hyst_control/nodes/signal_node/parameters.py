@@ -21,37 +21,20 @@ MIDDLEWARE = "qos_overrides."
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter of a node. Its type is that of the default; an integer is accepted for a real number and converted.
-
-    Attributes
-    ----------
-    name, unit, text : str
-        Name, unit ("" for texts and booleans), and meaning.
-    default : bool, int, float, str or tuple of one of them
-        Default value.
-    lower, upper : float, optional
-        Range of the value, or of each value of a list.
-    choices : tuple of str
-        Allowed values; empty for all.
-    live : bool
-        True when it may be changed while the node runs; otherwise it is read once at the start.
-    wider : str
-        "higher" or "lower": the direction in which the value protects less. A live change may go that way as far as the value at the
-        start, or as `max_NAME` (`min_NAME`) given at the start; "" where neither direction does.
-    off : bool
-        True when 0 switches the protection off, which is the widest of all.
-    """
+    """One parameter of a node. Its type is that of the default; an integer is accepted for a real number and converted."""
 
     name: str
     default: Any
-    unit: str
-    text: str
-    lower: float | None = None
+    unit: str  # "" for texts and truth values
+    text: str  # meaning
+    lower: float | None = None  # of the value, or of each value of a list
     upper: float | None = None
-    choices: tuple[str, ...] = ()
-    live: bool = False
+    choices: tuple[str, ...] = ()  # allowed values; empty for all
+    live: bool = False  # may be changed while the node runs; otherwise it is read once at the start
+    # "higher" or "lower": the direction in which the value protects less. A live change may go that way as far as the value at the
+    # start, or as `max_NAME` (`min_NAME`) given at the start; "" where neither direction does
     wider: str = ""
-    off: bool = False
+    off: bool = False  # 0 switches the protection off, which is the widest of all
 
     @property
     def bound_name(self) -> str:
@@ -76,23 +59,7 @@ class Setting:
         return float(value if self.wider == "higher" else -value)
 
     def convert(self, value: Any) -> Any:
-        """Convert a value to the type of the default.
-
-        Parameters
-        ----------
-        value : object
-            The value as given; a list if the default is a tuple.
-
-        Returns
-        -------
-        bool, int, float, str or tuple
-            The converted value.
-
-        Raises
-        ------
-        InputError
-            When it has the wrong type or lies outside the range; names parameter, allowed values and the given one.
-        """
+        """Convert a value to the type of the default."""
         if isinstance(self.default, tuple):
             if isinstance(value, (str, bytes)) or not hasattr(value, "__iter__"):
                 raise InputError(f"{self.name}: must be a list, got {value!r}")
@@ -144,33 +111,7 @@ def declare(
     further: Callable[[SimpleNamespace], Iterable[Setting]] = lambda values: (),
     elsewhere: Collection[str] = (),
 ) -> SimpleNamespace:
-    """Declare settings as parameters of a node.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    settings : iterable of Setting
-        Its parameters.
-    changed : callable
-        Called with name and value after a live change.
-    check_change : callable
-        Called with the new values by name before a live change; an `InputError` is the reason of a refusal.
-    further : callable
-        Called with the values; gives further settings that depend on them.
-    elsewhere : collection of str
-        Parameters of other nodes that may be given to this one as well, without effect.
-
-    Returns
-    -------
-    SimpleNamespace
-        Values by name; those of live parameters are kept up to date.
-
-    Raises
-    ------
-    InputError
-        When a value is not allowed, or there is no such parameter; names node, parameter and remedy.
-    """
+    """Declare settings as parameters of a node."""
     values = SimpleNamespace()
     table = {setting.name: setting for setting in settings}  # a later one takes the place of one of the same name
     for setting in table.values():
@@ -240,20 +181,7 @@ def _refuse_unknown(node: Node, elsewhere: Collection[str]) -> None:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Question after the name that was meant.
-
-    Parameters
-    ----------
-    name : str
-        A name that is not known.
-    known : iterable of str
-        Those that are.
-
-    Returns
-    -------
-    str
-        Such as ": did you mean upper?"; without a similar name, where to find all.
-    """
+    """Question after the name that was meant."""
     plain = {each.lower().replace("_", ""): each for each in known}
     found = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1)
     return f": did you mean {plain[found[0]]}?" if found else ": --help lists them"

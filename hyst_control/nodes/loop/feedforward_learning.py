@@ -15,10 +15,10 @@ from hyst_control.control.learning import Learner, Played
 from hyst_control.control.learning_filter import model_filter
 from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting
 
 if TYPE_CHECKING:
-    from hyst_control.nodes.base import SignalNode
+    from hyst_control.nodes.signal_node.base import SignalNode
 
 NONE, PLAYED, TRIALS, FEEDBACK_ERROR = "none", "played", "trials", "feedback_error"
 SETTINGS = (
@@ -42,17 +42,7 @@ SETTINGS = (
 
 
 def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learner | None:
-    """Learner that the parameters of a node describe, None without learning. Raises `InputError` naming the parameter.
-
-    Parameters
-    ----------
-    given
-        Parameters of the node.
-    axes
-        Number of axes A.
-    period
-        Period of a tick, s.
-    """
+    """Learner that the parameters of a node describe, None without learning. Raises `InputError` naming the parameter."""
     if given.learning == NONE:
         return None
     if given.learning == FEEDBACK_ERROR:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting
 
 LOCKSTEP, TIMER = "lockstep", "timer"
 PYTHON, C = "python", "c"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.parameters import Setting, nearest
+from hyst_control.nodes.signal_node.parameters import Setting, nearest
 
 WIDTH = 100
 """Columns of the help."""
@@ -24,20 +24,7 @@ def wants_help(arguments: Sequence[str]) -> bool:
 
 
 def help_text(program: str, node_classes: Sequence[Any]) -> str:
-    """Help of an executable: its nodes, and their parameters with unit, range and default.
-
-    Parameters
-    ----------
-    program : str
-        Path of the executable.
-    node_classes : sequence of classes
-        Classes of the nodes.
-
-    Returns
-    -------
-    str
-        The text.
-    """
+    """Help of an executable: its nodes, and their parameters with unit, range and default."""
     parts, common = [USAGE.format(name=Path(program).name)], dict[str, Setting]()
     for node_class in node_classes:
         title = (inspect.getdoc(node_class) or "").split("\n\n")[0].replace("\n", " ")
@@ -53,38 +40,14 @@ def help_text(program: str, node_classes: Sequence[Any]) -> str:
 
 
 def check(arguments: Sequence[str]) -> None:
-    """Refuse a parameter file that is missing, before ROS says less about it.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command line, the program first.
-
-    Raises
-    ------
-    InputError
-        When a file is missing.
-    """
+    """Refuse a parameter file that is missing, before ROS says less about it."""
     for option, value in zip(arguments, arguments[1:]):
         if option == "--params-file" and not Path(value).is_file():
             raise InputError(f"--params-file {value}: there is no such file")
 
 
 def check_rest(program: str, rest: Sequence[str]) -> None:
-    """Refuse arguments that are not ROS's: nobody would look at them.
-
-    Parameters
-    ----------
-    program : str
-        Path of the executable.
-    rest : sequence of str
-        Arguments that ROS has left.
-
-    Raises
-    ------
-    InputError
-        When there are any.
-    """
+    """Refuse arguments that are not ROS's: nobody would look at them."""
     if rest:
         remedy = ": put --ros-args before it" if rest[0].startswith("-") else nearest(rest[0], ("--help", "--ros-args"))
         raise InputError(f"{Path(program).name}: {rest[0]}: there is no such argument{remedy}")

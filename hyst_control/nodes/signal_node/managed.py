@@ -13,8 +13,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleNodeMixin
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.parameters import Setting
 
 AUTOSTART = Setting("autostart", True, "", "configure and activate the node at its start; false: wait for lifecycle transitions")
 
@@ -22,15 +22,7 @@ UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active"
 
 
 class ManagedNode(LifecycleNodeMixin, SignalNode):
-    """Node with managed states. Subclasses have the parameter `AUTOSTART` and call `begin` last when they are created.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
-    """
+    """Node with managed states. Subclasses have the parameter `AUTOSTART` and call `begin` last when they are created."""
 
     def __init__(self, name: str, **options: Any) -> None:
         SignalNode.__init__(self, name, **options)
@@ -62,26 +54,14 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         """Undo `configure`; the actuator is at its safe value, or the device has failed."""
 
     def begin(self) -> None:
-        """Configure and activate the node, unless `autostart` is false.
-
-        Raises
-        ------
-        InputError
-            When it cannot be configured; names node and reason.
-        """
+        """Configure and activate the node, unless `autostart` is false."""
         if self.settings.autostart:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != TransitionCallbackReturn.SUCCESS:
                     raise InputError(f"{self.get_name()}: {self._refusal}")
 
     def fail(self, reason: str) -> None:
-        """Go through the error state to the unconfigured one, because the node cannot work; `~/reset` or `configure` tries again.
-
-        Parameters
-        ----------
-        reason : str
-            The reason, for the log.
-        """
+        """Go through the error state to the unconfigured one, because the node cannot work; `~/reset` or `configure` tries again."""
         self.get_logger().error(f"{reason}: call ~/reset, or configure and activate, to try again")
         self._refusal, self._broken = reason, True
         try:

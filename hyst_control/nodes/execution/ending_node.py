@@ -15,19 +15,11 @@ from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting
 
 
 class EndingNode(Node):
-    """Node that can end by itself with an exit status and offers services of its own.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
-    """
+    """Node that can end by itself with an exit status and offers services of its own."""
 
     SETTINGS: tuple[Setting, ...] = ()
     COMMON_SETTINGS: tuple[Setting, ...] = ()
@@ -57,30 +49,11 @@ class EndingNode(Node):
         """Release the node's files and processes; called however the node ends."""
 
     def every(self, seconds: float, callback: Callable[[], None]) -> Timer:
-        """Call a function at a fixed interval of the steady clock.
-
-        Parameters
-        ----------
-        seconds : float
-            Interval in s.
-        callback : callable
-            The function.
-
-        Returns
-        -------
-        Timer
-            The node's timer, which `cancel` stops.
-        """
+        """Call a function at a fixed interval of the steady clock."""
         return self.create_timer(seconds, callback, clock=self._steady)
 
     def once(self, callback: Callable[[], None]) -> None:
-        """Call a function once, as soon as the node spins.
-
-        Parameters
-        ----------
-        callback : callable
-            The function.
-        """
+        """Call a function once, as soon as the node spins."""
 
         def call() -> None:
             timer.cancel()
@@ -89,15 +62,7 @@ class EndingNode(Node):
         timer = self.every(1e-3, call)
 
     def service(self, name: str, action: Callable[[], str]) -> None:
-        """Offer the service `~/name` (std_srvs/Trigger).
-
-        Parameters
-        ----------
-        name : str
-            Name of the service below the node's name.
-        action : callable
-            Carries out the request and returns the response's message; an `InputError` is the reason of a failure.
-        """
+        """Offer the service `~/name` (std_srvs/Trigger)."""
 
         def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -109,15 +74,7 @@ class EndingNode(Node):
         self.create_service(Trigger, f"~/{name}", answer)
 
     def finish(self, publisher: Publisher, code: int = 0) -> None:
-        """End the node once every subscriber has received the messages of a publisher.
-
-        Parameters
-        ----------
-        publisher : Publisher
-            Publisher whose messages are waited for, at most 2 s.
-        code : int
-            Exit status.
-        """
+        """End the node once every subscriber has received the messages of a publisher."""
         if not self.finished.done():
             publisher.wait_for_all_acked(Duration(seconds=2))
             self.finished.set_result(code)

@@ -8,15 +8,7 @@ CLOCK_REMEDY = "a tick is floor(CLOCK_MONOTONIC / period) on one machine (docs/h
 
 
 class SourceClocks:
-    """Differences between the times of received rows and the clock, each the smallest since the last look.
-
-    Attributes
-    ----------
-    now : float
-        Time of the clock when the messages are taken, s: once for all of a tick.
-    latest : float
-        Time that no row may be beyond, s.
-    """
+    """Differences between the times of received rows and the clock, each the smallest since the last look."""
 
     def __init__(self) -> None:
         self.now, self.latest = 0.0, math.inf
@@ -24,40 +16,18 @@ class SourceClocks:
         self._told: dict[str, float] = {}
 
     def look_at(self, now: float, most_ahead: float) -> None:
-        """Set the time for the messages that are taken next.
-
-        Parameters
-        ----------
-        now : float
-            Time of the clock, s.
-        most_ahead : float
-            Time that rows may be ahead of it, s.
-        """
+        """Set the time for the messages that are taken next."""
         self.now, self.latest = now, now + most_ahead
 
     def heard(self, topic: str, newest: float) -> None:
-        """Count a message.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        newest : float
-            Time of its newest row, s: on one clock some milliseconds before `now`, or behind it by a lead.
-        """
+        """Count a message."""
         ahead = newest - self.now
         known = self._least.get(topic)
         if known is None or abs(ahead) < abs(known):
             self._least[topic] = ahead
 
     def look(self, behind: float, ahead: float) -> dict[str, float]:
-        """Sources whose rows were all older than `behind` or further ahead than `ahead`, both in s, since the last look.
-
-        Returns
-        -------
-        dict of str to float
-            Difference in s by topic; negative for rows that are old.
-        """
+        """Sources whose rows were all older than `behind` or further ahead than `ahead`, both in s, since the last look."""
         self._told, self._least = self._least, {}
         return {topic: found for topic, found in self._told.items() if not -behind <= found <= ahead}
 

@@ -21,13 +21,7 @@ PATIENCE = 20.0
 
 
 def main() -> int:
-    """Send a message there and back, `ROUNDS` times.
-
-    Returns
-    -------
-    int
-        Exit status: 0 where all came back, 1 where they did not in time.
-    """
+    """Send a message there and back, `ROUNDS` times."""
     contexts = [Context(), Context()]
     for context in contexts:
         rclpy.init(context=context)

@@ -12,7 +12,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.excitation import KINDS
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 
@@ -40,23 +40,7 @@ class SignalSetting(Setting):
         return descriptor
 
     def convert(self, value: Any) -> Any:
-        """Check a value.
-
-        Parameters
-        ----------
-        value : object
-            The value as given.
-
-        Returns
-        -------
-        bool, int, float, str or tuple
-            The value; a list as a tuple.
-
-        Raises
-        ------
-        InputError
-            When it is neither a number nor a truth value nor a list of numbers, or beyond the range.
-        """
+        """Check a value."""
         if value == NOT_GIVEN:
             return NOT_GIVEN
         several = isinstance(value, Iterable) and not isinstance(value, (str, bytes))
@@ -69,18 +53,7 @@ class SignalSetting(Setting):
 
 
 def signal_settings(kind: str) -> tuple[SignalSetting, ...]:
-    """Parameters of a kind of signal.
-
-    Parameters
-    ----------
-    kind : str
-        Its name in `records.excitation.KINDS`.
-
-    Returns
-    -------
-    tuple of SignalSetting
-        Its own parameters, then those of every kind; all can be changed while the node runs.
-    """
+    """Parameters of a kind of signal."""
     function = KINDS[kind]
     described, settings = _described(function), []
     for name, parameter in inspect.signature(function).parameters.items():

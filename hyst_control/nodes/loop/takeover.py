@@ -12,7 +12,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.foreign_rows import Refusal, admit
 from hyst_control.records.row_repetition import SentRows
@@ -29,13 +29,7 @@ LATE = 0.02
 
 
 class Takeover:
-    """Listener for the state of the actuator.
-
-    Parameters
-    ----------
-    node : SignalNode
-        The node.
-    """
+    """Listener for the state of the actuator."""
 
     def __init__(self, node: SignalNode) -> None:
         self._node = node

@@ -7,7 +7,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,31 +27,13 @@ QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=Q
 
 
 class LocalReceiver(Protocol):
-    """Receiver within the process, to which messages are handed directly instead of through its subscription.
+    """Receiver within the process, to which messages are handed directly instead of through its subscription."""
 
-    Attributes
-    ----------
-    topic : str
-        Its topic.
-    raw : bool
-        True when it takes serialized messages.
-    """
+    topic: str  # Its topic
+    raw: bool  # True when it takes serialized messages
 
-    topic: str
-    raw: bool
-
-    def hand(self, raw: bytes, label: str, block: Array) -> None:
-        """Queue a message.
-
-        Parameters
-        ----------
-        raw : bytes
-            The serialized message.
-        label : str
-            Its column label.
-        block : ndarray, shape (N, C)
-            Its rows, which nobody may change any more.
-        """
+    def hand(self, raw: bytes, label: str, block: Annotated[Array, "N C"]) -> None:
+        """Queue a message."""
 
 
 class Sender:
@@ -60,17 +42,6 @@ class Sender:
     After `link`, messages are handed directly to the receivers within the process as long as these are the only subscribers. Once
     another subscriber has been seen, all messages go through the middleware from then on: otherwise messages of the two ways could
     overtake each other.
-
-    Parameters
-    ----------
-    node : Node
-        The node that publishes.
-    topic, label : str
-        Topic, and the column label of its messages.
-    objects : bool
-        Send message objects instead of serialized bytes.
-    look_interval : float
-        Time in s between two looks for subscribers in other processes.
     """
 
     def __init__(self, node: Node, topic: str, label: str, objects: bool = False, look_interval: float = 0.0) -> None:
@@ -84,23 +55,11 @@ class Sender:
         self._look_interval, self._looked = look_interval, -math.inf
 
     def link(self, receivers: Sequence[LocalReceiver]) -> None:
-        """Hand messages directly to receivers within the process.
-
-        Parameters
-        ----------
-        receivers : sequence of LocalReceiver
-            All subscribers of this topic within the process.
-        """
+        """Hand messages directly to receivers within the process."""
         self._receivers, self.within = receivers, not self._objects and all(receiver.raw for receiver in receivers)
 
-    def send(self, block: Array) -> None:
-        """Publish a block.
-
-        Parameters
-        ----------
-        block : ndarray, shape (N, C)
-            Rows of the signal; column 0 is the sample time in s.
-        """
+    def send(self, block: Annotated[Array, "N C"]) -> None:
+        """Publish a block."""
         if not self._objects:
             message = self._encoder.encode(block)
             if self.within:
@@ -120,21 +79,7 @@ class Sender:
 
 
 class CallbackSubscription:
-    """Subscription with a callback for every message.
-
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    topic : str
-        Topic.
-    callback : callable
-        Called with the column label and the block (N, C) of a message.
-    refused : callable
-        Called with the reason why a message cannot be read.
-    objects : bool
-        Take message objects instead of serialized bytes.
-    """
+    """Subscription with a callback for every message."""
 
     def __init__(
         self, node: Node, topic: str, callback: Callable[[str, Array], None], refused: Callable[[str], None], objects: bool = False
@@ -153,18 +98,8 @@ class CallbackSubscription:
             self.subscription = node.create_subscription(Float64MultiArray, topic, self._on_message, QUEUE)
         self.topic = self.subscription.topic_name
 
-    def hand(self, raw: bytes, label: str, block: Array) -> None:
-        """Queue a message of a sender in this process.
-
-        Parameters
-        ----------
-        raw : bytes
-            The serialized message, which is not used.
-        label : str
-            Its column label.
-        block : ndarray, shape (N, C)
-            Its rows, which nobody may change any more.
-        """
+    def hand(self, raw: bytes, label: str, block: Annotated[Array, "N C"]) -> None:
+        """Queue a message of a sender in this process."""
         self._handed.append((label, block))
         if self.post is not None:
             self.post(self)
@@ -201,17 +136,7 @@ _Found = tuple[Any, int, str, Array | None]
 
 
 class PolledSubscription:
-    """Subscription without callbacks: its owner takes the messages when it is ready, many at a time.
-
-    Parameters
-    ----------
-    node : Node
-        The node that subscribes.
-    topic : str
-        Topic.
-    objects : bool
-        Take message objects instead of serialized bytes.
-    """
+    """Subscription without callbacks: its owner takes the messages when it is ready, many at a time."""
 
     def __init__(self, node: Node, topic: str, objects: bool = False) -> None:
         self._decoder, self.raw = Decoder(), not objects
@@ -220,36 +145,14 @@ class PolledSubscription:
         self._looked = -math.inf  # s, when the middleware was asked
         self._handed: deque[_Found] = deque(maxlen=QUEUE.depth)  # as many as the middleware would keep
 
-    def hand(self, raw: bytes, label: str, block: Array) -> None:
-        """Queue a message of a sender in this process.
-
-        Parameters
-        ----------
-        raw : bytes
-            The serialized message.
-        label : str
-            Its column label.
-        block : ndarray, shape (N, C)
-            Its rows, which nobody may change any more.
-        """
+    def hand(self, raw: bytes, label: str, block: Annotated[Array, "N C"]) -> None:
+        """Queue a message of a sender in this process."""
         self._handed.append((raw, time.time_ns(), label, block))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
         """Take the messages that have arrived.
 
         It takes at most as many as the queue holds, so that a source that is faster than its receiver cannot block the owner.
-
-        Parameters
-        ----------
-        refused : callable
-            Called with the reason why a message cannot be read.
-        merge : bool
-            Join successive messages of equal label and size into one block, with the time of reception of the last one.
-
-        Returns
-        -------
-        list of (str, ndarray, int)
-            Column label, block (N, C) and time of reception in ns since the epoch.
         """
         handle, raw = self.subscription.handle, self.raw
         found = list(self._handed)  # before those that the middleware carried: they were sent before
@@ -295,21 +198,8 @@ def _joined(found: list[_Found], begin: int, block: Array, stamp: int) -> tuple[
     return np.frombuffer(data, np.float64).reshape(-1, block.shape[1]), end, found[end - 1][1]
 
 
-def to_message(label: str, block: Array) -> Float64MultiArray:
-    """Convert a block to a message object.
-
-    Parameters
-    ----------
-    label : str
-        Column label.
-    block : ndarray, shape (N, C)
-        Rows of the signal; column 0 is the sample time in s.
-
-    Returns
-    -------
-    Float64MultiArray
-        The message.
-    """
+def to_message(label: str, block: Annotated[Array, "N C"]) -> Float64MultiArray:
+    """Convert a block to a message object."""
     rows, columns = block.shape
     message = Float64MultiArray(data=array.array("d", block.tobytes()))  # an ndarray would be copied item by item
     message.layout.dim = [
@@ -320,25 +210,7 @@ def to_message(label: str, block: Array) -> Float64MultiArray:
 
 
 def from_message(message: Float64MultiArray) -> tuple[str, Array]:
-    """Convert a message object to a block.
-
-    Parameters
-    ----------
-    message : Float64MultiArray
-        The message.
-
-    Returns
-    -------
-    label : str
-        Column label; "" when the message has no layout.
-    block : ndarray, shape (N, C)
-        Rows of the signal.
-
-    Raises
-    ------
-    ValueError
-        When layout and data do not agree.
-    """
+    """Convert a message object to a block."""
     data = np.frombuffer(message.data, np.float64)
     if not message.layout.dim:
         return "", data.reshape(1, -1)

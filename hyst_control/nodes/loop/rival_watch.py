@@ -13,9 +13,9 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.message_io import PolledSubscription
-from hyst_control.nodes.signal_ports import Output
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.message_io import PolledSubscription
+from hyst_control.nodes.signal_node.signal_ports import Output
 from hyst_control.records.foreign_rows import Refusal, admit
 
 Array = NDArray[np.float64]
@@ -27,17 +27,7 @@ SENT_ROWS = 100_000
 
 
 class RivalWatch:
-    """Watch over one published signal.
-
-    Parameters
-    ----------
-    node : SignalNode
-        The node that publishes it.
-    output : Output
-        The signal.
-    label : str
-        Column label of its messages.
-    """
+    """Watch over one published signal."""
 
     def __init__(self, node: SignalNode, output: Output, label: str) -> None:
         self.newest: Array | None = None

@@ -41,13 +41,6 @@ def exit_within(status: int, seconds: float = PATIENCE) -> None:
     Fast DDS 2.14 can deadlock while it destroys a participant and learns that another one leaves, as when one Ctrl-C ends all nodes:
     `DomainParticipant::set_listener` waits for a callback of the discovery, which waits for it. The call holds the interpreter's
     lock, so no Python code can end it; a timer of the C library calls `_exit`.
-
-    Parameters
-    ----------
-    status : int
-        Exit status of the process.
-    seconds : float
-        Time in s after which it ends.
     """
     sys.stdout.flush()
     sys.stderr.flush()

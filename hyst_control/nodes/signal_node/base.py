@@ -18,14 +18,20 @@ from typing import Any
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
-from hyst_control.nodes.common_parameters import COMMON, LOCKSTEP
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.message_io import LOOK_INTERVAL, CallbackSubscription, PolledSubscription, Sender
-from hyst_control.nodes.node_diagnostics import DIAGNOSTICS_INTERVAL, DiagnosticsPublisher, NodeHealth, StateLog, ThrottledWarnings
-from hyst_control.nodes.parameters import Setting, declare
-from hyst_control.nodes.signal_ports import Input, Output
-from hyst_control.nodes.source_clocks import CLOCK_REMEDY, SourceClocks, describe
-from hyst_control.nodes.tick_timer import TickTimer
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.tick_timer import TickTimer
+from hyst_control.nodes.signal_node.common_parameters import COMMON, LOCKSTEP
+from hyst_control.nodes.signal_node.message_io import LOOK_INTERVAL, CallbackSubscription, PolledSubscription, Sender
+from hyst_control.nodes.signal_node.node_diagnostics import (
+    DIAGNOSTICS_INTERVAL,
+    DiagnosticsPublisher,
+    NodeHealth,
+    StateLog,
+    ThrottledWarnings,
+)
+from hyst_control.nodes.signal_node.parameters import Setting, declare
+from hyst_control.nodes.signal_node.signal_ports import Input, Output
+from hyst_control.nodes.signal_node.source_clocks import CLOCK_REMEDY, SourceClocks, describe
 from hyst_control.processes.realtime_scheduling import set_scheduler
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, SignalRows, Wait, waits
@@ -35,15 +41,7 @@ MISSED_SHARE = 0.01
 
 
 class SignalNode(EndingNode):
-    """Node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer).
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
-    """
+    """Node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     COMMON_SETTINGS = COMMON
     REMEDIES: Mapping[str, str] = {}
@@ -88,86 +86,29 @@ class SignalNode(EndingNode):
         """Use the rows that are available, in lockstep."""
 
     def tick(self, tick: int) -> None:
-        """Produce `block` samples, under the timer; the `tick_timer.missed` samples before them were not requested.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of the first sample.
-        """
+        """Produce `block` samples, under the timer; the `tick_timer.missed` samples before them were not requested."""
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        """Take note of the time at which rows arrived, under the timer.
-
-        Parameters
-        ----------
-        source : Input
-            Signal that received them.
-        tick : int
-            Tick of the last row.
-        stamp : int
-            Time of reception in ns since the epoch.
-        """
+        """Take note of the time at which rows arrived, under the timer."""
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep.
-
-        Parameters
-        ----------
-        source : Input
-            Signal whose rows were repeated.
-        tick : int
-            Tick of the first repeated row.
-        """
+        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
-        """React to rows that arrived while earlier ones are missing, in lockstep.
-
-        Parameters
-        ----------
-        source : Input
-            Signal that received them.
-        tick : int
-            Tick of the first of them.
-        """
+        """React to rows that arrived while earlier ones are missing, in lockstep."""
 
     def reset(self) -> None:
         """Return to the state after a start."""
 
     def changed(self, name: str, value: Any) -> None:
-        """Take over the new value of a live parameter.
-
-        Parameters
-        ----------
-        name : str
-            Name of the parameter.
-        value : object
-            Its new value.
-        """
+        """Take over the new value of a live parameter."""
 
     def further_settings(self, given: SimpleNamespace) -> Iterable[Setting]:
-        """Parameters of the node besides `SETTINGS`, which depend on those that were given.
-
-        Parameters
-        ----------
-        given : SimpleNamespace
-            Values of `SETTINGS`.
-
-        Returns
-        -------
-        iterable of Setting
-            The parameters.
-        """
+        """Parameters of the node besides `SETTINGS`, which depend on those that were given."""
         return ()
 
     def check_change(self, values: Mapping[str, Any]) -> None:
-        """Refuse values of live parameters that cannot be taken over, by an `InputError` with the reason.
-
-        Parameters
-        ----------
-        values : mapping
-            New values by name.
-        """
+        """Refuse values of live parameters that cannot be taken over, by an `InputError` with the reason."""
 
     @property
     def working(self) -> bool:
@@ -194,15 +135,7 @@ class SignalNode(EndingNode):
         return self.ros_time - self.control_time
 
     def heard(self, topic: str, newest: float) -> None:
-        """Compare a source's clock with this node's, under the timer; for messages that are not taken by a tick.
-
-        Parameters
-        ----------
-        topic : str
-            Topic.
-        newest : float
-            Time of the newest row of a message, s.
-        """
+        """Compare a source's clock with this node's, under the timer; for messages that are not taken by a tick."""
         if not self.lockstep:
             self.source_clocks.now = self.control_time
             self.source_clocks.heard(topic, newest)
@@ -217,18 +150,7 @@ class SignalNode(EndingNode):
         return float(max(self.settings.timeout, 2.0 * self.tick_timer.interval))
 
     def waits(self, now: float) -> list[Wait]:
-        """Signals that the node is waiting for, in lockstep.
-
-        Parameters
-        ----------
-        now : float
-            Time of the monotonic clock in s.
-
-        Returns
-        -------
-        list of Wait
-            One entry per signal; empty under the timer.
-        """
+        """Signals that the node is waiting for, in lockstep."""
         return waits(self.received, now) if self.lockstep and not self.finished.done() else []
 
     def status(self) -> dict[str, Any]:
@@ -242,29 +164,12 @@ class SignalNode(EndingNode):
         yield from (each for each in super().subscriptions if not any(each is other for other in own))
 
     def intake(self, topic: str) -> PolledSubscription:
-        """Subscribe to a topic whose messages are taken when the node asks for them.
-
-        Parameters
-        ----------
-        topic : str
-            The topic.
-
-        Returns
-        -------
-        PolledSubscription
-            The subscription.
-        """
+        """Subscribe to a topic whose messages are taken when the node asks for them."""
         self.polled.append(PolledSubscription(self, topic, self.settings.message_objects))
         return self.polled[-1]
 
     def end_intake(self, intake: PolledSubscription) -> None:
-        """End a subscription that `intake` made.
-
-        Parameters
-        ----------
-        intake : PolledSubscription
-            The subscription.
-        """
+        """End a subscription that `intake` made."""
         self.polled.remove(intake)
         self.destroy_subscription(intake.subscription)
 
@@ -277,28 +182,7 @@ class SignalNode(EndingNode):
         replace: bool = False,
         sparse: bool = False,
     ) -> SignalRows:
-        """Create the state of a signal that the node receives.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic, for the diagnostics.
-        missing : Missing
-            Rule for rows that arrive while earlier ones are missing.
-        drop_oldest : bool
-            Drop the oldest rows when too many wait, instead of refusing new ones.
-        clock_may_be_set_back : bool
-            Distinguish rows that go back by the parameter `backwards` from duplicates.
-        replace : bool
-            Let a second row of a tick replace the first; see `SignalRows`.
-        sparse : bool
-            Its source publishes at few ticks only: a row after a long silence is accepted unless its time is yet to come.
-
-        Returns
-        -------
-        SignalRows
-            The state, which the diagnostics report as well.
-        """
+        """Create the state of a signal that the node receives."""
         self.received[topic] = SignalRows(
             missing,
             self.settings.most_waiting,
@@ -312,22 +196,9 @@ class SignalNode(EndingNode):
         return self.received[topic]
 
     def input(self, topic: str, unit: str, every_row: bool = True, replace: bool = False) -> Input:
-        """Subscribe to a signal.
-
-        Parameters
-        ----------
-        topic, unit : str
-            Topic, and the unit of its values.
-        every_row : bool
-            Refuse rows that skip earlier ones, in lockstep; False also means that under the timer the node works without the signal.
-        replace : bool
-            Let a second row of a tick replace the first, under the timer.
-
-        Returns
-        -------
-        Input
-            The signal.
-        """
+        """Subscribe to a signal."""
+        # every_row: refuse rows that skip earlier ones, in lockstep; False also means that under the timer the node works without
+        # the signal
         rows = self.signal_rows(
             topic,
             Missing.REFUSE if self.lockstep and every_row else Missing.SKIP,
@@ -342,51 +213,22 @@ class SignalNode(EndingNode):
         return signal
 
     def output(self, topic: str, unit: str) -> Output:
-        """Create the publisher of a signal.
-
-        Parameters
-        ----------
-        topic, unit : str
-            Topic, and the unit of its values.
-
-        Returns
-        -------
-        Output
-            The signal.
-        """
+        """Create the publisher of a signal."""
         look = 0.0 if self.lockstep else LOOK_INTERVAL
         self.senders.append(Sender(self, topic, label_for(self.axes, unit), self.settings.message_objects, look))
         return Output(self.senders[-1], len(self.axes) + 1, self.period, self.settings.block)
 
     def start_timer(self, phase: float) -> None:
-        """Start ticking under the timer; without effect in lockstep.
-
-        Parameters
-        ----------
-        phase : float
-            Share of a tick after its beginning at which the node is called, 0 to 1.
-        """
+        """Start ticking under the timer; without effect in lockstep."""
         if not self.lockstep:
             self.tick_timer.start(self, self.get_clock() if self._simulated else self._steady, phase, self._simulated)
 
     def tick_by(self, callback: Callable[[], None] | None) -> None:
-        """Set the function that the node's timer calls at every tick.
-
-        Parameters
-        ----------
-        callback : callable or None
-            The function; None removes the timer, and the caller calls `tick_timer.call` instead.
-        """
+        """Set the function that the node's timer calls at every tick."""
         self.tick_timer.call_instead(self, self._steady, callback)
 
     def take_tick(self, tick: int) -> None:
-        """Take the messages that have arrived, then tick, under the timer.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of the first sample.
-        """
+        """Take the messages that have arrived, then tick, under the timer."""
         self.source_clocks.look_at(self.tick_timer.now, self.settings.ahead)
         for signal in self.inputs:
             signal.poll()
@@ -397,13 +239,7 @@ class SignalNode(EndingNode):
         next(self._telling, None)
 
     def time_ran_backwards(self, seconds: float) -> None:
-        """Start again after the clock was set back, as by a restarted simulation.
-
-        Parameters
-        ----------
-        seconds : float
-            Time in s by which the clock went back.
-        """
+        """Start again after the clock was set back, as by a restarted simulation."""
         self.counts["time ran backwards"] += 1
         self.warn("backwards", f"time ran backwards by {seconds:g} s: starting again")
         for signal in self.inputs:
@@ -411,24 +247,12 @@ class SignalNode(EndingNode):
         self.reset()
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count a refused message, and log it at most once per interval.
-
-        Parameters
-        ----------
-        topic, kind, reason : str
-            Topic, kind of fault (counted under it), and the reason in words.
-        """
+        """Count a refused message, and log it at most once per interval."""
         self.counts[f"{topic}: {kind}"] += 1
         self.warn(f"{topic}: {kind}", f"{topic}: message dropped: {reason}")
 
     def warn(self, key: str, text: str) -> None:
-        """Log a warning, at most one per key and interval.
-
-        Parameters
-        ----------
-        key, text : str
-            Key of the warning, and the line.
-        """
+        """Log a warning, at most one per key and interval."""
         self._warnings.warn(key, text)
 
     def look_at_slope(self, found: tuple[int, float] | None) -> None:

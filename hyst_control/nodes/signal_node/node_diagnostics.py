@@ -25,36 +25,16 @@ WAIT_WARNING = 2.0
 
 @dataclass(frozen=True)
 class NodeHealth:
-    """State that determines the level and message of a node's diagnostics.
+    """State that determines the level and message of a node's diagnostics."""
 
-    Attributes
-    ----------
-    trouble : str
-        Fault that keeps the node from its work; "" when there is none.
-    stale : sequence of str
-        Inputs that are too old, under the timer.
-    contested : sequence of str
-        Inputs that several nodes publish.
-    wrong_clocks : sequence of str
-        Sources whose clock is not this node's, under the timer.
-    waits : sequence of Wait
-        Signals that the node is waiting for, in lockstep.
-    enabled : bool
-        False after `~/stop`, and after `~/enable` with false.
-    slow : str
-        Rate that is not kept, under the timer; "" when it is.
-    unheard : sequence of str
-        Inputs on which nothing has come yet, under the timer.
-    """
-
-    trouble: str = ""
-    stale: Sequence[str] = ()
-    contested: Sequence[str] = ()
-    wrong_clocks: Sequence[str] = ()
-    waits: Sequence[Wait] = ()
-    enabled: bool = True
-    slow: str = ""
-    unheard: Sequence[str] = ()
+    trouble: str = ""  # Fault that keeps the node from its work; "" when there is none
+    stale: Sequence[str] = ()  # Inputs that are too old, under the timer
+    contested: Sequence[str] = ()  # Inputs that several nodes publish
+    wrong_clocks: Sequence[str] = ()  # Sources whose clock is not this node's, under the timer
+    waits: Sequence[Wait] = ()  # Signals that the node is waiting for, in lockstep
+    enabled: bool = True  # False after `~/stop`, and after `~/enable` with false
+    slow: str = ""  # Rate that is not kept, under the timer; "" when it is
+    unheard: Sequence[str] = ()  # Inputs on which nothing has come yet, under the timer
 
     @property
     def waiting_for(self) -> str:
@@ -103,34 +83,14 @@ class NodeHealth:
 
 
 class DiagnosticsPublisher:
-    """Publisher of a node's status on `/diagnostics`.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    """
+    """Publisher of a node's status on `/diagnostics`."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def message(self, health: NodeHealth, values: Mapping[str, Any], stamp: Time) -> DiagnosticArray:
-        """Make the message of a status.
-
-        Parameters
-        ----------
-        health : NodeHealth
-            State that gives level and message.
-        values : mapping
-            Entries by key.
-        stamp : Time
-            When they were taken.
-
-        Returns
-        -------
-        DiagnosticArray
-        """
+        """Make the message of a status."""
         status = DiagnosticStatus(
             name=f"{self._node.get_fully_qualified_name()}: loop",
             hardware_id="hyst_control",
@@ -143,37 +103,19 @@ class DiagnosticsPublisher:
         return message
 
     def publish(self, message: DiagnosticArray) -> None:
-        """Publish a message.
-
-        Parameters
-        ----------
-        message : DiagnosticArray
-            What `message` made.
-        """
+        """Publish a message."""
         self._publisher.publish(message)
 
 
 class ThrottledWarnings:
-    """Warnings of a node, at most one per key and `LOG_INTERVAL`.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    """
+    """Warnings of a node, at most one per key and `LOG_INTERVAL`."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._logged: dict[str, float] = {}
 
     def warn(self, key: str, text: str) -> None:
-        """Log a warning unless one with the same key was logged within `LOG_INTERVAL`.
-
-        Parameters
-        ----------
-        key, text : str
-            Key of the warning, and the line.
-        """
+        """Log a warning unless one with the same key was logged within `LOG_INTERVAL`."""
         now = time.monotonic()
         if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
             self._logged[key] = now
@@ -181,15 +123,7 @@ class ThrottledWarnings:
 
 
 class StateLog:
-    """Log of what a node does: a line whenever that changes.
-
-    Parameters
-    ----------
-    node : Node
-        The node.
-    remedies : mapping of str to str
-        What to do when the node waits for a topic, by topic.
-    """
+    """Log of what a node does: a line whenever that changes."""
 
     def __init__(self, node: Node, remedies: Mapping[str, str]) -> None:
         self._node, self._remedies = node, remedies

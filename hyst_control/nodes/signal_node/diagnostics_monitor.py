@@ -6,18 +6,12 @@ import json
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import main as run_main
 
 
 class Monitor(EndingNode):
-    """Node that prints one line per status: `{"node": …, "stamp": …, "values": {…}}`, the stamp in s.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    """
+    """Node that prints one line per status: `{"node": …, "stamp": …, "values": {…}}`, the stamp in s."""
 
     def __init__(self, name: str = "monitor") -> None:
         super().__init__(name)

@@ -23,13 +23,7 @@ class Durations:
         self._counts = array("q", bytes(8 * bins))  # numpy's items would cost a tick more
 
     def add(self, seconds: float) -> None:
-        """Count one duration.
-
-        Parameters
-        ----------
-        seconds : float
-            The duration in s.
-        """
+        """Count one duration."""
         self._counts[int((math.log(min(max(seconds, SHORTEST), LONGEST)) - self._offset) / RESOLUTION)] += 1
 
     @property
@@ -38,18 +32,7 @@ class Durations:
         return sum(self._counts)
 
     def quantile(self, share: float) -> float:
-        """Quantile of the durations, to 1 %.
-
-        Parameters
-        ----------
-        share : float
-            Share of the durations that do not exceed it, 0 to 1.
-
-        Returns
-        -------
-        float
-            The quantile in s; NaN before the first duration.
-        """
+        """Quantile of the durations, to 1 %."""
         return self._quantiles([share])[0]
 
     def _quantiles(self, shares: Sequence[float]) -> list[float]:
@@ -60,18 +43,7 @@ class Durations:
         return [math.exp(self._offset + (place + 0.5) * RESOLUTION) for place in at]
 
     def entries(self, name: str) -> dict[str, str]:
-        """Median, 99 % and 99.9 % quantiles as entries of the diagnostics.
-
-        Parameters
-        ----------
-        name : str
-            Beginning of the keys.
-
-        Returns
-        -------
-        dict of str
-            Quantiles in us, by key; empty before the first duration.
-        """
+        """Median, 99 % and 99.9 % quantiles as entries of the diagnostics."""
         labels = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
         found = self._quantiles(list(labels.values()))
         return {f"{name} {label} [us]": f"{each * 1e6:.1f}" for label, each in zip(labels, found, strict=True) if each == each}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.foreign_rows import OFF_THE_CLOCK, off_the_clock
 from hyst_control.records.signal_message import Encoder
 from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
@@ -21,23 +22,6 @@ class RecordedTopic:
     """One recorded topic and the ticks that are stored of it.
 
     Rows are held back until it is known that no earlier ones are missing; rows after a gap, until it is filled or given up.
-
-    Parameters
-    ----------
-    node : SignalNode
-        The recorder.
-    topic : str
-        Name of the topic.
-    store : callable
-        Writes a serialized message: name of the topic, bytes, time of reception in ns since the epoch.
-    repeated : callable
-        Called in lockstep when rows came again: the plant may have missed the recorder's progress.
-    merge : int
-        Least number of rows stored in one message, unless `write` is called.
-    ticks : int
-        Number of ticks that are recorded in lockstep, 0 for all.
-    sparse : bool
-        The source publishes at few ticks only: the others are not counted as lost.
     """
 
     def __init__(
@@ -73,16 +57,8 @@ class RecordedTopic:
         self._count_missed(missed)
         self._collect()
 
-    def receive(self, label: str, block: Array) -> None:
-        """Take in the rows of one or several messages.
-
-        Parameters
-        ----------
-        label : str
-            Column label.
-        block : ndarray, shape (N, C)
-            The rows; column 0 is the time in s.
-        """
+    def receive(self, label: str, block: Annotated[Array, "N C"]) -> None:
+        """Take in the rows of one or several messages."""
         if self._encoder is None or label != self._encoder.label:
             try:
                 encoder = Encoder(label)

@@ -1,7 +1,7 @@
 """Baseline of `hyst bench`: the same loop in plain rclpy (SingleThreadedExecutor, message objects, one callback per message).
 
 Reference, feedforward, feedback and plant as four small nodes with the computations of the package's nodes and nothing else: no checks
-of messages, no repetition, no recorder. Run by name: `python -m hyst_control.nodes.plain_loop plant SETTINGS.json`.
+of messages, no repetition, no recorder. Run by name: `python -m evaluation.benchmarks.plain_loop plant SETTINGS.json`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import rclpy
@@ -30,7 +30,7 @@ from std_msgs.msg import Float64MultiArray
 from hyst_control.control.feedforward import build_compensator
 from hyst_control.control.pi import PI
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.processes import environment
 
 Array = NDArray[np.float64]
@@ -40,15 +40,7 @@ MOST_WAITING = 5000  # rows of a signal
 
 
 class PlainNode(Node):
-    """Base of the four nodes: period, rows in, rows out.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    settings : mapping
-        `rate_hz`, `schedule`, `model` and what the nodes need besides, by name.
-    """
+    """Base of the four nodes: period, rows in, rows out."""
 
     def __init__(self, name: str, settings: Mapping[str, Any]) -> None:
         super().__init__(name)
@@ -65,15 +57,7 @@ class PlainNode(Node):
         """Produce one sample, under the timer."""
 
     def subscribe(self, topic: str, callback: Callable[[int, Array], None]) -> None:
-        """Subscribe to a topic.
-
-        Parameters
-        ----------
-        topic : str
-            The topic.
-        callback : callable
-            Called with tick and values (1, A) of every message.
-        """
+        """Subscribe to a topic."""
 
         def on_message(message: Float64MultiArray) -> None:
             row = np.array(message.data)
@@ -81,29 +65,13 @@ class PlainNode(Node):
 
         self.create_subscription(Float64MultiArray, topic, on_message, 5000)
 
-    def publish_row(self, publisher: Publisher, tick: int, values: Array) -> None:
-        """Publish one row.
-
-        Parameters
-        ----------
-        publisher : Publisher
-            Publisher of the topic.
-        tick : int
-            Tick of the row.
-        values : ndarray, shape (1, A) or (A,)
-            Values of the axes.
-        """
+    def publish_row(self, publisher: Publisher, tick: int, values: Annotated[Array, "1 A"]) -> None:
+        """Publish one row."""
         publisher.publish(Float64MultiArray(data=array.array("d", [tick * self.period, *values.ravel().tolist()])))
 
 
 class PlainReference(PlainNode):
-    """Node that publishes a sine as the reference, one row per measurement.
-
-    Parameters
-    ----------
-    settings : mapping
-        As of `PlainNode`; `range`, and `frequency` in Hz.
-    """
+    """Node that publishes a sine as the reference, one row per measurement."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_reference", settings)
@@ -113,13 +81,7 @@ class PlainReference(PlainNode):
             self.subscribe("measurement", lambda tick, values: self.send(tick))
 
     def send(self, tick: int) -> None:
-        """Publish the reference of a tick.
-
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        """
+        """Publish the reference of a tick."""
         low, high = self.settings["range"]
         value = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(2 * math.pi * self.settings["frequency"] * tick * self.period)
         self.publish_row(self.publisher, tick, np.full(self.axes, value))
@@ -130,13 +92,7 @@ class PlainReference(PlainNode):
 
 
 class PlainFeedforward(PlainNode):
-    """Node with the inverse of the model.
-
-    Parameters
-    ----------
-    settings : mapping
-        As of `PlainNode`.
-    """
+    """Node with the inverse of the model."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_feedforward", settings)
@@ -147,13 +103,7 @@ class PlainFeedforward(PlainNode):
 
 
 class PlainFeedback(PlainNode):
-    """Node that adds PI feedback to the feedforward.
-
-    Parameters
-    ----------
-    settings : mapping
-        As of `PlainNode`; gains `kp` and `ki`.
-    """
+    """Node that adds PI feedback to the feedforward."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_feedback", settings)
@@ -167,18 +117,8 @@ class PlainFeedback(PlainNode):
         for topic in self.rows:
             self.subscribe(topic, partial(self.receive, topic))
 
-    def receive(self, topic: str, tick: int, values: Array) -> None:
-        """Keep a row, and compute the command once all rows of its tick are there.
-
-        Parameters
-        ----------
-        topic : str
-            Its topic.
-        tick : int
-            Its tick.
-        values : ndarray, shape (1, A)
-            Its values.
-        """
+    def receive(self, topic: str, tick: int, values: Annotated[Array, "1 A"]) -> None:
+        """Keep a row, and compute the command once all rows of its tick are there."""
         self.newest[topic] = tick, values
         if not self.timed:
             self.rows[topic][tick] = values
@@ -188,15 +128,7 @@ class PlainFeedback(PlainNode):
                 self.control(tick, {name: rows.pop(tick) for name, rows in self.rows.items()})
 
     def control(self, tick: int, rows: Mapping[str, Array]) -> None:
-        """Compute and publish feedback and command of a tick.
-
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        rows : mapping of str to ndarray, shape (1, A)
-            Reference, measurement and feedforward, by topic.
-        """
+        """Compute and publish feedback and command of a tick."""
         command, feedback = self.controller.step(rows["reference"], rows["measurement"], rows["feedforward"])
         self.publish_row(self.feedback, tick, feedback)
         self.publish_row(self.command, tick, command)
@@ -207,13 +139,7 @@ class PlainFeedback(PlainNode):
 
 
 class PlainPlant(PlainNode):
-    """Node that runs the model as the plant and publishes measured rates and latencies as diagnostics.
-
-    Parameters
-    ----------
-    settings : mapping
-        As of `PlainNode`.
-    """
+    """Node that runs the model as the plant and publishes measured rates and latencies as diagnostics."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         super().__init__("plain_plant", settings)
@@ -230,16 +156,8 @@ class PlainPlant(PlainNode):
         if not self.timed:
             self.create_timer(0.2, lambda: self.publish_row(self.publisher, self.count, self.measured) if not self.rounds else None)
 
-    def apply(self, tick: int, values: Array) -> None:
-        """Apply a command, in lockstep at once, under the timer at the next tick.
-
-        Parameters
-        ----------
-        tick : int
-            Its tick.
-        values : ndarray, shape (1, A)
-            The command in V.
-        """
+    def apply(self, tick: int, values: Annotated[Array, "1 A"]) -> None:
+        """Apply a command, in lockstep at once, under the timer at the next tick."""
         self.rounds += 1
         if self.timed:
             self.held = values
@@ -248,14 +166,8 @@ class PlainPlant(PlainNode):
         elif tick == self.count:
             self.send(values)
 
-    def send(self, command: Array) -> None:
-        """Run the plant over one command and publish the measurement that follows.
-
-        Parameters
-        ----------
-        command : ndarray, shape (1, A)
-            The command in V.
-        """
+    def send(self, command: Annotated[Array, "1 A"]) -> None:
+        """Run the plant over one command and publish the measurement that follows."""
         self.measured = self.plant.step(command)
         self.count += 1
         if self.timed:

@@ -7,26 +7,16 @@ from collections.abc import Callable, Sequence
 
 from rclpy.executors import Executor
 
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.message_io import CallbackSubscription, LocalReceiver
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.message_io import CallbackSubscription, LocalReceiver
 
 MOST_AT_ONCE = 64
 """Most messages delivered before the executor serves timers, services and subscriptions again."""
 
 
 def hand_over(nodes: Sequence[EndingNode], executor: Executor, failed: Callable[[BaseException], None]) -> None:
-    """Link the senders of nodes on one executor directly with the receivers of the same topics.
-
-    Parameters
-    ----------
-    nodes : sequence of EndingNode
-        The nodes of the executor.
-    executor : Executor
-        The executor.
-    failed : callable
-        Called with an exception that a callback raised.
-    """
+    """Link the senders of nodes on one executor directly with the receivers of the same topics."""
     signal_nodes = [node for node in nodes if isinstance(node, SignalNode)]
     if len(signal_nodes) < 2:
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.control.command_watchdog import CommandWatchdog
 from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.parameters import Setting
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED, INTERVAL
 
 Array = NDArray[np.float64]
@@ -32,13 +32,6 @@ class Actuator:
 
     It creates the node's input `command` and its output `applied`, on which it says what is on the actuator while that is not the
     command, for a feedback that starts.
-
-    Parameters
-    ----------
-    node : SignalNode
-        The node, which has the parameters `SAFE_SETTINGS`.
-    limits : CommandLimits
-        Limits that every command is held to.
     """
 
     def __init__(self, node: SignalNode, limits: CommandLimits | None = None) -> None:
@@ -60,14 +53,8 @@ class Actuator:
         self._said = 0  # tick at which it was said last what is applied
         self.start_from(np.zeros(axes))
 
-    def start_from(self, rest: Array) -> None:
-        """Begin anew.
-
-        Parameters
-        ----------
-        rest : ndarray, shape (A,)
-            What the actuator has, V.
-        """
+    def start_from(self, rest: Annotated[Array, "A"]) -> None:
+        """Begin anew."""
         self.watchdog = CommandWatchdog(rest, self._safe, self._rate, self.node.period)
 
     def reset(self) -> None:
@@ -79,21 +66,8 @@ class Actuator:
         """True when the actuator is at its safe value, or never had a command."""
         return not self.watchdog.armed or bool(np.all(np.abs(self.watchdog.applied - self._safe) <= CLOSE))
 
-    def voltage(self, tick: int, allowed: bool = True) -> Array:
-        """Voltage of a tick, where nothing can keep it from being written.
-
-        Parameters
-        ----------
-        tick : int
-            The tick.
-        allowed : bool
-            False: the actuator goes to its safe value, whatever the command is.
-
-        Returns
-        -------
-        ndarray, shape (A,)
-            The voltage, V.
-        """
+    def voltage(self, tick: int, allowed: bool = True) -> Annotated[Array, "A"]:
+        """Voltage of a tick, where nothing can keep it from being written."""
         voltage = self.wanted(tick, allowed)
         self.watchdog.written(voltage)
         return voltage
@@ -111,13 +85,7 @@ class Actuator:
         return self.watchdog.wanted(command, trusted)
 
     def report(self, tick: int) -> None:
-        """Publish what is on the actuator, unless that is the command, and warn when the watchdog has taken over.
-
-        Parameters
-        ----------
-        tick : int
-            Present tick.
-        """
+        """Publish what is on the actuator, unless that is the command, and warn when the watchdog has taken over."""
         watchdog, node = self.watchdog, self.node
         if watchdog.following:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from hyst_control.nodes.duration_histogram import Durations
+from hyst_control.nodes.signal_node.duration_histogram import Durations
 
 AWAITED = 64
 """Most measurements whose command is awaited."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.message_io import PolledSubscription, Sender
-from hyst_control.nodes.source_clocks import SourceClocks
+from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
+from hyst_control.nodes.signal_node.source_clocks import SourceClocks
 from hyst_control.records.foreign_rows import Refusal, admit
 from hyst_control.records.row_repetition import SentRows
 from hyst_control.records.signal_rows import Receipt, SignalRows
@@ -46,19 +46,7 @@ class InputOwner(Protocol):
 
 
 class Input:
-    """One subscribed signal: checks its messages, keeps their rows and informs the node.
-
-    Parameters
-    ----------
-    owner : InputOwner
-        The node.
-    topic, label : str
-        Topic, and the column label that its messages must have.
-    rows : SignalRows
-        State of the signal.
-    intake : PolledSubscription, optional
-        Subscription from which `poll` takes messages, under the timer.
-    """
+    """One subscribed signal: checks its messages, keeps their rows and informs the node."""
 
     def __init__(
         self, owner: InputOwner, topic: str, label: str, rows: SignalRows, intake: PolledSubscription | None = None
@@ -76,27 +64,11 @@ class Input:
                 self.receive(label, block, stamp)
 
     def refused(self, reason: str) -> None:
-        """Count a message that cannot be read.
-
-        Parameters
-        ----------
-        reason : str
-            The reason.
-        """
+        """Count a message that cannot be read."""
         self._owner.drop(self.topic, "unreadable", reason)
 
-    def receive(self, label: str, block: Array, stamp: int = 0) -> None:
-        """Take in a message.
-
-        Parameters
-        ----------
-        label : str
-            Its column label.
-        block : ndarray, shape (N, 1 + A)
-            Its rows, which may be read-only; column 0 is the time in s.
-        stamp : int
-            Time of reception in ns since the epoch.
-        """
+    def receive(self, label: str, block: Annotated[Array, "N 1 + A"], stamp: int = 0) -> None:
+        """Take in a message."""
         owner = self._owner
         if label is not self._seen_label:
             if label != self.label:
@@ -179,63 +151,29 @@ class Input:
 
 
 class Output:
-    """One published signal, whose newest rows are kept for repetition.
-
-    Parameters
-    ----------
-    sender : Sender
-        Publisher of the topic.
-    columns : int
-        Columns of a message: the time and one per axis.
-    period : float
-        Time in s between two ticks.
-    block : int
-        Rows that the node streams in one message.
-    """
+    """One published signal, whose newest rows are kept for repetition."""
 
     def __init__(self, sender: Sender, columns: int, period: float, block: int) -> None:
         self.sender, self.publisher = sender, sender.publisher
         self.sent = SentRows()
         self._columns, self._period, self._block = columns, period, block
 
-    def send(self, tick: int, rows: Array) -> None:
-        """Publish rows.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of the first row.
-        rows : ndarray, shape (N, A)
-            Rows of successive ticks.
-        """
+    def send(self, tick: int, rows: Annotated[Array, "N A"]) -> None:
+        """Publish rows."""
         block = self.with_times(tick, rows)
         self.sender.send(block)
         self.sent.add(tick, block)
 
     def repeat(self, first: int = 0) -> None:
-        """Publish kept rows again; the newest message when none of them are kept.
-
-        Parameters
-        ----------
-        first : int
-            Tick of the first row.
-        """
+        """Publish kept rows again; the newest message when none of them are kept."""
         rows = self.sent.since(first)
         if rows is None:
             self.repeat_newest()
         else:
             self._send_in_parts(rows)
 
-    def repeat_rows(self, tick: int, rows: Array) -> None:
-        """Publish rows again that the caller has kept.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of the first row.
-        rows : ndarray, shape (N, A)
-            Rows of successive ticks.
-        """
+    def repeat_rows(self, tick: int, rows: Annotated[Array, "N A"]) -> None:
+        """Publish rows again that the caller has kept."""
         self._send_in_parts(self.with_times(tick, rows))
 
     def repeat_newest(self) -> None:
@@ -252,21 +190,8 @@ class Output:
         for begin in range(0, len(block), step):
             self.sender.send(block[begin : begin + step])
 
-    def with_times(self, tick: int, rows: Array) -> Array:
-        """Rows of successive ticks with their times.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of the first row.
-        rows : ndarray, shape (N, A)
-            The rows.
-
-        Returns
-        -------
-        ndarray, shape (N, 1 + A)
-            The rows behind a column of times in s.
-        """
+    def with_times(self, tick: int, rows: Annotated[Array, "N A"]) -> Annotated[Array, "N 1 + A"]:
+        """Rows of successive ticks with their times."""
         count, period = len(rows), self._period
         block = np.empty((count, self._columns))
         if count == 1:

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 
 from hyst_control.config_files import config_path
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.message_io import PolledSubscription, Sender
+from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
 from hyst_plant_sim.node import PlantNode
 
 WARM_UP = 200
@@ -25,29 +25,7 @@ WARM_UP = 200
 
 
 def seconds_of_a_tick(axes: int, ticks: int, rate: float, domain: int) -> tuple[float, float, float]:
-    """Measure processor time.
-
-    Parameters
-    ----------
-    axes : int
-        Axes of the plant.
-    ticks : int
-        Ticks that count.
-    rate : float
-        Hz.
-    domain : int
-        ROS domain.
-
-    Returns
-    -------
-    node, whole, chain : float
-        s a tick: of the node's thread, of the whole process, and of the chain alone.
-
-    Raises
-    ------
-    RuntimeError
-        If measurements do not arrive.
-    """
+    """Measure processor time."""
     model = load_model(config_path("models/pea_hampi.yaml"))
     names = tuple(f"a{index}" for index in range(axes))
     plant = Simulator(replace(model, axes=names), 1.0 / rate)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.base import SignalNode
+from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.foreign_rows import OFF_THE_CLOCK, admissible, off_the_clock, refused_values
 from hyst_control.records.signal_message import label_for
 from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
@@ -21,17 +22,6 @@ class WatchedSignal:
     """One signal whose rows are taken in order of their ticks, each once.
 
     When more than `most_waiting` rows wait for the other signal, the oldest ones are dropped.
-
-    Parameters
-    ----------
-    node : SignalNode
-        The node that listens.
-    topic, unit : str
-        Topic, and the unit of its values.
-    restarted : callable
-        Called when the time of the signal was set back; must forget all rows received before.
-    sparse : bool
-        The source publishes at few ticks only: the others are not counted as lost.
     """
 
     def __init__(self, node: SignalNode, topic: str, unit: str, restarted: Callable[[], None], sparse: bool = False) -> None:
@@ -52,14 +42,8 @@ class WatchedSignal:
             else:
                 self.receive(block)
 
-    def receive(self, block: Array) -> None:
-        """Take in the rows of one or several messages.
-
-        Parameters
-        ----------
-        block : ndarray, shape (N, 1 + A)
-            The rows; column 0 is the time in s.
-        """
+    def receive(self, block: Annotated[Array, "N 1 + A"]) -> None:
+        """Take in the rows of one or several messages."""
         for tick, part in successive_parts(block, self._node.period):
             if tick is None:
                 self._node.drop(self._topic, OFF_THE_CLOCK, off_the_clock(self._node.period))

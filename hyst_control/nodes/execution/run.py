@@ -21,11 +21,11 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from hyst_control.errors import InputError
-from hyst_control.nodes import command_line, interrupts
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.exit_watchdog import exit_within
-from hyst_control.nodes.intra_process import hand_over
+from hyst_control.nodes.execution import command_line, interrupts
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.exit_watchdog import exit_within
+from hyst_control.nodes.execution.intra_process import hand_over
+from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
@@ -40,15 +40,6 @@ def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
     """Spin until a future is done.
 
     Without a timeout an EventsExecutor runs no callbacks and handles no signals.
-
-    Parameters
-    ----------
-    executor : Executor
-        The executor.
-    future : Future
-        The future.
-    timeout : float
-        Longest time in s.
     """
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
@@ -56,24 +47,8 @@ def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
 def run(
     nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, on_closed: Callable[[int], None] = lambda status: None
 ) -> int | None:
-    """Spin nodes on one executor until all that end by themselves have ended; close and destroy them in any case.
-
-    Parameters
-    ----------
-    nodes : sequence of EndingNode
-        The nodes. A single node is also waited for if it does not end by itself: it may fail.
-    context : Context
-        Their context.
-    timeout : float
-        Time in s after which they are ended.
-    on_closed : callable
-        Called with the exit status (0 after an interrupt) once the nodes are closed, before they are destroyed.
-
-    Returns
-    -------
-    int or None
-        Greatest of their exit statuses; None after the timeout.
-    """
+    """Spin nodes on one executor until all that end by themselves have ended; close and destroy them in any case."""
+    # nodes: the nodes. A single node is also waited for if it does not end by itself: it may fail
     executor = EventsExecutor(context=context)
     ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
 
@@ -112,15 +87,7 @@ def run(
 
 
 def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
-    """Spin nodes until each has left its actuator at the safe value, or a second interrupt comes.
-
-    Parameters
-    ----------
-    nodes : sequence of EndingNode
-        The nodes.
-    executor : Executor
-        Their executor.
-    """
+    """Spin nodes until each has left its actuator at the safe value, or a second interrupt comes."""
     for node in nodes:
         node.wind_down()
     over, end = Future(), time.monotonic() + LONGEST_WIND_DOWN
@@ -140,13 +107,7 @@ def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
 
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
-    """Tick all nodes of equal interval by one timer, in the order of their phases, because every timer wakes two threads.
-
-    Parameters
-    ----------
-    nodes : sequence of EndingNode
-        Nodes of one process.
-    """
+    """Tick all nodes of equal interval by one timer, in the order of their phases, because every timer wakes two threads."""
     paced = [node for node in nodes if isinstance(node, SignalNode) and node.tick_timer.paced]
     for interval in {node.tick_timer.interval for node in paced}:
         group = sorted((node for node in paced if node.tick_timer.interval == interval), key=lambda node: node.tick_timer.phase)
@@ -163,15 +124,7 @@ def _tick(group: Sequence[SignalNode]) -> None:
 
 
 def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None) -> None:
-    """Close nodes, call `closed`, then destroy the nodes; a failure of one does not keep the others from it.
-
-    Parameters
-    ----------
-    nodes : sequence of EndingNode
-        The nodes.
-    closed : callable
-        Called between the two.
-    """
+    """Close nodes, call `closed`, then destroy the nodes; a failure of one does not keep the others from it."""
     with ExitStack() as last_first:
         for node in nodes:
             last_first.callback(node.destroy_node)
@@ -181,20 +134,7 @@ def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None
 
 
 def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None) -> int:
-    """Run the body of an executable.
-
-    Parameters
-    ----------
-    *factories : callable
-        Create the nodes.
-    args : sequence of str, optional
-        ROS arguments; default: the command line.
-
-    Returns
-    -------
-    int
-        Exit status: 0 when the nodes ended by themselves or were interrupted, 2 on bad input, which is printed in one line.
-    """
+    """Run the body of an executable."""
     given = list(sys.argv if args is None else args)
     if command_line.wants_help(given):
         print(command_line.help_text(given[0], factories))

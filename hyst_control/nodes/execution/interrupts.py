@@ -83,16 +83,9 @@ def _not_in_child() -> None:
 
 @contextmanager
 def delivered(receiver: Callable[[], None], graceful: bool) -> Iterator[None]:
-    """Call a function for every interrupt within the context, from a thread of its own.
-
-    Parameters
-    ----------
-    receiver : callable
-        The function, which ends the waiting of the main thread.
-    graceful : bool
-        The first interrupt is left to it, so that no callback is cut in two; otherwise, and for a second one, KeyboardInterrupt is
-        raised in the main thread as well.
-    """
+    """Call a function for every interrupt within the context, from a thread of its own."""
+    # graceful: the first interrupt is left to it, so that no callback is cut in two; otherwise, and for a second one,
+    # KeyboardInterrupt is raised in the main thread as well
     global _receiver, _graceful
     _receiver, _graceful = receiver, graceful
     try:
