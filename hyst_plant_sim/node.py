@@ -17,13 +17,13 @@ from hyst_control.control.loop import Plant
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.execution.run import main as run_main
-from hyst_control.nodes.execution.tick_timer import LONGEST_GAP
 from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
 from hyst_control.nodes.signal_node.loop_latency import LoopLatency
 from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
 from hyst_control.nodes.signal_node.message_io import QUEUE
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
+from hyst_control.nodes.signal_node.timer import LONGEST_GAP
 from hyst_control.records.row_repetition import Standstill
 from hyst_control.records.signal_rows import Wait
 from hyst_control.yaml_files import parse_yaml
@@ -103,7 +103,7 @@ class PlantNode(ManagedNode):
             self._confirmation = self.every(CONFIRMATION * self.settings.retry, self._confirm)
             self._confirmation.cancel()
             self.every(self.settings.retry, self._retry)
-        self.start_timer(0.1)
+        self.schedule.start(0.1)
 
     def activate(self) -> None:
         if self._tick is None:

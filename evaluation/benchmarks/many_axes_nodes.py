@@ -59,7 +59,7 @@ def seconds_of_a_tick(axes: int, ticks: int, rate: float, domain: int) -> tuple[
             block[0, 0], block[0, 1:] = tick / rate, commands[count % len(commands)]
             sender.send(block)
             begin = time.thread_time()
-            node.take_tick(tick)
+            node.timer.tick(tick)
             if count >= WARM_UP:
                 spent += time.thread_time() - begin
             received += len(receiver.take(_refused))

@@ -95,7 +95,7 @@ class StageNode(ManagedNode):
         self._connected = self._ending = False
         self._cut = threading.Event()  # ends the way to the safe value
         self.begin()
-        self.start_timer(READ_PHASE)
+        self.schedule.start(READ_PHASE)
 
     def connect(self) -> None:
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
@@ -322,12 +322,12 @@ class StageNode(ManagedNode):
     @property
     def _patience(self) -> float:
         """Time in s for which a tick waits for the driver."""
-        return float(max(2.0 * self.tick_timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
+        return float(max(2.0 * self.timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
 
     @property
     def _gone(self) -> bool:
         """True when the driver has not answered for so long that the node ends without it."""
-        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.tick_timer.interval)
+        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.timer.interval)
 
     @property
     def _silence(self) -> str:

@@ -17,6 +17,7 @@ from hyst_control.export.controller import Feedforward as WithC
 from hyst_control.model_file import load_model
 from hyst_control.nodes.loop import feedforward_learning
 from hyst_control.nodes.loop.feedforward_learning import FeedforwardLearning
+from hyst_control.nodes.loop.slope_warning import warn_of_slope
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.common_parameters import BACKEND, C
 from hyst_control.nodes.signal_node.parameters import Setting
@@ -100,7 +101,7 @@ class Feedforward(SignalNode):
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         self._learning = FeedforwardLearning(self, learner, self._publish) if learner else None
-        self.start_timer(0.3)
+        self.schedule.start(0.3)
 
     def advance(self) -> None:
         if self.reference.rows.available:
@@ -129,7 +130,7 @@ class Feedforward(SignalNode):
 
     def _publish(self, start: int, rows: Array) -> None:
         """Send rows within what other nodes take: in lockstep they would wait for ever for one that they dropped."""
-        self.look_at_slope(self._demand.exceeds(start, rows, self.settings.slew_limit * self.period))
+        warn_of_slope(self, self._demand.exceeds(start, rows, self.settings.slew_limit * self.period))
         self.feedforward.send(start, np.clip(rows, -LARGEST_VALUE, LARGEST_VALUE))
 
     def tick(self, tick: int) -> None:

@@ -117,8 +117,8 @@ class Recorder(SignalNode):
                 topic.drain()
                 topic.close()
             if not self.lockstep:
-                clock = "simulated" if self._simulated else "CLOCK_MONOTONIC"
-                self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.offset_to_ros_time:.6f}"}
+                clock = "simulated" if self.timer.simulated else "CLOCK_MONOTONIC"
+                self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.timer.offset_to_ros_time:.6f}"}
             self._writer.close()
             self._say_recorded()
         except OSError as error:

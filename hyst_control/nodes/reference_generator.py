@@ -96,7 +96,7 @@ class ReferenceGenerator(SignalNode):
         self.measurement = self.input("measurement", self.unit, every_row=False)
         if self.lockstep:
             self.every(self.settings.retry, self._start_off)
-        self.start_timer(0.1)
+        self.schedule.start(0.1)
 
     def rows(self, first: int, count: int) -> Array:
         """Rows of the signal."""
@@ -125,7 +125,7 @@ class ReferenceGenerator(SignalNode):
                 return
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
-        first = max(tick - self.tick_timer.missed, self._origin)
+        first = max(tick - self.timer.missed, self._origin)
         self._sent = tick + block - self._origin
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 

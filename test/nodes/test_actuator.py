@@ -25,7 +25,7 @@ class Stub:
 
     def __init__(self, axes=2, safe=(LOWER,)):
         self.settings = SimpleNamespace(safe_command=safe, safe_rate=RATE)
-        self.axes, self.period, self.longest_age = ("x", "y")[:axes], PERIOD, AGE
+        self.axes, self.period, self.timer = ("x", "y")[:axes], PERIOD, SimpleNamespace(longest_age=AGE)
         self.sent, self.warned = [], []
 
     def get_name(self):

@@ -38,7 +38,7 @@ BAD = [
 @pytest.mark.parametrize("schedule", ["lockstep", "timer"])
 def test_input_of_a_loop(bench, schedule):
     node = bench.add(lambda **options: Feedforward("feedforward", **options), gain=[10.0], rate_hz=RATE, schedule=schedule)
-    node.tick_by(None) if schedule == "timer" else None
+    node.timer.call_instead(None) if schedule == "timer" else None
     signal, first = node.reference, 0 if schedule == "lockstep" else int(time.monotonic() / PERIOD)
     signal.receive(LABEL, row(first, 1.0))
     signal.receive(LABEL, np.zeros((0, 2)))
@@ -57,7 +57,7 @@ def test_input_of_a_loop(bench, schedule):
         signal.receive(LABEL, row(first + 10**6, 1.0))
         assert node.counts["reference: out of order"] == 1
     else:
-        node.source_clocks.look_at(node.control_time, node.settings.ahead)
+        node.timer.clocks.look_at(node.timer.now, node.settings.ahead)
         for ahead in (10**6, 2000):
             signal.receive(LABEL, row(first + ahead, 1.0))
         assert node.counts["reference: far ahead"] == 2

@@ -232,7 +232,7 @@ def test_commands_that_were_there_before_a_plant_of_the_timer_take_it_nowhere(be
     """Restarted beside a running loop: it has the time of the clock, not that of the rows that wait for it."""
     node = bench.add(PlantNode, model=MODEL, schedule="timer", rate_hz=200.0)
     now = round(time.monotonic() * 200.0)
-    node.source_clocks.look_at(now / 200.0, 1.0)  # as at a tick
+    node.timer.clocks.look_at(now / 200.0, 1.0)  # as at a tick
     node.command.receive("t[s],x[V]", np.column_stack([np.arange(now, now + 100) / 200.0, np.full(100, 5.0)]))
     bench.until(lambda: node.counts["ticks"] >= 10)
     assert abs(node._tick - time.monotonic() * 200.0) < 50
@@ -324,7 +324,7 @@ raise SystemExit(main(make))
 STUCK = """
 import ctypes
 from functools import partial
-from hyst_control.nodes import run
+from hyst_control.nodes.execution import run
 from hyst_control.nodes.recorder import Recorder
 
 run.exit_within = partial(run.exit_within, seconds=1.0)  # instead of 5

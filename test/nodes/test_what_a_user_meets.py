@@ -6,6 +6,7 @@ import logging
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -251,7 +252,7 @@ def test_diagnostics_say_stopped(bench):
 @pytest.mark.parametrize(("ticks", "missed", "said"), [(844, 156, "844 of 1000 Hz: 156 ticks missed"), (999, 1, ""), (1000, 0, "")])
 def test_a_rate_that_is_not_kept_is_a_warning(ticks, missed, said, bench):
     node = bench.add(PiFeedback, rate_hz=RATE, schedule="timer")
-    assert node._slow(ticks, missed, 1.0) == said
+    assert node.timer.slow(ticks, missed, 1.0) == said
     assert NodeHealth(slow=said).warns == bool(said)
 
 
@@ -259,17 +260,17 @@ def test_diagnostics_are_made_in_parts_after_successive_ticks(bench):
     """Made all at once they would take about a tick at 1 kHz; where no tick comes, they do not wait for one."""
     node = bench.add(PiFeedback, rate_hz=RATE, schedule="timer")
     published = []
-    node._diagnostics.publish = published.append
-    node._publish_diagnostics()  # it has not ticked yet
+    node.diagnostics._publisher = SimpleNamespace(publish=published.append)
+    node.diagnostics.publish()  # it has not ticked yet
     assert len(published) == 1
     node.counts["ticks"] += 10
-    node._publish_diagnostics()
+    node.diagnostics.publish()
     parts = 1
     while len(published) == 1 and parts < 20:
-        node.after_tick()
+        node.diagnostics.go_on()
         parts += 1
     assert 3 <= parts < 20
-    node._publish_diagnostics()
+    node.diagnostics.publish()
     assert len(published) == 3
     keys = [{each.key for each in message.status[0].values} for message in published]
     assert {"ticks", "rate [Hz]"} <= keys[0] == keys[1] == keys[2]

@@ -26,6 +26,7 @@ from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.execution.exit_watchdog import exit_within
 from hyst_control.nodes.execution.intra_process import hand_over
 from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.timer import Timer
 from hyst_control.processes import environment
 
 FOREVER = 1e6  # s
@@ -108,19 +109,20 @@ def wind_down(nodes: Sequence[EndingNode], executor: Executor) -> None:
 
 def tick_together(nodes: Sequence[EndingNode]) -> None:
     """Tick all nodes of equal interval by one timer, in the order of their phases, because every timer wakes two threads."""
-    paced = [node for node in nodes if isinstance(node, SignalNode) and node.tick_timer.paced]
-    for interval in {node.tick_timer.interval for node in paced}:
-        group = sorted((node for node in paced if node.tick_timer.interval == interval), key=lambda node: node.tick_timer.phase)
+    timers = [node.schedule for node in nodes if isinstance(node, SignalNode) and isinstance(node.schedule, Timer)]
+    paced = [timer for timer in timers if timer.paced]
+    for interval in {timer.interval for timer in paced}:
+        group = sorted((timer for timer in paced if timer.interval == interval), key=lambda timer: timer.phase)
         if len(group) > 1:
-            for node in group[1:]:
-                node.tick_by(None)
-            group[0].tick_by(partial(_tick, group))
+            for timer in group[1:]:
+                timer.call_instead(None)
+            group[0].call_instead(partial(_tick, group))
 
 
-def _tick(group: Sequence[SignalNode]) -> None:
+def _tick(group: Sequence[Timer]) -> None:
     now = time.monotonic()
-    for node in group:
-        node.tick_timer.call(now)
+    for timer in group:
+        timer.call(now)
 
 
 def close(nodes: Sequence[EndingNode], closed: Callable[[], None] = lambda: None) -> None:

@@ -76,7 +76,7 @@ class Actuator:
         """Voltage (A,) to be written in a `tick`, V, the way to the safe value unless `allowed`; the watchdog is to be told once it is."""
         rows, node = self.command.rows, self.node
         command = rows.newest(tick)
-        trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.longest_age
+        trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.timer.longest_age
         if command is not None and trusted:
             within = self.limits.limited(command, self.watchdog.applied)
             if within is not command:
@@ -89,8 +89,8 @@ class Actuator:
         watchdog, node = self.watchdog, self.node
         if watchdog.following:
             return
-        if watchdog.armed and self.command.rows.behind(tick) * node.period > node.longest_age:
-            node.warn("stale", f"no command for {node.longest_age:g} s: the actuator goes to its safe value")
+        if watchdog.armed and self.command.rows.behind(tick) * node.period > node.timer.longest_age:
+            node.warn("stale", f"no command for {node.timer.longest_age:g} s: the actuator goes to its safe value")
         elif self._contradicted:
             node.warn("contradicted", "two sources of command: the actuator goes to its safe value")
         self.tell(tick)
@@ -116,4 +116,4 @@ class Actuator:
 
     @property
     def _contradicted(self) -> bool:
-        return time.monotonic() - self.command.rows.conflicted < self.node.longest_age
+        return time.monotonic() - self.command.rows.conflicted < self.node.timer.longest_age

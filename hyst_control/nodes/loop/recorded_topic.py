@@ -77,7 +77,7 @@ class RecordedTopic:
             if self._ticks:
                 part = part[: max(self._ticks - tick, 0)]
             if len(part):
-                self._node.heard(self.name, float(part[-1, 0]))
+                self._node.schedule.heard(self.name, float(part[-1, 0]))
                 self._receive_rows(tick, part)
 
     def write(self) -> None:

@@ -77,7 +77,7 @@ class Takeover:
             if self._apart is not None:
                 away |= np.isfinite(self._apart)
             self._apart = np.where(away, self.command, np.nan) if away.any() else None
-        elif now - self._heard > self._node.longest_age:
+        elif now - self._heard > self._node.timer.longest_age:
             self._apart = None
         return self._apart
 

@@ -32,8 +32,9 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         self.active = False
         """True in the state active."""
         self.ever_active = False
-        """True once the node was activated: before that it publishes nothing."""
         self._guard_transitions()
+        if not self.settings.autostart:
+            self.once(self._say_state)
 
     @property
     def state(self) -> str:
@@ -87,8 +88,7 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         """Carry out the transition from this `state`."""
         self.active = self.ever_active = True
         self.activate()
-        if self.lockstep:  # what has come before may be all that is needed
-            self.once(self.advance)
+        self.schedule.resume()
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -119,14 +119,8 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         self.every(0.01, self._end)
         return TransitionCallbackReturn.SUCCESS
 
-    def take_tick(self, tick: int) -> None:
-        if self.ever_active:
-            super().take_tick(tick)
-
-    def _say_ready(self) -> None:
-        super()._say_ready()
-        if not self.settings.autostart:
-            self.get_logger().info(f"{self.state}: waiting for lifecycle transitions, as autostart is false")
+    def _say_state(self) -> None:
+        self.get_logger().info(f"{self.state}: waiting for lifecycle transitions, as autostart is false")
 
     def _reset(self) -> str:
         if self.state == UNCONFIGURED and self.settings.autostart:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,15 +82,77 @@ class NodeHealth:
         return bool(self.warning) or not self.enabled
 
 
-class DiagnosticsPublisher:
-    """Publisher of a node's status on `/diagnostics`."""
+class NodeDiagnostics:
+    """Status of a `SignalNode`: published at an interval, and logged when it changes."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Any) -> None:  # SignalNode, whose module imports this one
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._log = StateLog(node, node.REMEDIES)
+        self._last = (time.monotonic(), 0, 0)  # s, ticks and missed ones, of the last status
+        self._steps: Iterator[None] = iter(())
+        self._ready_since = math.inf  # s, since when the node spins
+        node.once(self._say_ready)
+        node.every(DIAGNOSTICS_INTERVAL, self.publish)
 
-    def message(self, health: NodeHealth, values: Mapping[str, Any], stamp: Time) -> DiagnosticArray:
-        """Make the message of a status."""
+    def publish(self) -> None:
+        """Publish the status; under the timer in steps after successive ticks, since all at once they take about a tick at 1 kHz."""
+        self._finish()  # what no tick has gone on with
+        ticked = self._node.counts["ticks"] > self._last[1]
+        self._steps = self._in_steps()
+        if ticked:
+            self.go_on()
+        else:
+            self._finish()
+
+    def go_on(self) -> None:
+        """Do the next step of what is being published, after a tick."""
+        next(self._steps, None)
+
+    def _finish(self) -> None:
+        for _ in self._steps:
+            pass
+
+    def _in_steps(self) -> Iterator[None]:
+        node, schedule, now = self._node, self._node.schedule, time.monotonic()
+        before, ticks_before, missed_before = self._last
+        ticks, missed = schedule.ticks, node.counts["missed ticks"]
+        self._last = (now, ticks, missed)
+        publishers = {source.topic: node.count_publishers(source.topic) for source in node.inputs}
+        seconds, new = now - before, ticks - ticks_before
+        health = NodeHealth(
+            trouble=node.trouble(),
+            contested=[topic for topic, count in publishers.items() if count > node.settings.most_sources],
+            waits=node.waits(now),
+            enabled=node.working,
+            slow=schedule.slow(new, missed - missed_before, seconds) if before > self._ready_since else "",
+            **schedule.health(),
+        )
+        for topic in health.contested:
+            node.warn(f"{topic}: sources", f"{topic}: {publishers[topic]} nodes publish this topic: was one started twice?")
+        values: dict[str, Any] = {
+            "schedule": node.settings.schedule,
+            **schedule.entries(),
+            "rate [Hz]": f"{new / seconds:.1f}",
+            "ticks": ticks,
+            "jitter [us]": f"{schedule.jitter() * 1e6:.1f}",
+            **health.entries,
+            "handed over": ", ".join(sender.topic for sender in node.senders if sender.within) or "none",
+            **{f"age of {source.topic} [s]": f"{source.age:.4f}" for source in node.inputs},
+        }
+        stamp = node.get_clock().now()
+        yield
+        values |= schedule.intervals()
+        yield
+        values |= {key: count for key, count in node.counts.items() if key != "ticks" and count} | node.status()
+        yield
+        message = self._message(health, values, stamp)
+        yield
+        self._publisher.publish(message)
+        if self._ready_since < now:
+            self._log.tell(health)
+
+    def _message(self, health: NodeHealth, values: Mapping[str, Any], stamp: Time) -> DiagnosticArray:
         status = DiagnosticStatus(
             name=f"{self._node.get_fully_qualified_name()}: loop",
             hardware_id="hyst_control",
@@ -102,9 +164,12 @@ class DiagnosticsPublisher:
         message.header.stamp = stamp.to_msg()
         return message
 
-    def publish(self, message: DiagnosticArray) -> None:
-        """Publish a message."""
-        self._publisher.publish(message)
+    def _say_ready(self) -> None:
+        node = self._node
+        self._ready_since = time.monotonic()
+        hears = ", ".join(node.resolve_topic_name(topic) for topic in node.received) or "nothing"
+        says = ", ".join(sender.topic for sender in node.senders) or "nothing"
+        node.get_logger().info(f"ready: {node.schedule.pace}; axes {', '.join(node.axes)}; hears {hears}; publishes {says}")
 
 
 class ThrottledWarnings:
