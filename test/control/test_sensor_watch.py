@@ -78,6 +78,13 @@ def test_axes_are_watched_one_by_one_and_afresh_when_their_number_changes_or_the
     assert watch.check(np.array([1.0]), np.array([9.0])) == ()
 
 
+def test_another_range_is_judged_by_from_the_next_sample_on():
+    watch = MeasurementWatch(-5.0, 5.0, 3, 1.0)
+    assert faults(np.full(2, 4.0), np.zeros(2), watch=watch) == ["", ""]
+    watch.judge_by(MeasurementWatch(-5.0, 3.0, 3, 1.0))
+    assert faults(np.full(2, 4.0), np.zeros(2), watch=watch) == [OUT_OF_RANGE] * 2
+
+
 def test_before_there_is_a_command_nothing_is_asked():
     watch = MeasurementWatch(-5.0, 5.0, 3, 1.0)
     assert [watch.check(np.array([1.0]), np.array([np.nan])) for _ in range(10)] == [()] * 10
