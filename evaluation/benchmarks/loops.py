@@ -325,7 +325,7 @@ def _running(
         file.write_text(json.dumps(plain), encoding="utf-8")
         names = ("reference", "feedforward", "feedback", "plant")
         for group in [names] if case == "composed" else [(name,) for name in names]:
-            processes.run("-".join(group), "hyst_control.nodes.plain_loop", *group, str(file))
+            processes.run("-".join(group), "evaluation.benchmarks.plain_loop", *group, str(file))
         yield processes, "plain_plant"
 
 

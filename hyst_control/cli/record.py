@@ -41,8 +41,8 @@ def run(arguments: argparse.Namespace) -> Artifacts | int:
 
     from hyst_control import progress
     from hyst_control.errors import InputError
+    from hyst_control.nodes.execution.run import main
     from hyst_control.nodes.recorder import Recorder
-    from hyst_control.nodes.run import main
     from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.yaml_files import read_yaml
 

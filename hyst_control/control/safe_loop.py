@@ -273,15 +273,13 @@ class SafeLoop:
         """Command (ticks, A) on the way to the safe value, in V, and a feedback of zeros."""
         self._away[:] = True
         self._well = False
-        if self._limits is None:
-            command = self.controller.ramp(self._safe, self.rate, ticks)
-        else:
-            rows = []
-            for _ in range(ticks):
-                if self._limits is not None:
-                    self._move_limits()
-                rows.append(self.controller.ramp(self._safe, self.rate)[0])
-            command = np.array(rows)
+        rows: list[Array] = []
+        while self._limits is not None and len(rows) < ticks:
+            self._move_limits()
+            rows.extend(self.controller.ramp(self._safe, self.rate))
+        if len(rows) < ticks:
+            rows.extend(self.controller.ramp(self._safe, self.rate, ticks - len(rows)))
+        command = np.array(rows)
         return command, np.zeros_like(command)
 
     def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
@@ -327,15 +325,12 @@ class SafeLoop:
         """Closed loop in which axes are stopped, track what is applied, or return."""
         controller = self.controller
         back = running & self._away
-        now = reference[0], measurement[0], feedforward[0]
-        controller.resume(last, *now, back)
+        controller.resume(last, reference[0], measurement[0], feedforward[0], back)
         command, feedback = controller.step(reference, measurement, feedforward)
         self._overflowed = tuple(axis for axis in controller.overflowed if running[axis])
         wanted = command[0].copy()
         led = ~running if controller.description.ki else ~running | back  # without integral action nothing else would lead back
         if led.any():
-            if not controller.description.ki:
-                controller.resume(last, *now, back)
             controller.hold(np.where(led, last, wanted))
             target, rate = np.where(running, wanted, self._safe), np.full(len(last), self.rate)
             if self.applied is not None:

@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from hyst_control.control.command_limits import CommandLimits
 from hyst_control.errors import InputError
 from hyst_control.hardware.driver_thread import Call, DriverThread
-from hyst_control.nodes import interrupts
-from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
-from hyst_control.nodes.common_parameters import TIMER
-from hyst_control.nodes.duration_histogram import Durations
-from hyst_control.nodes.loop_latency import LoopLatency
-from hyst_control.nodes.managed import AUTOSTART, UNCONFIGURED, ManagedNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import LONGEST_WIND_DOWN
-from hyst_control.nodes.signal_ports import Input
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.run import LONGEST_WIND_DOWN
+from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
+from hyst_control.nodes.signal_node.common_parameters import TIMER
+from hyst_control.nodes.signal_node.duration_histogram import Durations
+from hyst_control.nodes.signal_node.loop_latency import LoopLatency
+from hyst_control.nodes.signal_node.managed import AUTOSTART, UNCONFIGURED, ManagedNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.foreign_rows import LARGEST_VALUE
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ class StageNode(ManagedNode):
         self._connected = self._ending = False
         self._cut = threading.Event()  # ends the way to the safe value
         self.begin()
-        self.start_timer(READ_PHASE)
+        self.schedule.start(READ_PHASE)
 
     def connect(self) -> None:
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
@@ -322,12 +322,12 @@ class StageNode(ManagedNode):
     @property
     def _patience(self) -> float:
         """Time in s for which a tick waits for the driver."""
-        return float(max(2.0 * self.tick_timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
+        return float(max(2.0 * self.timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
 
     @property
     def _gone(self) -> bool:
         """True when the driver has not answered for so long that the node ends without it."""
-        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.tick_timer.interval)
+        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.timer.interval)
 
     @property
     def _silence(self) -> str:

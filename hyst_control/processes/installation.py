@@ -169,7 +169,7 @@ def loopback() -> Check:
     remedy = middleware.chosen().remedy
     with own_domain() as domain:
         surroundings = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        command = [sys.executable, "-m", "hyst_control.nodes.loopback_check"]
+        command = [sys.executable, "-m", "hyst_control.nodes.execution.loopback_check"]
         try:
             ended = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=LOOPBACK_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -231,6 +231,22 @@ def test_open_loop_stops_at_a_fault_and_comes_back():
     assert not loop.away and loop.faults.present == ["", ""]
 
 
+def test_what_happens_at_every_tick_and_in_long_blocks_takes_the_short_way(monkeypatch):
+    """A loop that is well is one step of its controller, and a block of a stopped one is one ramp."""
+    loop = made()
+    monkeypatch.setattr(loop, "_running", lambda *_: pytest.fail("the faults of a loop that is well are looked through"))
+    loop.closed(*np.full((3, 1, 2), 1.0))
+    loop.open(np.full((3, 2), 1.0))
+    monkeypatch.undo()
+    ramps = []
+    ramp = loop.controller.ramp
+    monkeypatch.setattr(loop.controller, "ramp", lambda *given: ramps.append(given) or ramp(*given))
+    assert len(loop.open(np.full((1000, 2), 10.0), "stale")[0]) == 1000 and len(ramps) == 1
+    saturated = loop.controller.saturated
+    loop.closed(*np.full((3, 1, 2), 1e6), "stale")
+    assert loop.controller.saturated == saturated, "a stopped controller is asked for nothing"
+
+
 def test_one_axis_in_open_loop_stops_alone_if_told_so():
     """An axis whose controller overflows is stopped; the other goes on with its feedforward."""
     loop = made(stop_all=False)

@@ -85,12 +85,12 @@ class Module:
 
 MODULES: dict[str, Module] = {
     "hyst_control/records/foreign_rows.py": Module(("test/records/test_foreign_rows.py", *ENTRY), "drop"),
-    "hyst_control/nodes/message_io.py": Module(("test/nodes/test_message_io.py",), "drop"),
-    "hyst_control/nodes/signal_ports.py": Module(ENTRY, "drop"),
-    "hyst_control/nodes/watched_signal.py": Module(ENTRY, "drop"),
-    "hyst_control/nodes/recorded_topic.py": Module(ENTRY, "drop"),
-    "hyst_control/nodes/rival_watch.py": Module(ENTRY, "drop"),
-    "hyst_control/nodes/takeover.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/signal_node/message_io.py": Module(("test/nodes/test_message_io.py",), "drop"),
+    "hyst_control/nodes/signal_node/signal_ports.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/signal_node/watched_signal.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/loop/recorded_topic.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/loop/rival_watch.py": Module(ENTRY, "drop"),
+    "hyst_control/nodes/loop/takeover.py": Module(ENTRY, "drop"),
     "hyst_control/records/signal_rows.py": Module(
         ("test/records/test_signal_rows.py", "test/records/test_foreign_rows.py"), "drop"
     ),
@@ -99,7 +99,7 @@ MODULES: dict[str, Module] = {
     "hyst_control/control/safe_loop.py": Module(LOOP, "every"),
     "hyst_control/control/sensor_watch.py": Module(LOOP, "every"),
     "hyst_control/control/command_watchdog.py": Module(("test/control/test_safe_loop.py", "test/nodes/test_actuator.py"), "every"),
-    "hyst_control/nodes/actuator.py": Module(("test/nodes/test_actuator.py",), "every"),
+    "hyst_control/nodes/loop/actuator.py": Module(("test/nodes/test_actuator.py",), "every"),
     "hyst_control/hardware/driver_thread.py": Module(("test/nodes/test_driver_thread.py",), "every"),
     "hyst_control/hardware/stage_node.py": Module(("test/nodes/test_stage_faults.py", "test/nodes/test_hardware.py"), "every"),
     "hyst_control/yaml_files.py": Module(("test/test_yaml_files.py",)),

@@ -19,8 +19,8 @@ from hyst_control.hardware import simulated_converter as simulated
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.model_file import Simulator, load_model, simulate
-from hyst_control.nodes.managed import UNCONFIGURED
 from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.signal_node.managed import UNCONFIGURED
 
 
 def test_limits_are_kept_from_where_the_actuator_is():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from loop_case import recorded
 
-from hyst_control.nodes import interrupts
+from hyst_control.nodes.execution import interrupts
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder

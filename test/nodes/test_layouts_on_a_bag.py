@@ -14,8 +14,8 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import DEFAULT, node_class
-from hyst_control.nodes.run import run
 from hyst_control.records.bag_reader import read_bag
 from hyst_control.records.exporting import export_record
 

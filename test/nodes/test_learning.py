@@ -16,11 +16,11 @@ from hyst_control.control.learning_filter import model_filter
 from hyst_control.control.pi import PI
 from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import run
 from hyst_plant_sim.node import PlantNode
 
 CLASSES = {

@@ -22,8 +22,8 @@ from hyst_control.cli import main
 from hyst_control.config_files import config_folders
 from hyst_control.errors import InputError
 from hyst_control.identify.workflow import identify_bags
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import node_class
-from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 from hyst_control.records.bag_reader import read_bag
 

@@ -14,8 +14,8 @@ from hyst_control.config_files import config_path
 from hyst_control.dashboard.live_state import LiveState
 from hyst_control.nodes.dashboard import ASKED, DashboardNode
 from hyst_control.nodes.identification import Identification
-from hyst_control.nodes.managed import ManagedNode
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
+from hyst_control.nodes.signal_node.managed import ManagedNode
 from hyst_control.processes import environment
 
 SETTINGS = {

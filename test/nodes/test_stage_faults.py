@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from hyst_control.errors import InputError
 from hyst_control.hardware import StageNode, stage_node
-from hyst_control.nodes.managed import UNCONFIGURED
+from hyst_control.nodes.signal_node.managed import UNCONFIGURED
 
 
 def moving(bench, **changes):
