@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rclpy.timer import Timer
 from std_msgs.msg import Int64
 
-from hyst_control.config_files import config_path
-from hyst_control.control.loop import Plant
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import parse_yaml
+from hyst_control.control.feedback.loop import Plant
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
@@ -24,9 +25,8 @@ from hyst_control.nodes.signal_node.message_io import QUEUE
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.nodes.signal_node.timer import LONGEST_GAP
-from hyst_control.records.row_repetition import Standstill
-from hyst_control.records.signal_rows import Wait
-from hyst_control.yaml_files import parse_yaml
+from hyst_control.records.stream.row_repetition import Standstill
+from hyst_control.records.stream.signal_rows import Wait
 
 Array = NDArray[np.float64]
 

@@ -27,26 +27,17 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "records",
     "effects",
     "chain",
-    "yaml_files",
-    "config_files",
-    "files",
-    "foreign_readers",
-    "numba_cache",
-    "parallel",
-    "cluster",
-    "plugins",
-    "progress",
-    "errors",
+    "base",
 )
 ROS_OUTSIDE = {  # processes with nodes that a benchmark compares ours with, or measures
     "evaluation.benchmarks.plain_loop",
     "evaluation.benchmarks.many_axes_nodes",
 }
 ONE_PLACE = {  # what only one module may use, so that there is one way of doing it
-    "concurrent": "hyst_control.parallel",
-    "multiprocessing": "hyst_control.parallel",
-    "tqdm": "hyst_control.progress",
-    "distributed": "hyst_control.cluster",
+    "concurrent": "hyst_control.base.parallel",
+    "multiprocessing": "hyst_control.base.parallel",
+    "tqdm": "hyst_control.base.progress",
+    "distributed": "hyst_control.base.cluster",
 }
 
 

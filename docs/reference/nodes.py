@@ -13,7 +13,7 @@ from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_settings import COMMON as OF_EVERY_SIGNAL
 from hyst_control.nodes.signal_node.signal_settings import signal_settings
 from hyst_control.processes.node_list import NODES, NodeEntry
-from hyst_control.records.excitation import KINDS
+from hyst_control.records.excitation.excitation import KINDS
 
 HEAD = """# Nodes and their parameters
 

@@ -15,7 +15,7 @@ import numpy as np
 import rclpy
 from rclpy.parameter import Parameter
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
 from hyst_plant_sim.node import PlantNode

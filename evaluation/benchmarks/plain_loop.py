@@ -27,8 +27,8 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.pi import PI
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.processes import environment

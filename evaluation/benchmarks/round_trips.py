@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii

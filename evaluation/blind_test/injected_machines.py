@@ -27,7 +27,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 from hyst_plant_sim.physics import bouc_wen_stage, load_plant
 
 ROWS, FILLING, PERIOD = 1600, 400, 200

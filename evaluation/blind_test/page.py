@@ -10,8 +10,8 @@ import numpy as np
 
 from evaluation.blind_test.case import VERDICTS
 from evaluation.blind_test.scores import BY_MACHINE, ERROR, Metric, Result, group_by
+from hyst_control.base.files import write_text
 from hyst_control.effects import EFFECTS
-from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 
 WORST = 12

@@ -26,15 +26,15 @@ from evaluation.blind_test.case_drawing import draw
 from evaluation.blind_test.injected_machines import PLANTS, SCORING, machines_of
 from evaluation.blind_test.injected_plan import planned
 from evaluation.blind_test.scores import ERROR, Result, metrics, score, table, write_results
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import read_json, write_json
+from hyst_control.base.parallel import Workers, map_spawned, outcomes
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
-from hyst_control.files import read_json, write_json
 from hyst_control.model_file import load_model, save_model
-from hyst_control.parallel import Workers, map_spawned, outcomes
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.tables import Table
 
 CONFUSABLE = {

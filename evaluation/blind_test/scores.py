@@ -19,8 +19,8 @@ from scipy.stats import binomtest, mannwhitneyu
 
 from evaluation.blind_test.case import VERDICTS, Case
 from evaluation.blind_test.injected_machines import SIMULATED
+from hyst_control.base.files import write_text
 from hyst_control.diagnose.report.document import sentence
-from hyst_control.files import write_text
 from hyst_control.reporting.tables import Table
 
 ERROR = "error"

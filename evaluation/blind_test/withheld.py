@@ -27,13 +27,13 @@ from evaluation.blind_test.mirror_models import (
 )
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import map_forked
 from hyst_control.records.record import Record
 
 FEW_OPERATORS = 3

@@ -17,7 +17,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 if TYPE_CHECKING:
     from hyst_control.reporting.tables import Table
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> Table:
 
     from evaluation.blind_test.run import Batch
     from evaluation.blind_test.run import run as run_all
-    from hyst_control.parallel import Workers
+    from hyst_control.base.parallel import Workers
 
     given = arguments.workers is not None or arguments.cluster is not None
     if arguments.measured and given:

@@ -78,14 +78,14 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from pathlib import Path
 
     from evaluation.blind_test.run import Batch, make
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
     folder = Path(arguments.output)
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
     if arguments.fleet:
         from evaluation.benchmarks.simulated_fleet import make_fleet
-        from hyst_control import progress
+        from hyst_control.base import progress
 
         units, nights = arguments.fleet
         labels = make_fleet(folder, arguments.seed, units, nights, note=progress.step)
@@ -104,7 +104,7 @@ def _options(arguments: argparse.Namespace) -> dict[str, Any]:
     from evaluation.blind_test.case import EXCITATIONS, KINDS
     from evaluation.blind_test.injected_machines import PLANTS
     from evaluation.blind_test.plant_setups import SETUPS
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
     known = {"plants": tuple(PLANTS if arguments.measured else SETUPS)}
     known |= {} if arguments.measured else {"kinds": KINDS, "excitations": EXCITATIONS}

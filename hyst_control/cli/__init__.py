@@ -26,9 +26,9 @@ from pkgutil import iter_modules
 from types import FrameType, ModuleType
 from typing import cast
 
-from hyst_control import plugins, progress
-from hyst_control.errors import InputError
-from hyst_control.files import check_outputs, check_writable, write_json
+from hyst_control.base import plugins, progress
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import check_outputs, check_writable, write_json
 
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 """Packages that nodes need and pip does not install."""

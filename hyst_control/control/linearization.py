@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
 from hyst_control.chain.linear.linear_stages import (
@@ -20,8 +21,7 @@ from hyst_control.chain.linear.linear_stages import (
     transfer_function_system,
 )
 from hyst_control.chain.stage import Array, Filter
-from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
-from hyst_control.errors import InputError
+from hyst_control.control.feedforward.quasi_static import hysteretic, quasi_static_stages
 from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.control.loop import Plant, run_loop
-from hyst_control.control.pi import PI
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.loop import Plant, run_loop
+from hyst_control.control.feedback.pi import PI
 from hyst_control.control.tuning import Margins, controller_response, margins
-from hyst_control.errors import InputError
-from hyst_control.records.excitation import cosine_ramp, multisine
+from hyst_control.records.excitation.excitation import cosine_ramp, multisine
 
 Complex = NDArray[np.complex128]
 

@@ -19,7 +19,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 32

@@ -6,8 +6,8 @@ import numpy as np
 
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
-from hyst_control.control import pi_c_code
-from hyst_control.control.pi import PI, RunningPI
+from hyst_control.control.feedback import pi_c_code
+from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Feedforward

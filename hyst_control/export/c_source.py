@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, Member
-from hyst_control.errors import InputError
 from hyst_control.export.c_text import c_comment, c_identifier, c_identifiers
 
 REALS = ("double", "float")

@@ -16,14 +16,14 @@ from typing import Protocol
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
 from hyst_control.chain.parameter import Array
-from hyst_control.control import pi_c_code, sensor_watch_c_code
-from hyst_control.control.pi import PI, RunningPI
-from hyst_control.control.safe_loop import OVERFLOW, SafeLoop, Safety
-from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
-from hyst_control.errors import InputError
+from hyst_control.control.feedback import pi_c_code, sensor_watch_c_code
+from hyst_control.control.feedback.pi import PI, RunningPI
+from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
 from hyst_control.export.c_source import Slot
 
 FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)

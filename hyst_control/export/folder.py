@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_text
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
 from hyst_control.export.controller import Controller
 from hyst_control.export.programs import Exported
-from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 
 ROWS = 400

@@ -11,18 +11,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.parameter import Array
-from hyst_control.control.feedforward import RATE_FILTER, Compensator, build_compensator
-from hyst_control.control.pi import PI
-from hyst_control.control.static_gain import Proportional
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import RATE_FILTER, Compensator, build_compensator
+from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
-from hyst_control.yaml_files import read_yaml
 
 
 class Running(Protocol):

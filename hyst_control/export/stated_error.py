@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.command_features import (
@@ -30,7 +31,6 @@ from hyst_control.chain.command_features import (
     features_of_tick,
 )
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 

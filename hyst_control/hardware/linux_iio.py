@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.parameters import Setting

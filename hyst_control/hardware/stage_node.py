@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.hardware.driver_thread import Call, DriverThread
 from hyst_control.nodes.execution import interrupts
 from hyst_control.nodes.execution.run import LONGEST_WIND_DOWN
@@ -24,7 +24,7 @@ from hyst_control.nodes.signal_node.loop_latency import LoopLatency
 from hyst_control.nodes.signal_node.managed import AUTOSTART, UNCONFIGURED, ManagedNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
-from hyst_control.records.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 Array = NDArray[np.float64]
 

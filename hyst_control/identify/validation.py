@@ -8,21 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record
-from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.records.session_zero import SHAPES, without_zero
+from hyst_control.records.stream.clock_alignment import aligned_by_reception
+from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
 from hyst_control.reporting.tables import Table
 
 MOST_MOTIONS = 24

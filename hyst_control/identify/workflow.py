@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import check_writable, write_json
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
-from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.assess.attainable import poorly_explained
 from hyst_control.identify.assess.explained_share import (
@@ -32,12 +32,12 @@ from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Aligned, Record
 from hyst_control.records.record_validity import Trial, check_records, refuse_invalid
-from hyst_control.records.units import refusal_of_unit
+from hyst_control.records.stream.clock_alignment import aligned_by_reception
+from hyst_control.records.tables.units import refusal_of_unit
 
 AUTO = "auto"
 """In place of a family: the best one."""

@@ -30,8 +30,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from hyst_control.base.errors import InputError
 from hyst_control.dashboard.live_state import LiveState, NodeState
-from hyst_control.errors import InputError
 from hyst_control.nodes.execution import interrupts
 from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.execution.run import close, spin

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.diagnose.model_error.baseline import error_on
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.base import SignalNode
@@ -29,9 +29,9 @@ from hyst_control.nodes.signal_node.message_io import Sender
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.actuator_following import APPLIED, FollowingWatch
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder, label_for
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder, label_for
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
-from hyst_control.control.loop import Compensator
-from hyst_control.control.slope_demand import SlopeDemand
-from hyst_control.control.static_gain import Proportional
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.loop import Compensator
+from hyst_control.control.feedback.slope_demand import SlopeDemand
+from hyst_control.control.feedforward.compensator import KINDS, RATE_FILTER, build_compensator
+from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.backend import CompiledFeedforward
 from hyst_control.export.controller import Feedforward as WithC
 from hyst_control.model_file import load_model
@@ -22,7 +22,7 @@ from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.common_parameters import BACKEND, C
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
-from hyst_control.records.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 
 def settings_of(kind: str) -> tuple[Setting, ...]:

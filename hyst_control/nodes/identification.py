@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.identify.families.options import Option
 from hyst_control.identify.workflow import identify_bags

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 
-from hyst_control.control.pi import PI, RunningPI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
-from hyst_control.control.slope_demand import SlopeDemand
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI, RunningPI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import MOTION, MeasurementWatch
+from hyst_control.control.feedback.slope_demand import SlopeDemand
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.loop.rival_watch import RivalWatch
 from hyst_control.nodes.loop.slope_warning import warn_of_slope
@@ -25,7 +25,7 @@ from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.actuator_following import CLOSE
-from hyst_control.records.signal_message import label_for
+from hyst_control.records.stream.signal_message import label_for
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from std_msgs.msg import Int64
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.execution.interrupts import delayed
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.loop.recorded_topic import RecordedTopic
@@ -15,8 +15,8 @@ from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import QUEUE
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks

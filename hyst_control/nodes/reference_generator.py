@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.loop.takeover import DISCOVERY
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.nodes.signal_node.signal_settings import NOT_GIVEN, signal_settings
-from hyst_control.records import excitation
-from hyst_control.records.array_files import read_array
-from hyst_control.records.foreign_rows import LARGEST_VALUE
-from hyst_control.records.row_repetition import KEPT_ROWS
-from hyst_control.records.signal_change import ChangingSignal
-from hyst_control.yaml_files import read_yaml
+from hyst_control.records.excitation import excitation
+from hyst_control.records.excitation.signal_change import ChangingSignal
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.row_repetition import KEPT_ROWS
+from hyst_control.records.tables.array_files import read_array
 
 Array = NDArray[np.float64]
 
@@ -218,7 +218,7 @@ class ReferenceGenerator(SignalNode):
                 f"{self.get_name()}: signal: row {row} is beyond {LARGEST_VALUE:g} {self.unit}: give values in {self.unit}"
             )
         if self.settings.model:
-            from hyst_control.control.reachable_stroke import check_reachable  # these import every stage, and numba
+            from hyst_control.control.feedforward.reachable_stroke import check_reachable  # these import every stage, and numba
             from hyst_control.model_file import load_model
 
             limits = self.settings.limits

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.records.row_store import blocks, mean_square, spread_parts
+from hyst_control.records.stream.row_store import blocks, mean_square, spread_parts
 
 Array = NDArray[np.float64]
 

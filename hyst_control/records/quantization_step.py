@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain.parameter import Array
-from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
 LEVELS = 4
 """Fewest levels of a lattice."""

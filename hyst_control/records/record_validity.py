@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import (
     FEWEST_LINES,
     LONGEST_SEGMENT,

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
 Array = NDArray[np.float64]
 

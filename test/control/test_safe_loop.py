@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.control.command_watchdog import CommandWatchdog
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
-from hyst_control.control.sensor_watch import OUT_OF_RANGE, MeasurementWatch
+from hyst_control.control.feedback.command_limits import CommandLimits
+from hyst_control.control.feedback.command_watchdog import CommandWatchdog
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import OUT_OF_RANGE, MeasurementWatch
 
 PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 1e-2, -5.0, 20.0, 300.0, 100.0, 2.0
 STEP = SLEW * PERIOD * (1 + 1e-9)

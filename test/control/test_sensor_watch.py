@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, TURNED, MeasurementWatch
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, TURNED, MeasurementWatch
 
 
 def faults(measured, commands, frozen_ticks=3, motion=1.0, wanted=None, watch=None):

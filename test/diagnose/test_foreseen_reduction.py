@@ -15,17 +15,17 @@ from evaluation.blind_test.case_records import record_of, run_case
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.blind_test.run import _diagnose_one, _make_one, _realize_one
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.report.predicted_reduction import foresee, own_error_energy
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.learned_discrepancy import learn
 from hyst_control.model_file import save_model, simulate
-from hyst_control.records.importing import write_bag
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.tables.importing import write_bag
 
 pytestmark = pytest.mark.long_file
 

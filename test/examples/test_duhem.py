@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
-from hyst_control.errors import InputError
 from hysteretic_oscillators.stages.duhem import Duhem
 
 STAGE = Duhem(

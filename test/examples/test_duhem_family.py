@@ -6,7 +6,7 @@ import numpy as np
 
 from hyst_control.identify import Dataset, identify
 from hyst_control.model_file import simulate
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 from hyst_plant_sim.physics import load_plant
 
 SAMPLE_TIME, TOP = 5e-5, 100.0

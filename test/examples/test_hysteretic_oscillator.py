@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.stage import Sampling, Stage
-from hyst_control.errors import InputError
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from exported_folder import compared, export, fuzzed, make
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import KINDS
+from hyst_control.control.feedforward.compensator import KINDS
 
 pytestmark = pytest.mark.long_file
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.hysteresis.madelung import Madelung
@@ -20,7 +21,6 @@ from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import Rate
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
-from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Fit, estimator_of, estimators, identify
 from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.model_file import Model, load_model, save_model, simulate

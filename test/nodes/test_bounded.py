@@ -21,8 +21,8 @@ from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.signal_node import lockstep, node_diagnostics, signal_ports
 from hyst_control.nodes.signal_node.signal_ports import REPEATED_ROWS, Output
-from hyst_control.records.foreign_rows import LARGEST_VALUE
-from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3

@@ -12,8 +12,8 @@ import yaml
 from loop_case import recorded
 from scipy.special import betainc
 
-from hyst_control.config_files import config_folders, config_path
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_folders, config_path
+from hyst_control.base.errors import InputError
 
 
 def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):

@@ -17,15 +17,15 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from hyst_control.config_files import config_folders
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_folders
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.signal_node.message_io import QUEUE, to_message
 from hyst_control.processes.node_processes import Processes
-from hyst_control.records.row_repetition import REPEAT_INTERVAL
+from hyst_control.records.stream.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 

@@ -12,8 +12,8 @@ from loop_case import MODEL
 from stage_bed import LOWER, PERIOD, RATE, SAFE, SETTINGS, UPPER, Bed, Drive, change, failed_calls
 from std_srvs.srv import Trigger
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.hardware import physik_instrumente
 from hyst_control.hardware import simulated_converter as simulated
 from hyst_control.hardware.linux_iio import IioStage

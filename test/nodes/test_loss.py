@@ -14,7 +14,7 @@ from hyst_control.nodes.execution import interrupts
 from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.records.signal_rows import GAP_PATIENCE
+from hyst_control.records.stream.signal_rows import GAP_PATIENCE
 
 PERIOD = 1e-3
 LISTENERS = [

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from rclpy.parameter import Parameter
 
-from hyst_control.config_files import config_folders, config_path
+from hyst_control.base.config_files import config_folders, config_path
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.hardware.simulated_converter import SimulatedStage
@@ -24,7 +24,7 @@ from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
 from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.processes import node_list
-from hyst_control.records.excitation import KINDS
+from hyst_control.records.excitation.excitation import KINDS
 from hyst_plant_sim.node import PlantNode
 
 NODES = {

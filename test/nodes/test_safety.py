@@ -12,7 +12,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from hyst_control.control.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
+from hyst_control.control.feedback.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
 from hyst_control.nodes.execution.run import spin
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback

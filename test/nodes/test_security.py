@@ -10,7 +10,7 @@ import xml.etree.ElementTree as tree
 import pytest
 from loop_case import MODEL
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.dashboard.live_state import LiveState
 from hyst_control.nodes.dashboard import ASKED, DashboardNode
 from hyst_control.nodes.identification import Identification

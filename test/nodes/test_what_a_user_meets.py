@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from scipy.special import betainc
 from std_srvs.srv import Trigger
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes.execution import command_line
 from hyst_control.nodes.execution.ending_node import EndingNode
@@ -31,7 +31,7 @@ from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.nodes.signal_node.node_diagnostics import NodeHealth, StateLog
 from hyst_control.processes import executables
 from hyst_control.processes.node_list import NODES
-from hyst_control.records.signal_rows import Wait
+from hyst_control.records.stream.signal_rows import Wait
 from hyst_plant_sim.node import PlantNode
 
 RATE = 1000.0

@@ -13,14 +13,14 @@ import zstandard
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.decompression import Budget, Damage, decompress
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.decompression import Budget, Damage, decompress
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.stream.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.tables.importing import write_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 STORE = get_typestore(Stores.ROS2_JAZZY)

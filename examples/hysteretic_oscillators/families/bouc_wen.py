@@ -8,13 +8,13 @@ from itertools import product
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import NUMBER, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.solve.simulation_error import Solution
-from hyst_control.parallel import map_forked
 from hysteretic_oscillators.families.oscillator_fit import AxisFit, Linear, assemble, problem_of
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 

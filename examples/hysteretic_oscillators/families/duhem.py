@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
@@ -28,7 +29,6 @@ from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.solve.stable_dynamics import Structure
-from hyst_control.parallel import map_forked
 from hysteretic_oscillators.stages.duhem import Duhem
 
 NAMES = tuple(declared(Duhem))

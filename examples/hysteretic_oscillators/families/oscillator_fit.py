@@ -24,7 +24,7 @@ from hyst_control.identify.mhl.madelung import mean_offset
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
-from hyst_control.records.row_store import blocks, spread_parts
+from hyst_control.records.stream.row_store import blocks, spread_parts
 from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
 
 SELECTION_ROWS = 200_000

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Scattering, VectorPerAxis, vector
 from hyst_control.chain.stage import depth, per_axis, register
-from hyst_control.errors import InputError
 from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, Law
 
 

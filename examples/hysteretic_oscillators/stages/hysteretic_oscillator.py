@@ -14,11 +14,11 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
-from hyst_control.errors import InputError
 
 RESOLUTION = 0.05
 """Longest step of the integration, in units of the fastest time constant of the linear part: its error is then that of the

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import Finding, Trial, check_records

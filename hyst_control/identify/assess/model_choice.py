@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from hyst_control import progress
-from hyst_control.errors import InputError
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.identify.data.dataset import Fit, TriedRow
 
 AS_GOOD = 0.01

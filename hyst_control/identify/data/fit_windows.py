@@ -13,7 +13,7 @@ from hyst_control.identify.data.record_segmentation import REST_TIME, resting_st
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import rounding_weights
-from hyst_control.records.row_store import column, empty_rows, first_row, total_variation
+from hyst_control.records.stream.row_store import column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""

@@ -19,7 +19,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Beginning, BeginningRow, Dataset
 from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
-from hyst_control.records.row_store import all_finite, total_variation
+from hyst_control.records.stream.row_store import all_finite, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""

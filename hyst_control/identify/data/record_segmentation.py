@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.reversal_points import turning_points
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 REST_TIME = 5e-3
 """A command that holds still for this long (s) rests."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 
 def turning_points(command: Array) -> Array:

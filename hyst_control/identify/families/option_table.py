@@ -9,8 +9,8 @@ import re
 import sys
 from pathlib import Path
 
-from hyst_control.errors import InputError
-from hyst_control.files import write_text
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_text
 from hyst_control.identify.families.estimator import estimators, every_option
 from hyst_control.identify.families.options import TRUTH, Option
 

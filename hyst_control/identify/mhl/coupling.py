@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, ParameterRow
 from hyst_control.identify.data.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import map_forked
-from hyst_control.records.row_store import blocks as row_blocks
-from hyst_control.records.row_store import empty_rows
+from hyst_control.records.stream.row_store import blocks as row_blocks
+from hyst_control.records.stream.row_store import empty_rows
 
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""

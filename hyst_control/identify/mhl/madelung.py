@@ -12,11 +12,11 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalars
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
@@ -27,7 +27,7 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends, curve_errors
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
 from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 NEAR = 0.05
 """Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""

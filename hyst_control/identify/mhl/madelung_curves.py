@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.data.dataset import ParameterRow
 
 LEAST_SLOPE = 5e-3

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
@@ -42,7 +43,6 @@ from hyst_control.identify.solve.simulation_error import (
 )
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
-from hyst_control.parallel import map_forked
 
 T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000

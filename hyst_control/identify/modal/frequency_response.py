@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 
 EXCITED = 1e-3
 """A line is excited when the command's power there exceeds this fraction of the mean power per line."""

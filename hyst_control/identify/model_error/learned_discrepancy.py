@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import eigh
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import Array, CommandFeatures, rate_quantile
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
-from hyst_control.records.row_store import mean_square, spread_parts
 from hyst_control.records.session_zero import basis, usual_zero, without_zero, zero_of
+from hyst_control.records.stream.row_store import mean_square, spread_parts
 
 SIZES = np.geomspace(0.01, 0.5, 15)
 """Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.data.excited_band import lowest_frequency
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
-from hyst_control.records.row_store import spread_parts
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.stream.row_store import spread_parts
 
 BANDS = 6
 """Bands an octave."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
@@ -21,8 +22,7 @@ from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit
 from hyst_control.identify.solve.gram_sums import Operators, Window
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
-from hyst_control.parallel import map_forked
-from hyst_control.records.row_store import largest_change, largest_size
+from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
 LEAST_FOR_LOADING = 6

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.data.record_segmentation import Stretch, select_stretches

@@ -17,7 +17,7 @@ from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Discretised
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.solve.stable_dynamics import Structure
-from hyst_control.records import row_store
+from hyst_control.records.stream import row_store
 
 BLOCK = 4096
 MOST_BLOCKS = 2048

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.parameters import Setting, nearest
 
 WIDTH = 100

@@ -14,7 +14,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.parameters import Setting
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from hyst_control.parallel import WaitingThread
+from hyst_control.base.parallel import WaitingThread
 from hyst_control.processes.environment import LIFELINE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)

@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.execution import command_line, interrupts
 from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.execution.exit_watchdog import exit_within

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.control.command_watchdog import CommandWatchdog
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
+from hyst_control.control.feedback.command_watchdog import CommandWatchdog
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED, INTERVAL

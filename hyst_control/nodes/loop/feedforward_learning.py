@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.control.feedback_error_learning import FeedbackErrorLearning, RunningFeedbackErrorLearning
-from hyst_control.control.iterative_learning import IterativeLearning, RunningIterativeLearning
-from hyst_control.control.learning import Learner, Played
-from hyst_control.control.learning_filter import model_filter
-from hyst_control.errors import InputError
+from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning, RunningFeedbackErrorLearning
+from hyst_control.control.learning.iterative_learning import IterativeLearning, RunningIterativeLearning
+from hyst_control.control.learning.learning_filter import model_filter
+from hyst_control.control.learning.learning_loop import Learner, Played
 from hyst_control.model_file import load_model
 from hyst_control.nodes.signal_node.parameters import Setting
 

@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.base import SignalNode
-from hyst_control.records.foreign_rows import OFF_THE_CLOCK, off_the_clock
-from hyst_control.records.signal_message import Encoder
-from hyst_control.records.signal_rows import Missing, Receipt, successive_parts
+from hyst_control.records.stream.foreign_rows import OFF_THE_CLOCK, off_the_clock
+from hyst_control.records.stream.signal_message import Encoder
+from hyst_control.records.stream.signal_rows import Missing, Receipt, successive_parts
 
 Array = NDArray[np.float64]
 

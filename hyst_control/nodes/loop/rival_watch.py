@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import PolledSubscription
 from hyst_control.nodes.signal_node.signal_ports import Output
-from hyst_control.records.foreign_rows import Refusal, admit
+from hyst_control.records.stream.foreign_rows import Refusal, admit
 
 Array = NDArray[np.float64]
 

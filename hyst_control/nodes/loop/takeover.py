@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.foreign_rows import Refusal, admit
-from hyst_control.records.row_repetition import SentRows
-from hyst_control.records.signal_message import label_for
+from hyst_control.records.stream.foreign_rows import Refusal, admit
+from hyst_control.records.stream.row_repetition import SentRows
+from hyst_control.records.stream.signal_message import label_for
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from hyst_control.nodes.signal_node.parameters import Setting, declare
 from hyst_control.nodes.signal_node.signal_ports import Input, Output
 from hyst_control.nodes.signal_node.timer import Timer
 from hyst_control.processes.realtime_scheduling import set_scheduler
-from hyst_control.records.signal_message import label_for
-from hyst_control.records.signal_rows import Missing, SignalRows, Wait
+from hyst_control.records.stream.signal_message import label_for
+from hyst_control.records.stream.signal_rows import Missing, SignalRows, Wait
 
 
 class SignalNode(EndingNode):

@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from hyst_control.nodes.signal_node.signal_ports import Input, Schedule
-from hyst_control.records.signal_rows import Missing, Receipt, Wait, waits
+from hyst_control.records.stream.signal_rows import Missing, Receipt, Wait, waits
 
 
 class Lockstep(Schedule):

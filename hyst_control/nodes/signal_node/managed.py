@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleNodeMixin
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting
 

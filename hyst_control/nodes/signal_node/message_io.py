@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from hyst_control.records.signal_message import ROW_LABEL, Decoder, Encoder
+from hyst_control.records.stream.signal_message import ROW_LABEL, Decoder, Encoder
 
 Array = NDArray[np.float64]
 

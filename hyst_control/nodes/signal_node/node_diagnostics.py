@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.time import Time
 
-from hyst_control.records.signal_rows import Wait
+from hyst_control.records.stream.signal_rows import Wait
 
 DIAGNOSTICS_INTERVAL = 1.0  # s
 LOG_INTERVAL = 5.0  # s, between two log lines with the same key

@@ -13,7 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 MIDDLEWARE = "qos_overrides."
 """Beginning of parameters that belong to a publisher or subscription."""

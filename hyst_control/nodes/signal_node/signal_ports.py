@@ -15,9 +15,9 @@ from rclpy.timer import Timer
 
 from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
 from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics
-from hyst_control.records.foreign_rows import Refusal, admit
-from hyst_control.records.row_repetition import SentRows
-from hyst_control.records.signal_rows import Receipt, SignalRows, Wait
+from hyst_control.records.stream.foreign_rows import Refusal, admit
+from hyst_control.records.stream.row_repetition import SentRows
+from hyst_control.records.stream.signal_rows import Receipt, SignalRows, Wait
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.parameters import Setting
-from hyst_control.records.excitation import KINDS
-from hyst_control.records.foreign_rows import LARGEST_VALUE
+from hyst_control.records.excitation.excitation import KINDS
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 NOT_GIVEN = ""
 """Value of a parameter that was not given; the signal says whether it needs it."""

@@ -15,7 +15,7 @@ from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.nodes.signal_node.message_io import LOOK_INTERVAL
 from hyst_control.nodes.signal_node.signal_ports import Input, Schedule, ScheduledNode
 from hyst_control.nodes.signal_node.source_clocks import CLOCK_REMEDY, SourceClocks, describe
-from hyst_control.records.signal_rows import Missing, Receipt
+from hyst_control.records.stream.signal_rows import Missing, Receipt
 
 LONGEST_GAP = 1.0  # s, of missed ticks that are caught up
 MISSED_SHARE = 0.01

@@ -13,10 +13,10 @@ from evaluation.blind_test.case import Case, Label, as_document
 from evaluation.blind_test.mirror_models import oscillating, uncoupled, without_states
 from evaluation.blind_test.scores import metrics, score
 from evaluation.blind_test.withheld import drawn, made
+from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.cli import main
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.errors import InputError
 
 pytestmark = pytest.mark.long_file
 

@@ -11,7 +11,7 @@ import pytest
 
 from evaluation.blind_test.run import Batch, diagnose_all, make
 from evaluation.blind_test.scores import wilson
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 pytestmark = pytest.mark.long_file
 

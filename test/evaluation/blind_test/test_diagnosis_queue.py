@@ -12,7 +12,7 @@ SCRIPT = """
 import sys, time
 from pathlib import Path
 from evaluation.blind_test import run
-from hyst_control.parallel import Workers
+from hyst_control.base.parallel import Workers
 
 def diagnose(job):
     place, report, _ = job

@@ -16,9 +16,9 @@ from evaluation.blind_test.page import write_page
 from evaluation.blind_test.run import Batch, diagnose_all, make
 from evaluation.blind_test.scores import ERROR, Result, metrics, score
 from evaluation.reproduction.measured_data import data_folder
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 STEP = 1e-3
 TIME = STEP * np.arange(2000)
