@@ -23,27 +23,7 @@ LOOK_AGAIN = 3.0
 
 @contextmanager
 def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, Callable[[], int]]]:
-    """Connect to a Dask scheduler, or start one.
-
-    Parameters
-    ----------
-    address
-        `tcp://HOST:PORT` of a scheduler, the path of its scheduler file, or "local" to start one on this computer.
-    count
-        Worker processes of a local one.
-
-    Yields
-    ------
-    executor
-        A `concurrent.futures.Executor`.
-    slots : callable
-        Returns how many jobs the cluster computes at the same time; workers may join it and leave it.
-
-    Raises
-    ------
-    InputError
-        distributed is not installed, or no scheduler answers.
-    """
+    """Connect to a Dask scheduler, or start one."""
     try:
         from distributed import Client, LocalCluster
     except ModuleNotFoundError:

@@ -39,20 +39,8 @@ def check_writable(path: str | Path) -> None:
 
 
 def check_outputs(outputs: Mapping[str, str | Path | None], inputs: Iterable[str | Path | None] = ()) -> None:
-    """Refuse outputs that would destroy what is read, or each other, before anything is computed.
-
-    Parameters
-    ----------
-    outputs
-        By the option's name; None and "-" (the standard output) are left out.
-    inputs
-        What is read: files and folders. What does not exist is left out.
-
-    Raises
-    ------
-    InputError
-        Where an output is an input or lies within one, or two outputs are the same file.
-    """
+    """Refuse outputs that would destroy what is read, or each other, before anything is computed."""
+    # inputs: what is read: files and folders. What does not exist is left out
     read = [Path(path) for path in inputs if path is not None and os.path.lexists(path)]
     named: dict[Path, str] = {}
     for name, path in outputs.items():

@@ -15,18 +15,6 @@ def foreign_reader(where: str | Path, what: str, remedy: str) -> Iterator[None]:
 
     Readers of other formats show damage as anything: a bad length is a `MemoryError`, a bad type an `AttributeError`, and decompressors
     have exceptions of their own. Only what is no `Exception` (an interrupt) passes.
-
-    Parameters
-    ----------
-    where, what
-        The file, and the format that it should have ("a NumPy file").
-    remedy
-        End of the line, an imperative.
-
-    Raises
-    ------
-    InputError
-        The only exception that leaves.
     """
     try:
         yield

@@ -53,27 +53,7 @@ def compute_serially() -> None:
 
 @contextmanager
 def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
-    """Provide worker processes for independent pieces of a computation.
-
-    Parameters
-    ----------
-    workers
-        Number of processes.
-    start
-        "spawn" for fresh interpreters, or "fork" for copies of this process, which begin at once and share its memory.
-    serial
-        Compute serially in `map_forked` and `map_spawned` within a worker.
-
-    Yields
-    ------
-    Executor
-        Executor, which is shut down at the end of the context.
-
-    Raises
-    ------
-    WorkerLost
-        A worker was killed before its work was done.
-    """
+    """Provide worker processes for independent pieces of a computation."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
     try:
@@ -106,23 +86,6 @@ def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
     """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
 
     Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
-
-    Parameters
-    ----------
-    work
-        Any function, also a closure over large arrays; its results are pickled.
-    count
-        Number of pieces.
-
-    Yields
-    ------
-    Result
-        Results in order.
-
-    Raises
-    ------
-    WorkerLost
-        A worker was killed before its work was done.
     """
     global _work
     workers = min(cores(), count)
@@ -139,25 +102,7 @@ def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
 
 
 def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes.
-
-    Parameters
-    ----------
-    work
-        A function of a module, which can be pickled.
-    jobs
-        Its arguments, pickled one by one.
-
-    Yields
-    ------
-    Result
-        Results in order.
-
-    Raises
-    ------
-    WorkerLost
-        A worker was killed before its work was done; the results before have been returned.
-    """
+    """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes."""
     workers = min(cores(), len(jobs))
     if _serial or workers < 2:
         yield from map(work, jobs)
@@ -172,17 +117,10 @@ def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[
 
 @dataclass(frozen=True)
 class Workers:
-    """Place where many independent jobs are computed.
+    """Place where many independent jobs are computed."""
 
-    Parameters
-    ----------
-    count
-        Processes of this computer; None: one a core.
-    cluster
-        Address of a Dask scheduler, path of its scheduler file, or "local"; None: processes of this computer, without Dask.
-    """
-
-    count: int | None = None
+    count: int | None = None  # Processes of this computer; None: one a core
+    # Address of a Dask scheduler, path of its scheduler file, or "local"; None: processes of this computer, without Dask
     cluster: str | None = None
 
     def __post_init__(self) -> None:
@@ -205,21 +143,11 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome(Generic[Job, Result]):
-    """End of a job.
+    """End of a job."""
 
-    Parameters
-    ----------
-    job
-        The job.
-    result
-        Its result; None where it failed.
-    reason
-        Why it failed; "" where it did not.
-    """
-
-    job: Job
-    result: Result | None
-    reason: str = ""
+    job: Job  # The job
+    result: Result | None  # Its result; None where it failed
+    reason: str = ""  # Why it failed; "" where it did not
 
 
 ATTEMPTS = 2
@@ -236,27 +164,6 @@ def outcomes(work: Callable[[Job], Result], jobs: Iterable[Job], workers: Worker
     A job that fails is tried once more. Where a worker is killed, nobody knows by which of the jobs under way: they are computed
     one at a time until the guilty one is found, on a cluster when the others are done. Where a cluster's scheduler is lost, it is
     looked for again.
-
-    Parameters
-    ----------
-    work
-        A function of a module, which can be pickled.
-    jobs
-        Its arguments; drawn as they are needed.
-    workers
-        Where they are computed.
-
-    Yields
-    ------
-    Outcome
-        Result or reason of a job.
-
-    Raises
-    ------
-    WorkerLost
-        Workers cannot be kept running, or the scheduler does not come back.
-    InputError
-        No scheduler answers at the begin.
     """
     source = iter(jobs)
     again: deque[tuple[Job, int]] = deque()

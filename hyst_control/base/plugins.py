@@ -20,16 +20,9 @@ Item = TypeVar("Item")
 
 
 def load(group: str, add: Callable[[str, object], object] = lambda name, value: None) -> None:
-    """Import every plugin of a group; a log line of level WARNING names the distribution of each that is unusable.
-
-    Parameters
-    ----------
-    group
-        One of `GROUPS`.
-    add
-        Called with the name and the value of each; an exception makes the plugin unusable. By default a plugin is only imported: its
-        module registers itself.
-    """
+    """Import every plugin of a group; a log line of level WARNING names the distribution of each that is unusable."""
+    # add: called with the name and the value of each; an exception makes the plugin unusable. By default a plugin is only imported:
+    # its module registers itself
     assert group in GROUPS
     for point in sorted(entry_points(group=f"hyst_control.{group}"), key=lambda point: point.name):
         try:
@@ -48,19 +41,6 @@ class Registry(MutableMapping[str, Item]):
     """Members of one group by name: those of this package, and those of plugins, which are imported at the first lookup.
 
     They are not imported earlier, since a plugin's modules import this package.
-
-    Parameters
-    ----------
-    group
-        One of `GROUPS`.
-    expected
-        Description of a member, for the message on a plugin that is not one.
-    fits
-        Test of a plugin's name and value: True if it is a member.
-    own
-        Members of this package.
-    order
-        Sorting key of a member; without one they are in the order of registration.
     """
 
     def __init__(

@@ -19,15 +19,7 @@ class Bar(Protocol):
     """The part of a tqdm bar that is used here."""
 
     def set_description_str(self, desc: str | None = None, refresh: bool | None = True) -> None:
-        """Set the text behind the elapsed time.
-
-        Parameters
-        ----------
-        desc
-            The text.
-        refresh
-            Draw the line at once.
-        """
+        """Set the text behind the elapsed time."""
 
     def update(self) -> bool | None:
         """Count one step."""
@@ -45,18 +37,7 @@ _within = ""
 
 @contextmanager
 def shown(wanted: bool = True) -> Iterator[None]:
-    """Show the steps on the standard error while the context lasts, if that is a terminal.
-
-    Parameters
-    ----------
-    wanted
-        False to show nothing.
-
-    Yields
-    ------
-    None
-        Nothing.
-    """
+    """Show the steps on the standard error while the context lasts, if that is a terminal."""
     global _bar
     if not wanted or not sys.stderr.isatty():
         yield
@@ -101,13 +82,7 @@ def _tick(number: int, frame: FrameType | None) -> None:
 
 
 def step(text: str) -> None:
-    """Show the next step.
-
-    Parameters
-    ----------
-    text
-        A few words in the imperative, such as "read bag".
-    """
+    """Show the next step."""
     if _bar is not None:
         _arm()
         _bar.set_description_str(": ".join(filter(None, [_within, text])), refresh=False)
@@ -120,16 +95,6 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
     """Provide a `step` for work of several parts, which are counted.
 
     The steps within a part are shown behind it: "3/8 identify HAMPI: read".
-
-    Parameters
-    ----------
-    total
-        Number of parts.
-
-    Yields
-    ------
-    Callable[[str], None]
-        Function that shows the next part.
     """
     global _within
     count = 0

@@ -35,25 +35,7 @@ EXPONENT = ("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][
 
 
 def read_yaml(path: str | Path, remedy: str = "give the path of a YAML file") -> Any:
-    """Content of a YAML file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    remedy
-        End of the error's line where there is no such file or it is no text.
-
-    Returns
-    -------
-    Any
-        Mappings, lists, texts, numbers, truth values and dates, as the text has them.
-
-    Raises
-    ------
-    InputError
-        Naming file and line.
-    """
+    """Content of a YAML file."""
     try:
         with open(path, "rb") as file:
             data = file.read(MOST_BYTES + 1)

@@ -87,27 +87,7 @@ def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
 
 
 def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
-    """Bounds of an excitation for a truth plant.
-
-    Parameters
-    ----------
-    name : str
-        Name in config/plants, or file.
-    unit : str
-        Unit of the excitation, which must be V.
-
-    Returns
-    -------
-    limits : dict of str to float
-        `lower` and `upper` in V, and `slew_limit` in V/s if the plant has one.
-    axes : int
-        Number of axes of the plant.
-
-    Raises
-    ------
-    InputError
-        For another unit, and for a plant that cannot be read.
-    """
+    """Bounds of an excitation for a truth plant."""
     from hyst_control.base.errors import InputError
     from hyst_plant_sim.physics import PlantError, load_plant
 

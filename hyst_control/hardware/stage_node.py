@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,13 +53,6 @@ class StageNode(ManagedNode):
     the feedback goes to its safe value when measurements stay away. After `failures` in a row the node goes to `safe_command` itself,
     as long as `write` works, disconnects, and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
     With `failures` 0 it never does. While one does not return, the node says so and calls nothing else of the device.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node; default: `NAME`.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     NAME = "stage"
@@ -111,33 +104,15 @@ class StageNode(ManagedNode):
         return self._actuator.watchdog.applied
 
     def read(self) -> ArrayLike | None:
-        """Read the sensor.
-
-        Returns
-        -------
-        array_like, shape (A,), or None
-            Measurement of the present moment in the node's `unit`, one value per axis; None when the device has no new one.
-        """
+        """Read the sensor."""
         raise NotImplementedError(f"{type(self).__name__} has no read()")
 
-    def write(self, command: Array) -> None:
-        """Write a voltage to the converter.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,)
-            Voltage of each axis, V; held until the next call.
-        """
+    def write(self, command: Annotated[Array, "A"]) -> None:
+        """Write a voltage to the converter."""
         raise NotImplementedError(f"{type(self).__name__} has no write()")
 
     def configure(self) -> None:
-        """Connect, start from the voltage that the actuator has, and read once.
-
-        Raises
-        ------
-        InputError
-            When the device does not answer, or gives a voltage or a measurement that cannot be one.
-        """
+        """Connect, start from the voltage that the actuator has, and read once."""
         if not self._driver.ended(LONGEST_ANSWER):
             raise InputError(self._silence or "is still on the way to its safe command: try again")
         self._driver = DriverThread()

@@ -158,18 +158,9 @@ NAMES = {
 
 
 def check_records(trials: Sequence[Trial]) -> list[Finding]:
-    """Everything that shows records to be no measurement of their commands, or of several plants.
-
-    Parameters
-    ----------
-    trials
-        Stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors only.
-
-    Returns
-    -------
-    list of Finding
-        Empty where nothing is found: then the records may still be unusable, but not for one of these reasons.
-    """
+    """Everything that shows records to be no measurement of their commands, or of several plants."""
+    # trials: stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors
+    # only
     found: list[Finding] = []
     sound: list[Trial] = []
     for trial in trials:

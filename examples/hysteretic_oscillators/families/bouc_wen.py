@@ -27,20 +27,13 @@ TRIAL_PASSES, PASSES, FINAL_PASSES = 6, 40, 12
 
 @dataclass(frozen=True)
 class BoucWenOptions(Options):
-    """Options of a fit of a Bouc-Wen oscillator.
+    """Options of a fit of a Bouc-Wen oscillator."""
 
-    Parameters
-    ----------
-    exponent
-        Sharpness of the bend; None: estimated.
-    nuisance
-        Offset or drift that each record may add.
-    """
-
+    # Sharpness of the bend; None: estimated
     exponent: float | None = option(
         None, NUMBER, "exponent of the hysteretic force, where it is not to be estimated", lower=1.0, upper=50.0
     )
-    nuisance: str = nuisance_option("offset")
+    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
 
 
 @dataclass(frozen=True)
@@ -48,14 +41,9 @@ class Formula:
     """Bouc-Wen's law as parameters of order one.
 
     They are alpha's share of the stiffness for small motions, beta and gamma in units of one over travel and force, and exponent - 1.
-
-    Parameters
-    ----------
-    exponent
-        The exponent; None: a parameter.
     """
 
-    exponent: float | None
+    exponent: float | None  # The exponent; None: a parameter
 
     @property
     def size(self) -> int:
@@ -74,20 +62,7 @@ class Formula:
         return np.array([LEAST_SHARE, LEAST_SHARE - 1.0, *np.zeros(self.size - 2)])
 
     def stage(self, linear: Linear, vector: Array) -> BoucWen:
-        """Construct the stage of one axis.
-
-        Parameters
-        ----------
-        linear
-            The oscillator for small motions.
-        vector
-            Parameters (size,).
-
-        Returns
-        -------
-        BoucWen
-            The stage.
-        """
+        """Construct the stage of one axis."""
         mass, damping = linear.mechanics
         alpha = float(vector[0]) * linear.stiffness
         exponent = self.exponent if self.exponent is not None else 1.0 + max(float(vector[3]), 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -47,46 +48,23 @@ PER_DECADE = 2
 
 @dataclass(frozen=True)
 class DuhemOptions(Options):
-    """Options of a fit of Duhem hysteresis.
+    """Options of a fit of Duhem hysteresis."""
 
-    Parameters
-    ----------
-    nuisance
-        Offset or drift that each record may add.
-    structure
-        Factors of G(s); None: chosen on held-out stretches.
-    creep
-        Creep operators; None: chosen on held-out stretches.
-    """
-
-    nuisance: str = nuisance_option("linear")
-    structure: Structure | None = structure_option()
+    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
+    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
+    # Creep operators; None: chosen on held-out stretches
     creep: bool | None = option(None, TRUTH, "creep operators, where they are not to be chosen on held-out data")
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Model of one axis as a parameter vector (P,) of order one: hysteresis (6), shares of the creep operators, dynamics with delay.
+    """Model of one axis as a parameter vector (P,) of order one: hysteresis (6), shares of the creep operators, dynamics with delay."""
 
-    Parameters
-    ----------
-    slope
-        Mean slope, with the response's sign (measurement unit / V).
-    drive
-        Range of the command, V.
-    times
-        Time constants (K,) of the creep operators, s.
-    structure
-        Factors of G(s).
-    sample_time
-        Sample time, s.
-    """
-
-    slope: float
-    drive: float
-    times: tuple[float, ...]
-    structure: Structure
-    sample_time: float
+    slope: float  # Mean slope, with the response's sign (measurement unit / V)
+    drive: float  # Range of the command, V
+    times: tuple[float, ...]  # Time constants (K,) of the creep operators, s
+    structure: Structure  # Factors of G(s)
+    sample_time: float  # Sample time, s
 
     @property
     def size(self) -> int:
@@ -169,20 +147,7 @@ class DuhemHysteresis(Estimator[DuhemOptions]):
 
 
 def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
-    """Identify one axis.
-
-    Parameters
-    ----------
-    windows
-        Its records.
-    options
-        Options of the fit.
-
-    Returns
-    -------
-    AxisFit
-        The fit.
-    """
+    """Identify one axis."""
     moving = [window for window in windows if np.ptp(window.command)]
     slope = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in moving)
     drive = max(float(np.ptp(window.command)) for window in moving)
@@ -211,17 +176,7 @@ def creep_times(windows: Sequence[Window]) -> tuple[float, ...]:
 
 
 def grown(windows: Sequence[Window], axis: Axis, best: Solution, options: DuhemOptions) -> tuple[Axis, Solution]:
-    """Add creep operators and factors of G(s) as long as the held-out error falls.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    axis, best
-        Hysteresis without either, and its fit.
-    options
-        Options of the fit, which may name either.
-    """
+    """Add creep operators and factors of G(s) as long as the held-out error falls."""
     creep = creep_times(windows)
     if options.structure is not None or options.creep:
         axis, best = extended(windows, axis, best, [(creep if options.creep else (), options.structure or Structure())], options)
@@ -246,19 +201,7 @@ def extended(
     trials: Sequence[tuple[tuple[float, ...], Structure]],
     options: DuhemOptions,
 ) -> tuple[Axis, Solution]:
-    """Fit richer models from the parameters of the poorer one, on all cores, and return the one with the least held-out error.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    axis, best
-        The poorer model, and its fit.
-    trials
-        Time constants of the creep operators and structure of G(s) of every richer model.
-    options
-        Options of the fit.
-    """
+    """Fit richer models from the parameters of the poorer one, on all cores, and return the one with the least held-out error."""
     core, shares, dynamics = axis.split(best.parameters)
     frequencies = [f for f in (200.0, 1000.0, 4000.0) if f < 0.4 / axis.sample_time] or [0.2 / axis.sample_time]
     begin = []
@@ -277,16 +220,8 @@ def extended(
     return begin[least][0], solutions[least]
 
 
-def values(axis: Axis, vector: Array) -> Array:
-    """Physical parameters of one axis, in the order of `names`.
-
-    Parameters
-    ----------
-    axis
-        Model of the axis.
-    vector
-        Its parameters (P,).
-    """
+def values(axis: Axis, vector: Annotated[Array, "P"]) -> Array:
+    """Physical parameters of one axis, in the order of `names`."""
     _, shares, dynamics = axis.split(vector)
     num, den = axis.structure.rational(dynamics)
     rational = np.concatenate([num, den[1:]]) if len(den) > 1 else np.zeros(0)
@@ -295,30 +230,14 @@ def values(axis: Axis, vector: Array) -> Array:
 
 
 def names(axis: Axis) -> list[str]:
-    """Names of the physical parameters of one axis.
-
-    Parameters
-    ----------
-    axis
-        Model of the axis.
-    """
+    """Names of the physical parameters of one axis."""
     num, den = axis.structure.rational(axis.structure.start(1.0))
     rational = [f"num[{i}]" for i in range(len(num))] + [f"den[{i}]" for i in range(1, len(den))] if len(den) > 1 else []
     return [*NAMES, *(f"shares[{i}]" for i in range(len(axis.times))), *["tau"] * axis.structure.delay, *rational]
 
 
 def parameter_rows(fit: AxisFit, data: Dataset, name: str) -> list[ParameterRow]:
-    """Report rows of one axis, with errors that follow from the covariance of the search.
-
-    Parameters
-    ----------
-    fit
-        Fit of the axis.
-    data
-        A record, for the unit.
-    name
-        Name of the axis.
-    """
+    """Report rows of one axis, with errors that follow from the covariance of the search."""
     vector = fit.solution.parameters
     nominal = values(fit.axis, vector)
     jacobian = np.array([(values(fit.axis, vector + 1e-6 * each) - nominal) / 1e-6 for each in np.eye(len(vector))]).T
@@ -341,13 +260,7 @@ def parameter_rows(fit: AxisFit, data: Dataset, name: str) -> list[ParameterRow]
 
 
 def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
-    """The axes' chains side by side as one chain with per-axis parameters.
-
-    Parameters
-    ----------
-    axes
-        Fits of the axes.
-    """
+    """The axes' chains side by side as one chain with per-axis parameters."""
     if len(axes) == 1:
         return axes[0].axis.stages(axes[0].solution.parameters)
     chains = [each.axis.stages(each.solution.parameters) for each in axes]
@@ -370,20 +283,7 @@ def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
 
 
 def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
-    """Model of all axes, with standard errors as tolerances, and its report.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axes
-        A fit an axis.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-    """
+    """Model of all axes, with standard errors as tolerances, and its report."""
     first = datasets[0]
     creeping = [f", {len(axis.axis.times)} creep operators" if axis.axis.times else "" for axis in axes]
     return assembled(
@@ -400,20 +300,7 @@ def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
 
 
 def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
-    """Carry the covariances of the fits over to the numbers of the chain.
-
-    Parameters
-    ----------
-    axes
-        Fits of the axes.
-    names
-        Names of the axes.
-
-    Returns
-    -------
-    Uncertainty
-        Of all numbers that were fitted.
-    """
+    """Carry the covariances of the fits over to the numbers of the chain."""
 
     def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
         moved = [replace(axis.solution, parameters=vector) for axis, vector in zip(axes, vectors, strict=True)]

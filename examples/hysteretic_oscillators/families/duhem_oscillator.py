@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Annotated
 
 import numpy as np
 
@@ -33,49 +34,31 @@ NEGLIGIBLE_IMPROVEMENT = 0.02
 
 @dataclass(frozen=True)
 class DuhemOptions(Options):
-    """Options of a fit of a Duhem oscillator.
+    """Options of a fit of a Duhem oscillator."""
 
-    Parameters
-    ----------
-    table_size
-        Number of knots of the branches; None: chosen on held-out data.
-    largest_table
-        Largest number of knots that is tried.
-    symmetric
-        Make falling branches of rising ones by turning them about the origin.
-    nuisance
-        Offset or drift that each record may add.
-    """
-
+    # Number of knots of the branches; None: chosen on held-out data
     table_size: int | None = option(
         None, INTEGER, "number of knots of the branches, where it is not to be chosen on held-out data", lower=2, upper=40
     )
+    # Largest number of knots that is tried
     largest_table: int = option(7, INTEGER, "largest number of knots that is tried", lower=2, upper=40)
+    # Make falling branches of rising ones by turning them about the origin
     symmetric: bool = option(
         True,
         TRUTH,
         "make falling branches of rising ones by turning them about the origin; without this the force's zero is that of the rest "
         "from which the records begin",
     )
-    nuisance: str = nuisance_option("offset")
+    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
 
 
 @dataclass(frozen=True)
 class Table:
-    """The branches as parameters of order one: slopes at the knots in units of a stiffness.
+    """The branches as parameters of order one: slopes at the knots in units of a stiffness."""
 
-    Parameters
-    ----------
-    knots
-        Forces (K,), V.
-    unit
-        V/measurement unit.
-    symmetric
-        Whether the parameters are those of rising motion alone (K), with falling(z) = rising(-z), or of both (2 K).
-    """
-
-    knots: Array
-    unit: float
+    knots: Annotated[Array, "K"]  # Forces (K,), V
+    unit: float  # V/measurement unit
+    # Whether the parameters are those of rising motion alone (K), with falling(z) = rising(-z), or of both (2 K)
     symmetric: bool
 
     @property
@@ -93,60 +76,19 @@ class Table:
         """No constraints."""
         return np.zeros(0)
 
-    def branches(self, vector: Array) -> Array:
-        """Slopes of rising and falling motion at the knots.
-
-        Parameters
-        ----------
-        vector
-            Parameters (size,).
-
-        Returns
-        -------
-        Array
-            (2, K), V/measurement unit.
-        """
+    def branches(self, vector: Array) -> Annotated[Array, "2 K"]:
+        """Slopes of rising and falling motion at the knots."""
         slopes = self.unit * vector
         return np.stack([slopes, slopes[::-1]]) if self.symmetric else slopes.reshape(2, -1)
 
     def stage(self, linear: Linear, vector: Array) -> DuhemOscillator:
-        """Construct the stage of one axis.
-
-        Parameters
-        ----------
-        linear
-            The oscillator for small motions at the start; half of its stiffness is the spring's.
-        vector
-            Parameters (size,).
-
-        Returns
-        -------
-        DuhemOscillator
-            The stage.
-        """
+        """Construct the stage of one axis."""
         rising, falling = self.branches(vector)
         mass, damping = linear.mechanics
         return DuhemOscillator(mass, damping, (1.0 - SHARE) * linear.stiffness, self.knots, rising, falling)
 
-    def refined(self, count: int, least: float, greatest: float, vector: Array) -> tuple[Table, Array]:
-        """Change the knots.
-
-        Parameters
-        ----------
-        count
-            Number of knots.
-        least, greatest
-            Range of the force, V.
-        vector
-            Parameters (P,) with this table.
-
-        Returns
-        -------
-        table : Table
-            With evenly spaced knots over the range.
-        vector : Array
-            Parameters with the new table, of the same branches as nearly as it has them.
-        """
+    def refined(self, count: int, least: float, greatest: float, vector: Annotated[Array, "P"]) -> tuple[Table, Array]:
+        """Change the knots."""
         reach = max(-least, greatest)
         knots = np.linspace(-reach, reach, count) if self.symmetric else np.linspace(least, greatest, count)
         branches = [np.interp(knots, self.knots, row) for row in vector[3:].reshape(2 - self.symmetric, -1)]
@@ -186,22 +128,7 @@ def _fit_axis(problem: Problem, options: DuhemOptions) -> AxisFit:
 
 
 def linear_branches(problem: Problem, symmetric: bool) -> tuple[Table, Solution]:
-    """Fit branches without a bend, from several starts.
-
-    Parameters
-    ----------
-    problem
-        One axis.
-    symmetric
-        As of `Table`.
-
-    Returns
-    -------
-    table : Table
-        Of two knots at the ends of the force's range.
-    solution : Solution
-        The best fit.
-    """
+    """Fit branches without a bend, from several starts."""
     scale = problem.linear.stiffness * problem.linear.travel
     law = Table(np.array([-SHARE, SHARE]) * scale, problem.linear.stiffness, symmetric)
     starts = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
@@ -36,27 +36,13 @@ DAMPING_RATIOS = (1e-4, 20.0)
 
 @dataclass(frozen=True)
 class Linear:
-    """Linear oscillator k y + c ẏ + m ÿ = u.
+    """Linear oscillator k y + c ẏ + m ÿ = u."""
 
-    Parameters
-    ----------
-    stiffness
-        k, V/measurement unit.
-    frequency
-        Natural frequency, rad/s.
-    damping
-        Damping ratio.
-    travel
-        Range of the measurement, the scale of the displacement.
-    sign
-        -1 where the measurement falls as the command rises, else 1.
-    """
-
-    stiffness: float
-    frequency: float
-    damping: float
-    travel: float
-    sign: float
+    stiffness: float  # K, V/measurement unit
+    frequency: float  # Natural frequency, rad/s
+    damping: float  # Damping ratio
+    travel: float  # Range of the measurement, the scale of the displacement
+    sign: float  # -1 where the measurement falls as the command rises, else 1
 
     @property
     def mechanics(self) -> tuple[float, float]:
@@ -65,20 +51,7 @@ class Linear:
 
 
 def linear_start(datasets: Sequence[Dataset], axis: int) -> Linear:
-    """Estimate a linear oscillator from the spectra of the records, a linear least-squares problem in k, c and m.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axis
-        Index of the axis.
-
-    Returns
-    -------
-    Linear
-        With positive parameters; where the spectra do not show an oscillation, a well damped one above the band of the command.
-    """
+    """Estimate a linear oscillator from the spectra of the records, a linear least-squares problem in k, c and m."""
     matrix, vector = np.zeros((3, 3)), np.zeros(3)
     for data in datasets:
         for part in spread_parts(len(data.command), SPECTRUM_ROWS):
@@ -125,77 +98,28 @@ class Law(Protocol):
         """Right sides (C,)."""
 
     def stage(self, linear: Linear, vector: Array) -> HystereticOscillator:
-        """Construct the stage of one axis.
-
-        Parameters
-        ----------
-        linear
-            The oscillator for small motions about rest, or nearly.
-        vector
-            Parameters (size,).
-
-        Returns
-        -------
-        HystereticOscillator
-            The stage.
-        """
+        """Construct the stage of one axis."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One axis of all records with its scales.
+    """One axis of all records with its scales."""
 
-    Parameters
-    ----------
-    windows
-        The records; the measurement turned where it falls as the command rises.
-    linear
-        The linear oscillator at which the first three parameters are 0.
-    nuisance
-        Addition of each record, one of `gram_sums.NUISANCES`.
-    """
-
-    windows: Sequence[Window]
-    linear: Linear
-    nuisance: str
+    windows: Sequence[Window]  # The records; the measurement turned where it falls as the command rises
+    linear: Linear  # The linear oscillator at which the first three parameters are 0
+    nuisance: str  # Addition of each record, one of `gram_sums.NUISANCES`
 
     def stage(self, law: Law, vector: Array) -> HystereticOscillator:
-        """The stage of a parameter vector.
-
-        Parameters
-        ----------
-        law
-            Of the branches.
-        vector
-            Log stiffness, log frequency and log damping ratio over those of `linear`, then the law's parameters.
-
-        Returns
-        -------
-        HystereticOscillator
-            One axis.
-        """
+        """The stage of a parameter vector."""
         stiffness, frequency, damping = np.array([self.linear.stiffness, self.linear.frequency, self.linear.damping]) * np.exp(
             vector[:3]
         )
         return law.stage(replace(self.linear, stiffness=stiffness, frequency=frequency, damping=damping), vector[3:])
 
-    def fit(self, law: Law, start: Array, *, passes: int, everything: bool = False, tolerance: float = 1e-4) -> Solution:
-        """Minimize the simulation error from a start.
-
-        Parameters
-        ----------
-        law
-            Of the branches.
-        start
-            Parameters (P,) that satisfy the constraints.
-        passes, everything, tolerance
-            As of `minimize_simulation_error`.
-
-        Returns
-        -------
-        Solution
-            The fit.
-        """
+    def fit(
+        self, law: Law, start: Annotated[Array, "P"], *, passes: int, everything: bool = False, tolerance: float = 1e-4
+    ) -> Solution:
+        """Minimize the simulation error from a start."""
         lhs = np.hstack([np.zeros((len(law.lhs), 3)), law.lhs])
         parametrization = Parametrization(lambda vector: (self.stage(law, vector),), lhs, law.rhs)
         return minimize_simulation_error(
@@ -216,21 +140,8 @@ class Problem:
         ]
         return replace(self, windows=windows)
 
-    def force_range(self, law: Law, vector: Array) -> tuple[float, float]:
-        """Least and greatest force over the records.
-
-        Parameters
-        ----------
-        law
-            Of the branches.
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        tuple of float
-            V.
-        """
+    def force_range(self, law: Law, vector: Annotated[Array, "P"]) -> tuple[float, float]:
+        """Least and greatest force over the records."""
         ranges = []
         for window in self.windows:
             signal, _ = driving_signal(window)
@@ -243,22 +154,7 @@ class Problem:
 
 
 def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem:
-    """Set up the fit of one axis.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axis
-        Index of the axis.
-    nuisance
-        Addition of each record.
-
-    Returns
-    -------
-    Problem
-        One axis of all records.
-    """
+    """Set up the fit of one axis."""
     linear = linear_start(datasets, axis)
     windows = [with_sign(window, linear.sign) for window in whole_records(datasets, axis, weighted=False)]
     return Problem(windows, linear, nuisance)
@@ -266,27 +162,13 @@ def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem
 
 @dataclass(frozen=True)
 class AxisFit:
-    """A fit of one axis.
+    """A fit of one axis."""
 
-    Parameters
-    ----------
-    problem
-        What was fitted.
-    law
-        Of the branches.
-    solution
-        From all rows.
-    held_out
-        Mean square error on the rows held out, while they were.
-    given
-        Names of parameters that were given and not fitted.
-    """
-
-    problem: Problem
-    law: Law
-    solution: Solution
-    held_out: float
-    given: tuple[str, ...] = ()
+    problem: Problem  # What was fitted
+    law: Law  # Of the branches
+    solution: Solution  # From all rows
+    held_out: float  # Mean square error on the rows held out, while they were
+    given: tuple[str, ...] = ()  # Names of parameters that were given and not fitted
 
     @property
     def stage(self) -> HystereticOscillator:
@@ -314,18 +196,7 @@ class AxisFit:
 
 
 def numbers(stage: Stage) -> dict[str, float]:
-    """List the numbers of a stage of one axis that scatter.
-
-    Parameters
-    ----------
-    stage
-        The stage.
-
-    Returns
-    -------
-    dict[str, float]
-        By name, with its index where it is one of a list.
-    """
+    """List the numbers of a stage of one axis that scatter."""
     found: dict[str, float] = {}
     for name, declaration in stage.declarations().items():
         value = getattr(stage, name)
@@ -339,24 +210,7 @@ def numbers(stage: Stage) -> dict[str, float]:
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
-    """Assemble model and report.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    family
-        Name of the family.
-    method
-        Method of the fit.
-    axes
-        A fit an axis.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-    """
+    """Assemble model and report."""
     first = datasets[0]
     stages: list[Stage] = [merged([axis.stage for axis in axes])]
     if any(axis.problem.linear.sign < 0 for axis in axes):
@@ -379,20 +233,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
 
 
 def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
-    """Carry the covariances of the fits over to the numbers of the oscillators.
-
-    Parameters
-    ----------
-    axes
-        A fit an axis.
-    names
-        Names of the axes.
-
-    Returns
-    -------
-    Uncertainty
-        Of all numbers that were fitted.
-    """
+    """Carry the covariances of the fits over to the numbers of the oscillators."""
 
     def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
         return [merged([axis.problem.stage(axis.law, vector) for axis, vector in zip(axes, vectors, strict=True)])]
@@ -401,18 +242,7 @@ def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
 
 
 def merged(stages: Sequence[HystereticOscillator]) -> HystereticOscillator:
-    """Merge the oscillators of several axes.
-
-    Parameters
-    ----------
-    stages
-        A stage an axis.
-
-    Returns
-    -------
-    HystereticOscillator
-        The stage with per-axis parameters.
-    """
+    """Merge the oscillators of several axes."""
     if len(stages) == 1:
         return stages[0]
     return replace(stages[0], **{field.name: [getattr(stage, field.name) for stage in stages] for field in fields(stages[0])})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,35 +17,15 @@ MANY_AXES = 64
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """Range and slope of the voltage on an actuator.
+    """Range and slope of the voltage on an actuator."""
 
-    Attributes
-    ----------
-    lower, upper : float
-        Range, V.
-    step : float
-        Greatest change from one tick to the next, V.
-    """
-
+    # lower, upper: Range, V
     lower: float = -math.inf
     upper: float = math.inf
-    step: float = math.inf
+    step: float = math.inf  # Greatest change from one tick to the next, V
 
-    def limited(self, command: Array, applied: Array) -> Array:
-        """Command within the limits.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,)
-            Command, V.
-        applied : ndarray, shape (A,)
-            Voltage that is on the actuator, V.
-
-        Returns
-        -------
-        ndarray, shape (A,)
-            The nearest voltage that is allowed after `applied`, V. From outside the range the way back has the slope as well.
-        """
+    def limited(self, command: Annotated[Array, "A"], applied: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
+        """Command within the limits."""
         if self._holds(command) and not math.isfinite(self.step):
             return command
         within = np.clip(command, self.lower, self.upper)

@@ -9,6 +9,7 @@ unchanged from where it is met: a restarted feedback cannot make the actuator ju
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,21 +20,9 @@ Array = NDArray[np.float64]
 
 
 class CommandWatchdog:
-    """Watchdog that decides, tick by tick, which voltage the actuator gets.
+    """Watchdog that decides, tick by tick, which voltage the actuator gets."""
 
-    Parameters
-    ----------
-    rest : ndarray, shape (A,)
-        What it has at the start, V.
-    safe : ndarray, shape (A,)
-        Safe value, V.
-    rate : float
-        Slope towards it and back, V/s.
-    period : float
-        Time in s between two ticks.
-    """
-
-    def __init__(self, rest: Array, safe: Array, rate: float, period: float) -> None:
+    def __init__(self, rest: Annotated[Array, "A"], safe: Annotated[Array, "A"], rate: float, period: float) -> None:
         self._rest, self._safe, self._step = np.array(rest, dtype=float), np.array(safe, dtype=float), rate * period
         self.reset()
 
@@ -52,21 +41,8 @@ class CommandWatchdog:
         """True while commands pass unchanged, and are written."""
         return self._wanted is self.applied and bool(self._met.all())
 
-    def apply(self, command: Array | None, trusted: bool = True) -> Array:
-        """Voltage of the next tick, where nothing can keep it from being written.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,), optional
-            Newest command in V; None: there was none.
-        trusted : bool
-            False: it is too old, or contradicts another one.
-
-        Returns
-        -------
-        ndarray, shape (A,)
-            The voltage, V.
-        """
+    def apply(self, command: Array | None, trusted: bool = True) -> Annotated[Array, "A"]:
+        """Voltage of the next tick, where nothing can keep it from being written."""
         self.applied = self.wanted(command, trusted)
         return self.applied
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,36 +48,16 @@ def feedforward_rows(reference: Array, compensator: Compensator) -> Array:
 
 
 def run_loop(
-    reference: Array,
+    reference: Annotated[Array, "N A"],
     compensator: Compensator | None,
     controller: RunningPI,
     plant: Plant,
     feedback: bool = True,
     start: str = "rest",
 ) -> dict[str, Array]:
-    """Run a control loop for N ticks.
-
-    Parameters
-    ----------
-    reference
-        (N, A) in the measurement unit.
-    compensator
-        Feedforward; None: zero.
-    controller
-        Feedback, which also adds up and limits the command.
-    plant
-        Answers the command.
-    feedback
-        False: the command is the feedforward alone.
-    start
-        "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed loop needs a
-        measurement before it has a command).
-
-    Returns
-    -------
-    dict
-        Signals (N, A) by topic.
-    """
+    """Run a control loop for N ticks."""
+    # start: "rest", the plant settled at 0 V, or "first_command", settled at the first command (open loop only: a closed loop needs
+    # a measurement before it has a command)
     ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
     rest = np.zeros(reference.shape[1])
     controller.reset(rest if start == "rest" else None)

@@ -88,13 +88,7 @@ for (int i = 0; i < AXES; i++) {
 
 
 def constants(controller: RunningPI) -> Mapping[str, Member]:
-    """Constants of the texts above.
-
-    Parameters
-    ----------
-    controller
-        Running controller.
-    """
+    """Constants of the texts above."""
     texts = {
         "kp": "V / measurement unit",
         "ki_step": "V / measurement unit, of the integral in a step",
@@ -108,13 +102,7 @@ def constants(controller: RunningPI) -> Mapping[str, Member]:
 
 
 def state(controller: RunningPI) -> Mapping[str, Member]:
-    """State of the texts above.
-
-    Parameters
-    ----------
-    controller
-        Running controller.
-    """
+    """State of the texts above."""
     zero: Array = controller.command
     return {
         "integral": reals(zero, "V"),

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,37 +40,18 @@ OVERFLOW = "numbers too large to compute with"
 
 @dataclass(frozen=True)
 class Safety:
-    """Behavior of a stopped axis, and the end of its stop.
+    """Behavior of a stopped axis, and the end of its stop."""
 
-    Attributes
-    ----------
-    command : ndarray, shape (A,)
-        Safe value, V.
-    rate : float
-        Slope towards it, V/s.
-    recovery_ticks : int
-        Ticks without a fault after which a stopped axis returns; with `manual` it waits for `SafeLoop.restart`.
-    manual : bool
-        Whether it waits.
-    stop_all : bool
-        Whether the fault of one axis stops all.
-    """
-
-    command: Array
-    rate: float
+    command: Annotated[Array, "A"]  # Safe value, V
+    rate: float  # Slope towards it, V/s
+    # Ticks without a fault after which a stopped axis returns; with `manual` it waits for `SafeLoop.restart`
     recovery_ticks: int = 0
-    manual: bool = False
-    stop_all: bool = True
+    manual: bool = False  # Whether it waits
+    stop_all: bool = True  # Whether the fault of one axis stops all
 
 
 class AxisFaults:
-    """Faults of the axes in time: each lasts until none was there for the recovery time, or until it is cleared.
-
-    Parameters
-    ----------
-    axes : int
-        Number of axes.
-    """
+    """Faults of the axes in time: each lasts until none was there for the recovery time, or until it is cleared."""
 
     def __init__(self, axes: int) -> None:
         self.present = [""] * axes
@@ -89,17 +71,7 @@ class AxisFaults:
         self.present, self._well = [""] * axes, [0] * axes
 
     def update(self, faults: Sequence[str], ticks: int, safety: Safety) -> None:
-        """Take in what was found.
-
-        Parameters
-        ----------
-        faults : sequence of str
-            Of each axis, "" for none.
-        ticks : int
-            Ticks since the last call; none counts as one.
-        safety : Safety
-            How faults end.
-        """
+        """Take in what was found."""
         for axis, fault in enumerate(faults):
             if fault:
                 self.raised += fault != self.present[axis]
@@ -111,17 +83,7 @@ class AxisFaults:
 
 
 class SafeLoop:
-    """The controller, the watch over its measurement, and the faults.
-
-    Parameters
-    ----------
-    controller : RunningPI
-        The controller.
-    watch : MeasurementWatch
-        Watch over the measurement.
-    safety : Safety
-        What stopped axes do; may be replaced at any time.
-    """
+    """The controller, the watch over its measurement, and the faults."""
 
     def __init__(self, controller: RunningPI, watch: MeasurementWatch, safety: Safety) -> None:
         self.controller, self.watch, self.safety = controller, watch, safety
@@ -141,11 +103,6 @@ class SafeLoop:
         Gains are taken over as `RunningPI.change` does. The limits go to their new values at the safe rate: narrower ones from the
         command where that is beyond them, wider ones from the old ones. Without integral action the command approaches that of the new
         gains at the safe rate.
-
-        Parameters
-        ----------
-        description : PI
-            The new description, of the same sample time.
         """
         old, command = self.controller.description, self.controller.command
         within = command[np.isfinite(command)]
@@ -187,38 +144,21 @@ class SafeLoop:
         return bool(self._away.all() and np.array_equal(self.controller.command, self._safe))
 
     def restart(self, command: Array | None, away: bool) -> None:
-        """Clear all faults and forget the integral.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,), optional
-            Last command in V; None: the first one is free.
-        away : bool
-            Whether something else has led there: then the loop takes over from it, else it begins from it.
-        """
+        """Clear all faults and forget the integral."""
         self.controller.reset(command)
         self.faults.clear()
         self._overflowed = ()
         self._away[:] = away
         self._well = not away
 
-    def closed(self, reference: Array, measurement: Array, feedforward: Array, fault: str = "") -> tuple[Array, Array]:
-        """Command and feedback of one tick in closed loop.
-
-        Parameters
-        ----------
-        reference, measurement : ndarray, shape (1, A)
-            In the measurement's unit.
-        feedforward : ndarray, shape (1, A)
-            In V.
-        fault : str
-            Fault of the whole loop; "" when there is none.
-
-        Returns
-        -------
-        command, feedback : ndarray, shape (1, A)
-            In V.
-        """
+    def closed(
+        self,
+        reference: Annotated[Array, "1 A"],
+        measurement: Annotated[Array, "1 A"],
+        feedforward: Annotated[Array, "1 A"],
+        fault: str = "",
+    ) -> tuple[Array, Array]:
+        """Command and feedback of one tick in closed loop."""
         if self._limits is not None:
             self._move_limits()
         last = self.controller.command
@@ -238,21 +178,8 @@ class SafeLoop:
         tracking = running & np.isfinite(self.applied) if self.applied is not None else np.zeros_like(running)
         return self._partly(running & ~tracking, tracking, last, reference, measurement, feedforward)
 
-    def open(self, feedforward: Array, fault: str = "") -> tuple[Array, Array]:
-        """Command and feedback (zeros) of successive ticks in open loop.
-
-        Parameters
-        ----------
-        feedforward : ndarray, shape (N, A)
-            In V.
-        fault : str
-            Fault of the whole loop; "" when there is none.
-
-        Returns
-        -------
-        command, feedback : ndarray, shape (N, A)
-            In V.
-        """
+    def open(self, feedforward: Annotated[Array, "N A"], fault: str = "") -> tuple[Array, Array]:
+        """Command and feedback (zeros) of successive ticks in open loop."""
         if self._limits is not None:
             if len(feedforward) > 1:
                 rows = [self.open(row[None], fault) for row in feedforward]
@@ -283,20 +210,7 @@ class SafeLoop:
         return command, np.zeros_like(command)
 
     def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
-        """Command and feedback on the way to the safe value, for a reason.
-
-        Parameters
-        ----------
-        fault : str
-            Fault of the whole loop; "" when nothing has come for the loop to compute with.
-        ticks : int
-            Number of ticks.
-
-        Returns
-        -------
-        command, feedback : ndarray, shape (ticks, A)
-            In V.
-        """
+        """Command and feedback on the way to the safe value, for a reason."""
         self._running(fault, (), ticks)
         return self.stopped(ticks)
 

@@ -14,6 +14,7 @@ doing, and what comes after it is judged by itself.
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,19 +43,7 @@ def smoothing_share(frozen_ticks: int) -> float:
 
 
 class MeasurementWatch:
-    """Watch over a measurement, sample by sample and axis by axis.
-
-    Parameters
-    ----------
-    lower, upper : float
-        Range of the measurement, in its unit.
-    frozen_ticks : int
-        Samples without an answer after which an axis' sensor counts as frozen; 0: neither that nor the sign is judged.
-    motion : float
-        Movement of the axis' command in V that asks for an answer; a stage at rest may measure a constant.
-    limits : tuple of float
-        Lowest and highest command in V, at which an error asks for nothing more.
-    """
+    """Watch over a measurement, sample by sample and axis by axis."""
 
     def __init__(
         self, lower: float, upper: float, frozen_ticks: int, motion: float, limits: tuple[float, float] = (-math.inf, math.inf)
@@ -72,23 +61,10 @@ class MeasurementWatch:
         """Begin anew: what was measured before is no answer to the command."""
         self._axes = []
 
-    def check(self, measurement: Array, command: Array, reference: Array | None = None) -> tuple[str, ...]:
-        """Check one sample.
-
-        Parameters
-        ----------
-        measurement : ndarray, shape (A,)
-            The measurement, in the unit of `lower` and `upper`.
-        command : ndarray, shape (A,)
-            The command sent last, in V.
-        reference : ndarray, shape (A,), optional
-            What it is to be; default: what it is, where nothing is asked for.
-
-        Returns
-        -------
-        tuple of str
-            The fault of each axis, "" for none; empty when no axis has one.
-        """
+    def check(
+        self, measurement: Annotated[Array, "A"], command: Annotated[Array, "A"], reference: Array | None = None
+    ) -> tuple[str, ...]:
+        """Check one sample."""
         values, sent = measurement.tolist(), command.tolist()
         wanted = values if reference is None else reference.tolist()
         if len(self._axes) != len(values):

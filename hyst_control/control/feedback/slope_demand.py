@@ -9,13 +9,7 @@ Array = NDArray[np.float64]
 
 
 class SlopeDemand:
-    """The first step of a signal that is greater than a limit allows.
-
-    Parameters
-    ----------
-    before : ndarray, shape (A,), optional
-        What is there before tick 0, V; None: nothing is known.
-    """
+    """The first step of a signal that is greater than a limit allows."""
 
     def __init__(self, before: Array | None = None) -> None:
         self._before: list[float] | None = None if before is None else before.tolist()

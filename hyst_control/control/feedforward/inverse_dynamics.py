@@ -80,29 +80,6 @@ def invert_dynamics(
     `zoh` inverts the system exactly as it is sampled: input[k] held from t_k to t_k+1 (or interpolated, by `sampling.hold`),
     fractional delays included, output taken at t_k before input[k] acts. `tustin` is the HAMPI paper's choice: the bilinear
     transform of the continuous system, its delay rounded to whole samples.
-
-    Parameters
-    ----------
-    run
-        Linear stages and delays in signal order.
-    sampling
-        Clock; its hold is the input's.
-    method
-        Treatment of zeros that a causal inverse cannot have; see the module.
-    discretisation
-        "zoh" or "tustin".
-    ringing_limit
-        As for `invert_system`.
-
-    Returns
-    -------
-    InverseDynamics
-        Stage and preview.
-
-    Raises
-    ------
-    InputError
-        The system is unstable, has no static gain, or mixes the axes.
     """
     if method not in METHODS:
         raise InputError(f"inverse: {method!r} is not one of {', '.join(METHODS)}")
@@ -123,22 +100,7 @@ def invert_dynamics(
 
 
 def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RINGING_LIMIT) -> tuple[DiscreteSystem, int]:
-    """Invert one system; see the module.
-
-    Parameters
-    ----------
-    plant
-        Of one axis.
-    method
-        Treatment of zeros that a causal inverse cannot have.
-    ringing_limit
-        Size above which a zero of negative real part counts as one of them.
-
-    Returns
-    -------
-    tuple
-        The inverse, delayed by its preview, and that preview in samples.
-    """
+    """Invert one system; see the module."""
     if np.any(np.abs(plant.poles) >= 1.0):
         worst = plant.poles[np.argmax(np.abs(plant.poles))]
         raise InputError(f"dynamics: not stable, a pole at |z| = {abs(worst):.6g}: no feedforward inverts that; correct the model")
@@ -168,15 +130,7 @@ def invert_system(plant: DiscreteSystem, method: str, ringing_limit: float = RIN
 
 
 def sampled_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSystem]:
-    """Exact sampled systems, per axis, from input[k] to the output sample at t_k.
-
-    Parameters
-    ----------
-    run
-        Linear stages and delays in signal order.
-    sampling
-        Clock; its hold is the input's.
-    """
+    """Exact sampled systems, per axis, from input[k] to the output sample at t_k."""
     running = linear_filter(_decoupled(run, sampling.axes), sampling)
     systems = []
     for axis in range(sampling.axes):
@@ -189,15 +143,7 @@ def sampled_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSy
 
 
 def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSystem]:
-    """Bilinear transforms, per axis, of linear stages; their delays rounded to whole samples.
-
-    Parameters
-    ----------
-    run
-        Linear stages and delays in signal order.
-    sampling
-        Clock; its hold is the input's.
-    """
+    """Bilinear transforms, per axis, of linear stages; their delays rounded to whole samples."""
     ts = sampling.sample_time
     late = np.zeros(sampling.axes)
     systems = [DiscreteSystem(np.zeros(0, complex), np.zeros(0, complex), 1.0)] * sampling.axes
@@ -224,15 +170,7 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
 
 
 def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> StateSpace:
-    """Digital filters side by side as one `state_space` stage; realized in second-order sections, which keep slow poles exact.
-
-    Parameters
-    ----------
-    systems
-        One per axis.
-    sample_time
-        s.
-    """
+    """Digital filters side by side as one `state_space` stage; realized in second-order sections, which keep slow poles exact."""
     parts = [_state_space(system) for system in systems]
     a, b, c, d = (block_diag(*(part[i] for part in parts)) for i in range(4))
     return StateSpace(a.tolist(), b.tolist(), c.tolist(), d.tolist(), sample_time=float(sample_time))
@@ -244,15 +182,6 @@ def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace
     1 at rest with 2 order - 1 derivatives 0, and 0 at half the sampling rate. It takes off a reference what jumps and kinks ask
     for near half the sampling rate, where a sampled model knows least; to 1 / 20 of the sampling rate its gain is within 1e-3 of 1
     from order 2.
-
-    Parameters
-    ----------
-    order
-        Of the filter, and the samples that it is late.
-    axes
-        Number of axes.
-    sample_time
-        s.
     """
     return weighted_sum(flat_weights(order), axes, sample_time)
 

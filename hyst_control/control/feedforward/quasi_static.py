@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -13,31 +14,13 @@ from hyst_control.chain.parameter import Array
 from hyst_control.model_file import Model
 
 
-def quasi_static(model: Model, commands: Array) -> Array:
-    """Output (N, A) of a model at rest.
-
-    Parameters
-    ----------
-    model
-        From the virgin state at 0 V.
-    commands
-        (N, A) in V, every one of which is held until all has settled.
-    """
+def quasi_static(model: Model, commands: Annotated[Array, "N A"]) -> Array:
+    """Output (N, A) of a model at rest."""
     return quasi_static_stages(resolved(model.chain.stages, len(model.axes)), np.array(commands, dtype=float), len(model.axes))
 
 
-def quasi_static_stages(stages: Sequence[Stage], signal: Array, axes: int) -> Array:
-    """Output (N, A) of stages at rest.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    signal
-        (N, A), every value of which is held until all has settled, from rest at 0.
-    axes
-        Number of axes.
-    """
+def quasi_static_stages(stages: Sequence[Stage], signal: Annotated[Array, "N A"], axes: int) -> Array:
+    """Output (N, A) of stages at rest."""
     return at_rest(stages, signal)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -50,18 +52,10 @@ def check_reachable(model: Model, reference: Array, limits: tuple[ArrayLike, Arr
         )
 
 
-def quasi_static_command(model: Model, reference: Array, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
-    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A).
-
-    Parameters
-    ----------
-    model
-        To be inverted.
-    reference
-        (N, A) in the measurement unit.
-    limits
-        (lower, upper) V, the drive's rating; None: the model's valid range.
-    """
+def quasi_static_command(
+    model: Model, reference: Annotated[Array, "N A"], limits: tuple[ArrayLike, ArrayLike] | None
+) -> tuple[Array, Array]:
+    """Commands (N, A) in V that follow a reference infinitely slowly, and the drive's bounds (2, A)."""
     axes = len(model.axes)
     bounds = drive_limits(model, limits)
     before, core, after = split(model)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,7 +41,7 @@ class LiftedInverse:
 
 def lifted_inverse(
     model: Model,
-    reference: Array,
+    reference: Annotated[Array, "N A"],
     *,
     sample_time: float | None = None,
     limits: tuple[ArrayLike, ArrayLike] | None = None,
@@ -51,33 +52,6 @@ def lifted_inverse(
     """Command that makes the model follow a reference from its first to its last sample.
 
     The model starts settled at the first command.
-
-    Parameters
-    ----------
-    model
-        Model of the plant, with a linear part.
-    reference
-        Reference (N, A), measurement unit.
-    sample_time
-        Sample time, s; the model's by default.
-    limits
-        Lower and upper limit of the drive, V, one value or (A,); the model's valid command range by default.
-    iterations
-        Greatest number of iterations.
-    damping
-        Damping of the least squares, relative to the greatest |P|².
-    start
-        Command (N, A) to begin with, V, such as a compensator's; the mean static line of the model by default.
-
-    Returns
-    -------
-    LiftedInverse
-        Command, measurement of the model for it, and rms error after each iteration.
-
-    Raises
-    ------
-    InputError
-        The reference has the wrong shape, or the model has no linear part.
     """
     reference = np.ascontiguousarray(reference, dtype=float)
     axes = len(model.axes)

@@ -17,6 +17,7 @@ wild measurement does little, and the bounds hold whatever it does. Where the fe
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -30,27 +31,13 @@ KEPT = 8192
 
 @dataclass(frozen=True)
 class FeedbackErrorLearning:
-    """Description of the learner; `start` makes a running one.
-
-    Parameters
-    ----------
-    sample_time:
-        s.
-    time:
-        s, in which it learns most of an error while the feedforward moves.
-    corner:
-        Hz, of the high-pass: what is slower is left to the feedback.
-    excitation:
-        V, amplitude of the feedforward's motion from which it learns.
-    gain_bound, lag_bound:
-        Greatest relative gain, and greatest lag in s, either way.
-    """
+    """Description of the learner; `start` makes a running one."""
 
     sample_time: float
     time: float = 0.2
     corner: float = 1.0
     excitation: float = 1.0
-    gain_bound: float = 0.3
+    gain_bound: float = 0.3  # Greatest relative gain, and greatest lag in s, either way
     lag_bound: float = 5e-4
 
     def __post_init__(self) -> None:
@@ -125,20 +112,14 @@ class RunningFeedbackErrorLearning:
         self._state[5] = feedforward[-1]
         return np.asarray(self._parameters[0] * feedforward + self._parameters[1] * slope)
 
-    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """Learn from the feedback of the ticks from `first` on; ticks without a feedforward are left out.
-
-        Parameters
-        ----------
-        first
-            Tick of the first row.
-        reference
-            Reference (N, A), measurement unit; not used here.
-        measurement
-            Measurement (N, A), measurement unit; not used here.
-        feedback
-            Output of the feedback (N, A), V.
-        """
+    def observe(
+        self,
+        first: int,
+        reference: Annotated[Array, "N A"],
+        measurement: Annotated[Array, "N A"],
+        feedback: Annotated[Array, "N A"],
+    ) -> None:
+        """Learn from the feedback of the ticks from `first` on; ticks without a feedforward are left out."""
         begin, end = max(first, self._first), min(first + len(feedback), self._first + len(self._given))
         if begin < end:
             rows = self._given[begin - self._first : end - self._first]

@@ -26,6 +26,7 @@ and the best feedforward that was measured is kept.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -57,24 +58,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class IterativeLearning:
-    """Description of the learner; `start` makes a running one.
-
-    Parameters
-    ----------
-    filter:
-        Learning filter, and with it the period.
-    settling, averaged:
-        Periods of a trial that are not measured, at least 1, and that are, at least 2.
-    gain:
-        Share of a correction that is applied at first, above 0 and at most 1.
-    trials:
-        Trials after which learning ends.
-    limit:
-        V, greatest correction.
-    """
+    """Description of the learner; `start` makes a running one."""
 
     filter: LearningFilter
-    settling: int = 1
+    settling: int = 1  # Periods of a trial that are not measured, at least 1, and that are, at least 2
     averaged: int = 2
     gain: float = 1.0
     trials: int = 20
@@ -146,20 +133,14 @@ class RunningIterativeLearning:
         rows: Array = self.feedforward[np.arange(first - self._origin, self._end - self._origin) % len(self.feedforward)]
         return rows
 
-    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """Learn from the loop's signals of the ticks from `first` on; a gap in them begins the trial anew.
-
-        Parameters
-        ----------
-        first
-            Tick of the first row.
-        reference
-            Reference (N, A), measurement unit.
-        measurement
-            Measurement (N, A), measurement unit.
-        feedback
-            Output of the feedback (N, A), V.
-        """
+    def observe(
+        self,
+        first: int,
+        reference: Annotated[Array, "N A"],
+        measurement: Annotated[Array, "N A"],
+        feedback: Annotated[Array, "N A"],
+    ) -> None:
+        """Learn from the loop's signals of the ticks from `first` on; a gap in them begins the trial anew."""
         error = np.asarray(reference - measurement)
         while len(error) and not self.stopped and self._origin is not None:
             about = self.description

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,17 +44,7 @@ CONTRACTION = 0.9
 
 @dataclass(frozen=True)
 class LearningFilter:
-    """The filter of one period.
-
-    Parameters
-    ----------
-    period:
-        Samples N of the period.
-    inverse:
-        Inverse of the plant's response (N // 2 + 1, A, A), V per measurement unit, at the lines of the period.
-    robustness:
-        Q (N // 2 + 1,), from 0 to 1.
-    """
+    """The filter of one period."""
 
     period: int
     inverse: Complex
@@ -74,25 +65,13 @@ class LearningFilter:
         """Number of axes."""
         return int(self.inverse.shape[-1])
 
-    def correction(self, error: Array, feedback: Array) -> Array:
-        """Correction (N, A) in V of the feedforward.
-
-        Parameters
-        ----------
-        error, feedback:
-            One period (N, A) of reference minus measurement, in the measurement unit, and of the feedback's output in V.
-        """
+    def correction(self, error: Annotated[Array, "N A"], feedback: Array) -> Array:
+        """Correction (N, A) in V of the feedforward."""
         spectrum = np.einsum("fij,fj->fi", self.inverse, np.fft.rfft(error, axis=0)) + np.fft.rfft(feedback, axis=0)
         return np.fft.irfft(self.robustness[:, None] * spectrum, self.period, axis=0)
 
     def contraction(self, plant: Complex, controller: Complex) -> Array:
-        """Greatest share (N // 2 + 1,) of an error that one trial leaves, in theory.
-
-        Parameters
-        ----------
-        plant, controller:
-            Responses (N // 2 + 1, A, A) of the plant, and of the feedback from the error to the command, at the period's lines.
-        """
+        """Greatest share (N // 2 + 1,) of an error that one trial leaves, in theory."""
         unit = np.eye(self.axes)
         shaped = np.linalg.solve(unit + plant @ controller, plant)
         # After a trial: d - Q (G^-1 + C) (I + P C)^-1 P d.
@@ -115,28 +94,11 @@ def model_filter(
     model_error: float = 0.15,
     peak_sensitivity: float = 2.0,
 ) -> LearningFilter:
-    """The filter from a model's sampled response at its mean slope.
-
-    Parameters
-    ----------
-    model:
-        Of the plant alone, without the feedback.
-    period:
-        Samples of the period.
-    sample_time:
-        s, the model's by default.
-    gain_spread, mode_spread, model_error:
-        Relative spread of the plant's gain and first resonance, and the response's own error, for which every trial must gain. Where
-        the plant is beyond them a trial may lose, and the lines that did are then measured anew by the learner; so a resonance that
-        moves is allowed for only where that is asked. It is one below half the sample rate and lightly damped.
-    peak_sensitivity:
-        Greatest |S| of the feedback; 1 without feedback.
-
-    Raises
-    ------
-    InputError
-        When not even the slowest line of the period converges for all of these plants.
-    """
+    """The filter from a model's sampled response at its mean slope."""
+    # gain_spread, mode_spread, model_error:: relative spread of the plant's gain and first resonance, and the response's own error,
+    # for which every trial must gain. Where the plant is beyond them a trial may lose, and the lines that did are then measured
+    # anew by the learner; so a resonance that moves is allowed for only where that is asked. It is one below half the sample rate
+    # and lightly damped
     sample_time = float(sample_time or model.sample_time)
     axes, z = len(model.axes), lines_of(_checked(period))
     mean, _ = hysteresis_slopes(model)
@@ -154,7 +116,7 @@ def model_filter(
 
 
 def measured_filter(
-    command: Array,
+    command: Annotated[Array, "M A"],
     measurement: Array,
     period: int,
     sample_time: float,
@@ -166,19 +128,6 @@ def measured_filter(
 
     Each axis by itself: the response by local polynomials, its error the radius of its 95 % confidence. That holds the scatter which
     the hysteresis causes, so the filter ends by itself where the record says no more.
-
-    Parameters
-    ----------
-    command, measurement:
-        V and measurement unit, (M, A).
-    period:
-        Samples of the period that is to be learned.
-    sample_time:
-        s, of the record and of the loop.
-    gain_spread:
-        Relative spread of the plant's gain since then.
-    peak_sensitivity:
-        Greatest |S| of the feedback; 1 without feedback.
     """
     lines = np.arange(_checked(period) // 2 + 1) / (period * sample_time)
     axes = command.shape[1]

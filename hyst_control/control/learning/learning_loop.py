@@ -6,7 +6,7 @@ they are cut, nor how far ahead the feedforward runs: `available` says how many 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
@@ -27,20 +27,14 @@ class Learner(Protocol):
     def learned(self, first: int, feedforward: Array) -> Array:
         """Correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on; ask for each tick once, in order."""
 
-    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
-        """Learn from the loop's signals of the ticks from `first` on.
-
-        Parameters
-        ----------
-        first
-            Tick of the first row.
-        reference
-            Reference (N, A), measurement unit.
-        measurement
-            Measurement (N, A), measurement unit.
-        feedback
-            Output of the feedback (N, A), V.
-        """
+    def observe(
+        self,
+        first: int,
+        reference: Annotated[Array, "N A"],
+        measurement: Annotated[Array, "N A"],
+        feedback: Annotated[Array, "N A"],
+    ) -> None:
+        """Learn from the loop's signals of the ticks from `first` on."""
 
     def reset(self) -> None:
         """Forget everything that was learned."""
@@ -76,17 +70,8 @@ class Played:
 def run_learning_loop(
     reference: Array, compensator: Compensator | None, controller: RunningPI, plant: Plant, learner: Learner
 ) -> dict[str, Array]:
-    """Signals by topic, each (N, A), of N ticks of the closed loop from rest at 0 V; `learned` is within `feedforward`.
-
-    Parameters
-    ----------
-    reference:
-        Measurement unit, (N, A).
-    compensator:
-        Without one there is what is learned alone.
-    controller, plant, learner:
-        What closes the loop, is moved, and learns. The learner goes on from what it knows.
-    """
+    """Signals by topic, each (N, A), of N ticks of the closed loop from rest at 0 V; `learned` is within `feedforward`."""
+    # controller, plant, learner:: what closes the loop, is moved, and learns. The learner goes on from what it knows
     ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
     rest = np.zeros(reference.shape[1])
     controller.reset(rest)

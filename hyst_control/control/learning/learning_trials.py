@@ -31,17 +31,7 @@ def run_trials(
     plant: Plant,
     description: IterativeLearning,
 ) -> tuple[RunningIterativeLearning, dict[str, Array]]:
-    """Learn one period (N, A) of a reference on a plant; the learner and the signals of all trials.
-
-    Parameters
-    ----------
-    reference:
-        One period in the measurement unit; the loop starts at rest at 0 V and goes on from period to period.
-    compensator, controller, plant:
-        The loop, as in `loop.run_loop`.
-    description:
-        The learner; its trials are run, also those after it has stopped.
-    """
+    """Learn one period (N, A) of a reference on a plant; the learner and the signals of all trials."""
     periods = description.trials * (description.settling + description.averaged)
     if periods * len(reference) > MOST_ROWS:
         raise InputError(
@@ -58,23 +48,6 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
     Every record begins at a tick where a period begins, and its last whole periods count. The feedforward of the second trial must
     contain the correction that was learned from the first, and so on; the correction of the first trial is its topic `learned`,
     zero where it has none.
-
-    Parameters
-    ----------
-    records
-        Records with reference, feedback and measurement.
-    description
-        Settings of the learner.
-
-    Returns
-    -------
-    tuple[RunningIterativeLearning, float]
-        Learner after the last trial, and the range of the reference, measurement unit.
-
-    Raises
-    ------
-    InputError
-        A record is too short or has other axes than the learner.
     """
     learner, rows, low, high = description.start(), description.trial_rows, np.inf, -np.inf
     for index, record in enumerate(records):
@@ -98,19 +71,7 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
 
 
 def trial_table(learner: RunningIterativeLearning, span: float, subject: str, source: str = "learn") -> Table:
-    """Table of trials: error, its repeating part and the noise in that part; the reason why learning ended is a note.
-
-    Parameters
-    ----------
-    learner
-        Learner after its trials.
-    span
-        Range of the reference, measurement unit; errors are given in percent of it.
-    subject
-        Case of the rows, such as the kind of the compensator.
-    source
-        Command that the table is from.
-    """
+    """Table of trials: error, its repeating part and the noise in that part; the reason why learning ended is a note."""
     table = Table(source)
     for index, trial in enumerate(learner.history):
         for quantity, value in (("nrmse", trial.error), ("nrmse_repeating", trial.repeating), ("nrmse_noise", trial.noise)):
@@ -129,19 +90,7 @@ def feedback_error_table(
     duration: float,
     subject: str,
 ) -> Table:
-    """Feedback-error learning on a plant: NRMSE in per cent of the range at its beginning and end, and what it learned.
-
-    Parameters
-    ----------
-    reference:
-        One period (N, A) in the measurement unit, repeated.
-    compensator, controller, plant, description:
-        The loop, as in `loop.run_loop`, and the learner.
-    duration:
-        s; the first and the last tenth of it are compared, without the first period.
-    subject:
-        Name of the compensator.
-    """
+    """Feedback-error learning on a plant: NRMSE in per cent of the range at its beginning and end, and what it learned."""
     axes = reference.shape[1]
     learner = description.start(axes)
     count = max(int(np.ceil(duration / description.sample_time / len(reference))), 3)
@@ -159,17 +108,7 @@ def feedback_error_table(
 
 
 def best_compensator(model: Model, sample_time: float, limits: tuple[float, float]) -> tuple[str, Compensator]:
-    """Kind and compensator that suit a model best: the first of `KINDS` that can be built.
-
-    Parameters
-    ----------
-    model
-        Model of the plant.
-    sample_time
-        Sample time, s.
-    limits
-        Lower and upper limit of the drive, V.
-    """
+    """Kind and compensator that suit a model best: the first of `KINDS` that can be built."""
     for kind in KINDS[:-1]:
         try:
             return kind, build_compensator(model, kind, sample_time=sample_time, limits=limits)

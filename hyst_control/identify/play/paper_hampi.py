@@ -29,24 +29,7 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 
 
 def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
-    """Identify a model in the paper's three steps.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    family
-        Name of the model family.
-    options
-        Options of the fit.
-    dynamic
-        True for weights that follow the rate, False to leave out the last step.
-
-    Raises
-    ------
-    InputError
-        The records lack an experiment; the text names it.
-    """
+    """Identify a model in the paper's three steps."""
     check_records(datasets)
     axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
     return assemble(datasets, family, "paper", axes)

@@ -40,22 +40,7 @@ class Budget:
 
 
 def decompress(data: bytes, compression: str, size: int | None, budget: Budget) -> bytes:
-    """Content of a compressed block.
-
-    Parameters
-    ----------
-    data, compression
-        The block and how it is compressed: "zstd", "lz4" or "".
-    size
-        Bytes that must come out; None where nothing says it.
-    budget
-        Of the file; what comes out is taken from it.
-
-    Raises
-    ------
-    Damage
-        Where something else comes out, or too much.
-    """
+    """Content of a compressed block."""
     if not compression:
         found = data
     else:

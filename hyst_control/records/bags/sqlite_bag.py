@@ -19,31 +19,7 @@ def sqlite_messages(
     chosen: Collection[str] | None = None,
     types: dict[str, tuple[str, str]] | None = None,
 ) -> Iterator[tuple[str, int, bytes]]:
-    """Messages in order of their time.
-
-    Parameters
-    ----------
-    file
-        The .db3 file.
-    finished
-        Whether its writer closed it: then nothing beside the file is read or written, as a folder may be read-only.
-    topics
-        Filled with the topics that are read, by their number.
-    chosen
-        Topics to read, whatever their type; None: those of signal messages.
-    types
-        Filled with type and definition of every topic.
-
-    Yields
-    ------
-    tuple
-        Topic, time of reception in ns, CDR bytes.
-
-    Raises
-    ------
-    Damage
-        Where the file is no bag.
-    """
+    """Messages in order of their time."""
     log = file.with_name(f"{file.name}-wal")
     size = file.stat().st_size + (log.stat().st_size if not finished and log.is_file() else 0)
     try:

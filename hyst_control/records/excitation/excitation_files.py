@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
@@ -49,29 +49,13 @@ def _from_file(path: Path) -> dict[str, Any]:
     return spec
 
 
-def write_excitation(path: str | Path, spec: Mapping[str, Any], rows: Array, sample_time: float, unit: str) -> None:
+def write_excitation(
+    path: str | Path, spec: Mapping[str, Any], rows: Annotated[Array, "N A"], sample_time: float, unit: str
+) -> None:
     """Write an excitation in the format that the ending of the file name selects.
 
     .csv, .npy and .yaml (the description, for the reference generator) are known; any other name is a bag. A bag holds the rows as
     `command` when their unit is V, as `reference` otherwise; time starts at 0.
-
-    Parameters
-    ----------
-    path
-        File or bag to write, which must not exist.
-    spec
-        Description of the signal, as for `excitation.build`.
-    rows
-        Rows (N, A), in `unit`.
-    sample_time
-        Sample time, s.
-    unit
-        One of `UNITS`.
-
-    Raises
-    ------
-    InputError
-        The path exists or cannot be written, in which case nothing is left there, or the unit is not known.
     """
     path = Path(path)
     axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,18 +35,9 @@ class ChangingSignal:
 
     whose slope and curvature do not jump, and which never leaves the range of the two. In this way a signal also begins at rest, over
     `ramp` rows, and ends at rest at its last row, over `end_ramp` rows; where it is at rest by itself it stays as it is.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N, A)
-        The first signal.
-    repeat : bool
-        Start again at the end.
-    ramp, end_ramp : int
-        Rows of the ramps at its beginning and end, but at most half of a signal that ends; 0 for none.
     """
 
-    def __init__(self, signal: Array, repeat: bool, ramp: int = 0, end_ramp: int = 0) -> None:
+    def __init__(self, signal: Annotated[Array, "N A"], repeat: bool, ramp: int = 0, end_ramp: int = 0) -> None:
         self._repeat, self._ramp, self._end_ramp = repeat, ramp, end_ramp
         self._newest = signal
         self._stretches: deque[_Stretch] = deque(maxlen=MOST_STRETCHES)
@@ -62,18 +53,8 @@ class ChangingSignal:
             self._stretches.append(_Stretch(0, position[None], 0))
         self.replace(signal, 0, ramp)
 
-    def replace(self, signal: Array, first: int, fade: int) -> None:
-        """Go on with another signal.
-
-        Parameters
-        ----------
-        signal : ndarray, shape (N, A)
-            The signal.
-        first : int
-            Row from which on it is used; the rows before it stay.
-        fade : int
-            Rows over which it fades in.
-        """
+    def replace(self, signal: Annotated[Array, "N A"], first: int, fade: int) -> None:
+        """Go on with another signal."""
         self._newest = signal
         while self._stretches and self._stretches[-1].first >= first > 0:
             self._stretches.pop()
@@ -83,18 +64,7 @@ class ChangingSignal:
             self._stretches.append(_Stretch(end, signal[-1:], len(signal) - end))
 
     def rows(self, first: int, count: int) -> Array:
-        """Rows of the signal.
-
-        Parameters
-        ----------
-        first, count : int
-            Number of the first row, and how many.
-
-        Returns
-        -------
-        ndarray, shape (count, A)
-            The rows.
-        """
+        """Rows of the signal."""
         return self._rows(len(self._stretches) - 1, first, count)
 
     def _rows(self, index: int, first: int, count: int) -> Array:

@@ -31,42 +31,20 @@ def most_samples() -> float:
 
 
 def number(value: Any, name: str) -> float:
-    """`value` as a number, or an InputError that names the parameter where it is none.
-
-    Parameters
-    ----------
-    value
-        As given.
-    name
-        Of the parameter, for the message.
-    """
+    """`value` as a number, or an InputError that names the parameter where it is none."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
         raise InputError(f"{name}: must be a number, got {value!r}")
     return float(value)
 
 
 def check_size(samples: float) -> None:
-    """Refuse what does not fit in memory before any of it is made.
-
-    Parameters
-    ----------
-    samples
-        Of all axes together.
-    """
+    """Refuse what does not fit in memory before any of it is made."""
     if not samples <= most_samples():
         raise InputError(f"{samples:.3g} samples do not fit in memory: shorten it, or lower the rate")
 
 
 def sample_count(duration: float, sample_time: float) -> int:
-    """Samples of a signal of this length, at least one; an InputError where there is none or they do not fit in memory.
-
-    Parameters
-    ----------
-    duration
-        Length, s.
-    sample_time
-        Sample time, s.
-    """
+    """Samples of a signal of this length, at least one; an InputError where there is none or they do not fit in memory."""
     count = int(round(number(duration, "duration") / sample_time))
     if count > most_samples():
         raise InputError(f"duration: {duration:g} s at {sample_time:g} s a sample is too long for memory")
@@ -76,13 +54,5 @@ def sample_count(duration: float, sample_time: float) -> int:
 
 
 def sample_times(duration: float, sample_time: float) -> Array:
-    """Times of a signal's samples (N,), s, from 0.
-
-    Parameters
-    ----------
-    duration
-        Length, s.
-    sample_time
-        Sample time, s.
-    """
+    """Times of a signal's samples (N,), s, from 0."""
     return np.arange(sample_count(duration, sample_time), dtype=np.float64) * sample_time

@@ -16,18 +16,6 @@ def aligned_by_reception(record: Record, topics: Sequence[str]) -> Record:
 
     The times of the others are moved by whole samples. A source that counts from its own start instead of from the clock's makes such
     records.
-
-    Parameters
-    ----------
-    record
-        Record from a bag.
-    topics
-        Topics that belong together.
-
-    Returns
-    -------
-    Record
-        The record, with a note where it was changed.
     """
     signals = [record.signals[topic] for topic in topics if topic in record.signals and len(record.signals[topic].time) > 1]
     if len(signals) < len(topics) or any(math.isnan(signal.received) for signal in signals):

@@ -6,7 +6,7 @@ Whatever listens to a topic asks here before it computes with a message. What is
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,21 +35,8 @@ MANY_VALUES = 64
 """Values from which on a look at the array is cheaper than one at each of them."""
 
 
-def admit(block: Array, period: float) -> int | Refusal:
-    """Check the rows of a message.
-
-    Parameters
-    ----------
-    block : ndarray, shape (N, 1 + A)
-        The rows, one at least; column 0 is the time in s.
-    period : float
-        Time in s between two ticks.
-
-    Returns
-    -------
-    int or Refusal
-        Tick of the first row, or what is wrong.
-    """
+def admit(block: Annotated[Array, "N 1 + A"], period: float) -> int | Refusal:
+    """Check the rows of a message."""
     rows = len(block)
     if rows > MAX_ROWS:
         return Refusal(TOO_LONG, f"it has {rows} rows, at most {MAX_ROWS} are taken")
@@ -78,16 +65,5 @@ def refused_values(block: Array) -> Refusal:
 
 
 def off_the_clock(period: float) -> str:
-    """Reason for refusing a message whose times are not ticks.
-
-    Parameters
-    ----------
-    period : float
-        Time in s between two ticks.
-
-    Returns
-    -------
-    str
-        The reason, with a remedy.
-    """
+    """Reason for refusing a message whose times are not ticks."""
     return f"its times are not successive multiples of the period {period:g} s: is rate_hz the same everywhere?"

@@ -16,15 +16,7 @@ REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
 
 
 class RepetitionBackoff:
-    """The times at which a repetition is due: the longer nothing new has come, the less often.
-
-    Parameters
-    ----------
-    now : float
-        Time in s.
-    longest : float
-        Longest time in s between two repetitions.
-    """
+    """The times at which a repetition is due: the longer nothing new has come, the less often."""
 
     def __init__(self, now: float, longest: float = LONGEST_INTERVAL) -> None:
         self.last = now

@@ -29,23 +29,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 
 def empty_rows(*shape: int) -> Array:
-    """Array of a shape, to be filled: in memory, or on a temporary file where it is large.
-
-    Parameters
-    ----------
-    shape
-        Rows first.
-
-    Returns
-    -------
-    ndarray
-        Of float64, C-contiguous.
-
-    Raises
-    ------
-    InputError
-        There is no room for the file.
-    """
+    """Array of a shape, to be filled: in memory, or on a temporary file where it is large."""
     size = 8 * int(np.prod(shape, dtype=np.int64))
     if size <= IN_MEMORY:
         return np.empty(shape)
@@ -96,15 +80,7 @@ def largest_change(values: Array) -> float:
 
 
 def first_row(count: int, found: Callable[[slice], NDArray[np.bool_]]) -> int:
-    """First of `count` rows for which something holds; `count` where there is none.
-
-    Parameters
-    ----------
-    count
-        Number of rows.
-    found
-        What holds (n,), of some rows.
-    """
+    """First of `count` rows for which something holds; `count` where there is none."""
     for part in blocks(count):
         rows = np.flatnonzero(found(part))
         if len(rows):
@@ -121,13 +97,7 @@ def spread_parts(count: int, most: int, parts: int = 16) -> list[slice]:
 
 
 class RowStore:
-    """Rows that come block by block.
-
-    Parameters
-    ----------
-    width
-        Numbers per row; None: the rows are numbers.
-    """
+    """Rows that come block by block."""
 
     def __init__(self, width: int | None = None) -> None:
         self.width = width

@@ -23,7 +23,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from enum import Enum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,48 +94,7 @@ class Wait(NamedTuple):
 
 
 class SignalRows:
-    """Rows of one signal that have been received, and those that can be taken.
-
-    Parameters
-    ----------
-    missing : Missing
-        Rule for rows before which others are missing.
-    max_queued_rows : int
-        While so many rows wait to be taken, new ones are refused, so that a signal that nobody uses does not fill the memory. With
-        `HOLD`, a gap is given up when more rows than these are held behind it.
-    now : float
-        Time in s of the clock whose readings are given to the other methods.
-    period : float
-        Time in s between two ticks.
-    clock_reset_threshold : callable
-        Time in s by which a block must lie before the newest row to be a `CLOCK_RESET`; asked for whenever rows come again, as it may
-        change.
-    drop_oldest : bool
-        Drop the oldest rows rather than refuse new ones.
-    replace : bool
-        Let other values of a tick replace those that came first, as of a sensor with a clock of its own that falls twice into one
-        tick, unless that happens in `MAX_REPLACED` ticks in a row, as with two sources: that is a `CONFLICT`.
-    may_leap : callable
-        Asked before rows far ahead of those received are refused, with the tick after them: True accepts them, as of a source that was
-        silent for a long time.
-
-    Attributes
-    ----------
-    end : int or None
-        Tick after the newest row, or None before the first one.
-    available : int
-        Number of rows in the queue.
-    joined : bool
-        Whether the first rows of the signal are known to be heard; before that none can be taken.
-    arrived : float
-        Time in s when the newest rows came.
-    conflicted : float
-        Time in s when rows came again with other values last.
-    missed, dropped : int
-        Ticks given up as lost, and rows dropped for newer ones, since the start.
-    gaps : deque of (int, int)
-        The newest stretches of ticks that were given up as lost: the first, and the one behind the last.
-    """
+    """Rows of one signal that have been received, and those that can be taken."""
 
     def __init__(
         self,
@@ -195,18 +154,8 @@ class SignalRows:
         """Tick of the row that is due next."""
         return self.end if self.end is not None and self.joined else 0
 
-    def receive(self, tick: int, rows: Array, now: float) -> Receipt:
-        """Take in a block.
-
-        Parameters
-        ----------
-        tick : int
-            Tick of its first row.
-        rows : ndarray, shape (N, A)
-            Rows of successive ticks, one at least; the block is kept as it is.
-        now : float
-            Time in s.
-        """
+    def receive(self, tick: int, rows: Annotated[Array, "N A"], now: float) -> Receipt:
+        """Take in a block."""
         if not self.joined and not self._join(tick, now):
             return Receipt.JOINING
         first, new, end = tick, rows, self.end
@@ -423,15 +372,7 @@ class SignalRows:
 
 
 def waits(signals: Mapping[str, SignalRows], now: float) -> list[Wait]:
-    """Signals that a receiver waits for, by topic: of those without a row to take the ones that are furthest behind.
-
-    Parameters
-    ----------
-    signals : mapping of str to SignalRows
-        All signals of the receiver.
-    now : float
-        Time in s.
-    """
+    """Signals that a receiver waits for, by topic: of those without a row to take the ones that are furthest behind."""
     empty = {topic: rows for topic, rows in signals.items() if not (rows.joined and rows.available)}
     due = min((rows.awaited for rows in empty.values()), default=0)
     return [Wait(topic, due, now - rows.arrived) for topic, rows in empty.items() if rows.awaited == due]
@@ -446,32 +387,16 @@ def tick_at(time: float, period: float) -> int | None:
     return tick if abs(exact - tick) <= CLOCK_TOLERANCE and 0 <= tick <= MAX_TICK else None
 
 
-def first_tick(block: Array, period: float) -> int | None:
-    """Tick of the first row of a block, or None when its times are not successive multiples of the period.
-
-    Parameters
-    ----------
-    block : ndarray, shape (N, C)
-        One row at least; column 0 is the time in s.
-    period : float
-        Time in s between two ticks.
-    """
+def first_tick(block: Annotated[Array, "N C"], period: float) -> int | None:
+    """Tick of the first row of a block, or None when its times are not successive multiples of the period."""
     tick, rows = tick_at(float(block[0, 0]), period), len(block)
     if tick is not None and rows > 1 and not np.max(np.abs(block[:, 0] / period - np.arange(tick, tick + rows))) <= CLOCK_TOLERANCE:
         return None
     return tick
 
 
-def successive_parts(block: Array, period: float) -> list[tuple[int | None, Array]]:
-    """Parts of a block within which the times are successive, each with the tick of its first row, or None where that is none.
-
-    Parameters
-    ----------
-    block : ndarray, shape (N, C)
-        Rows of several messages, with gaps and repetitions between them; column 0 is the time in s.
-    period : float
-        Time in s between two ticks.
-    """
+def successive_parts(block: Annotated[Array, "N C"], period: float) -> list[tuple[int | None, Array]]:
+    """Parts of a block within which the times are successive, each with the tick of its first row, or None where that is none."""
     if not len(block):
         return []
     tick = first_tick(block, period)

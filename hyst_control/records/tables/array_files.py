@@ -34,28 +34,7 @@ def read_array(path: str | Path) -> Array:
 
 
 def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str, Array]:
-    """All arrays of real numbers in a file, by name.
-
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        ".npy" (its one array has the name ""), ".npz" or ".mat".
-    in_child
-        Whether this process may end by a damaged file.
-
-    Returns
-    -------
-    dict
-        Arrays as float64; those of a .mat file without their dimensions of length 1, and within structures by their path
-        (``log.day1.u``, ``runs(2).u``).
-
-    Raises
-    ------
-    InputError
-        Where the file is damaged, announces more than it can hold, or is of another format.
-    """
+    """All arrays of real numbers in a file, by name."""
     path = Path(path)
     if kind in CRASHING and not in_child and path.exists():
         return arrays_from_child(path, kind)

@@ -28,22 +28,7 @@ NANOSECONDS = 1e9
 
 
 def export_record(record: Record, path: str | Path, form: str) -> None:
-    """Write a record's signals in another tool's form; a file that is there is replaced as a whole.
-
-    Parameters
-    ----------
-    record
-        The record.
-    path
-        File to write; for "mcap" a bag's folder, which must not exist.
-    form
-        Key of `FORMS`.
-
-    Raises
-    ------
-    InputError
-        The form is not known, needs a package that is not installed, or there is nothing to write; the text names the remedy.
-    """
+    """Write a record's signals in another tool's form; a file that is there is replaced as a whole."""
     if form not in FORMS:
         raise InputError(f"{form}: no form to export to, one of {', '.join(FORMS)} is due")
     if not any(len(signal.time) for signal in record.signals.values()):
@@ -52,20 +37,7 @@ def export_record(record: Record, path: str | Path, form: str) -> None:
 
 
 def table_of(record: Record) -> tuple[list[str], Array]:
-    """Put all signals into one table.
-
-    Parameters
-    ----------
-    record
-        The record.
-
-    Returns
-    -------
-    names
-        Names of the columns (C,): `time [s]`, then `signal.axis [unit]`.
-    table
-        Rows (N, C) in the order of their times, NaN where a signal has no sample.
-    """
+    """Put all signals into one table."""
     times = np.unique(np.concatenate([signal.time for signal in record.signals.values()]))
     names, columns = ["time [s]"], [times]
     for topic, signal in record.signals.items():

@@ -54,37 +54,12 @@ def import_records(
     resample: float | None = None,
     allow_gaps: bool = False,
 ) -> list[Record]:
-    """Records from a table or an array file, one for each run in it.
-
-    Parameters
-    ----------
-    path
-        A text table (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5 or .tdms. A text may have an instrument's header above or beside
-        its numbers.
-    columns
-        By number from 1 (from 0 where a column 0 is named), by the header's name, or by the name or path of an array: a vector, a
-        matrix (its columns are the axes, its rows the samples), or one column or row of a matrix as ``name(:,2)`` or ``name(2,:)``.
-        The topic `time` is the column of sample times.
-    rate
-        Hz; None: from the column of times.
-    rows
-        First and one past the last.
-    hold
-        "zoh" or "foh", the command between samples.
-    variable
-        Array that columns are numbered in, or sheet of a workbook, where there are several.
-    skip
-        Lines of a text to leave out at its beginning.
-    resample
-        Hz to interpolate to, 0 for the file's own rate; None: not at all.
-    allow_gaps
-        Accept times that pass over ticks.
-
-    Raises
-    ------
-    InputError
-        Naming file and remedy.
-    """
+    """Records from a table or an array file, one for each run in it."""
+    # path: A text table (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5 or .tdms. A text may have an instrument's header above or
+    # beside its numbers
+    # columns: by number from 1 (from 0 where a column 0 is named), by the header's name, or by the name or path of an array: a
+    # vector, a matrix (its columns are the axes, its rows the samples), or one column or row of a matrix as ``name(:,2)`` or
+    # ``name(2,:)``. The topic `time` is the column of sample times
     path = Path(path)
     if rate is not None and (not np.isfinite(rate) or rate <= 0):
         raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
