@@ -9,7 +9,7 @@ from yaml import safe_dump, safe_load
 
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
-from hyst_control.base.yaml_files import MOST_BYTES, MOST_DEPTH, parse_yaml, read_yaml
+from hyst_control.base.yaml_files import MAX_BYTES, MAX_DEPTH, parse_yaml, read_yaml
 from hyst_control.cli import main
 from hyst_control.model_file import load_model
 from hyst_control.records.bags.bag_reader import read_bag
@@ -39,7 +39,7 @@ HOSTILE = {
     "a wrong truth value": "signal: !!bool perhaps",
     "a number of sixties": "signal: 1" + ":59" * 40_000,
     "nested parallel": HEAD + f"chain: {PARALLEL}\n",
-    "a long text": "x: " + "a" * MOST_BYTES,
+    "a long text": "x: " + "a" * MAX_BYTES,
     "no text": b"\xff\xfe\x00",
     "control characters": "a: \x07",
 }
@@ -95,7 +95,7 @@ def test_what_is_honest_reads_as_it_does_elsewhere(value):
 def test_aliases_and_merges_of_honest_size_are_read():
     text = "a: &a {k: 1}\nb: *a\nc: {<<: *a, l: 2}\n"
     assert parse_yaml(text, "here") == {"a": {"k": 1}, "b": {"k": 1}, "c": {"k": 1, "l": 2}}
-    assert parse_yaml("[" * MOST_DEPTH + "]" * MOST_DEPTH, "here") is not None
+    assert parse_yaml("[" * MAX_DEPTH + "]" * MAX_DEPTH, "here") is not None
     with pytest.raises(InputError, match="the key 'k' stands twice"):
         parse_yaml("k: 1\nk: 2\n", "here")
 
@@ -132,4 +132,4 @@ def test_a_file_that_is_none_is_named(tmp_path):
 
 @pytest.mark.parametrize("path", sorted(config_path("models/pea_hampi.yaml").parent.glob("*.yaml")), ids=lambda path: path.stem)
 def test_shipped_models_are_far_from_the_limits(path):
-    assert path.stat().st_size < MOST_BYTES / 100 and load_model(path)
+    assert path.stat().st_size < MAX_BYTES / 100 and load_model(path)

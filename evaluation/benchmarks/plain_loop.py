@@ -36,7 +36,7 @@ from hyst_control.processes import environment
 Array = NDArray[np.float64]
 
 LIMITS = (0.0, 100.0)  # V
-MOST_WAITING = 5000  # rows of a signal
+MAX_WAITING = 5000  # rows of a signal
 
 
 class PlainNode(Node):
@@ -122,7 +122,7 @@ class PlainFeedback(PlainNode):
         self.newest[topic] = tick, values
         if not self.timed:
             self.rows[topic][tick] = values
-            if len(self.rows[topic]) > MOST_WAITING:
+            if len(self.rows[topic]) > MAX_WAITING:
                 del self.rows[topic][next(iter(self.rows[topic]))]
             if all(tick in rows for rows in self.rows.values()):
                 self.control(tick, {name: rows.pop(tick) for name, rows in self.rows.items()})

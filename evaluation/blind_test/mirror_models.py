@@ -26,7 +26,7 @@ DELAYS = (0.0, 0.25, 0.5, 0.75)
 LOST_GAIN = 0.05
 MODE = "mode at"
 """Begin of the names of modes that a model loses."""
-LEAST_SHARE = 1.0
+MIN_SHARE = 1.0
 """Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
 
 
@@ -81,7 +81,7 @@ def models_without_elements(model: Model, level: mirror.Level, floor: float) -> 
     for block, frequency in oscillating(whole):
         crippled = with_stages(model, *before, without_states(whole, block))
         lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
-        if np.mean(lost**2) > LEAST_SHARE * floor**2:
+        if np.mean(lost**2) > MIN_SHARE * floor**2:
             yield f"{MODE} {frequency:.0f} Hz", ("resonance",), crippled
 
 

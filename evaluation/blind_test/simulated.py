@@ -15,7 +15,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.report.augmented_model import without_lines
 from hyst_control.model_file import Model, simulate
 
-LEAST_VISIBILITY = 10.0
+MIN_VISIBILITY = 10.0
 """Distance (standard deviations, coefficients marginalized) below which a gap is invisible: such a case counts as none."""
 
 
@@ -45,7 +45,7 @@ def label_of(case: Case) -> Label:
         gap = float(np.sqrt(np.mean(difference**2)))
         distance = visibility(case, difference, stated)
     label = Label(case.kind, case.names, gap, noise, distance)
-    if wrong and (distance < LEAST_VISIBILITY or gap < least):
+    if wrong and (distance < MIN_VISIBILITY or gap < least):
         return replace(label, kind="none", names=(), hidden=case.names or (case.kind,))
     if case.kind != "pair":
         return label
@@ -53,7 +53,7 @@ def label_of(case: Case) -> Label:
     for effect in case.effects:
         part = _difference(case, replace(case, effects=tuple(other for other in case.effects if other is not effect)))
         size = visibility(replace(case, effects=(effect,)), part, stated)
-        if size >= LEAST_VISIBILITY and float(np.sqrt(np.mean(part**2))) >= least:
+        if size >= MIN_VISIBILITY and float(np.sqrt(np.mean(part**2))) >= least:
             shown.append(effect["name"])
     return replace(label, shown=tuple(shown))
 

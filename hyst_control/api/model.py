@@ -19,7 +19,7 @@ from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
-from hyst_control.control.linearization import hysteresis_slopes, linearised
+from hyst_control.control.linearization import hysteresis_slopes, linearized
 from hyst_control.control.model_figures import beside, bode_of
 from hyst_control.control.state_space import state_space
 from hyst_control.identify.assess.explained_share import NOTHING
@@ -222,7 +222,7 @@ class Model(model_file.Model, Shown):
 
         sample_time = self.sample_time if rate is None else 1.0 / rate
         mean, _ = hysteresis_slopes(self)
-        return StateSpace(*state_space(linearised(self, mean), len(self.axes), sample_time), dt=sample_time)
+        return StateSpace(*state_space(linearized(self, mean), len(self.axes), sample_time), dt=sample_time)
 
     def inverse(self, rate: float | None = None, *, limits: tuple[ArrayLike, ArrayLike] | None = None) -> Inverse:
         """The feedforward of the model: a function from a reference to the command.

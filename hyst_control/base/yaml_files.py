@@ -15,19 +15,19 @@ import yaml
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import first_line
 
-MOST_BYTES = 4 * 2**20
+MAX_BYTES = 4 * 2**20
 """Length of a text."""
 
-MOST_DEPTH = 64
+MAX_DEPTH = 64
 """Lists and mappings within each other."""
 
-MOST_NODES = 200_000
+MAX_NODES = 200_000
 """Values, every alias counted as all that it stands for."""
 
-MOST_KEYS = 10_000
+MAX_KEYS = 10_000
 """Keys of one mapping."""
 
-MOST_CHARACTERS = 2**16
+MAX_CHARACTERS = 2**16
 """Length of one value: a number of a million digits takes minutes to read."""
 
 EXPONENT = ("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
@@ -38,7 +38,7 @@ def read_yaml(path: str | Path, remedy: str = "give the path of a YAML file") ->
     """Content of a YAML file."""
     try:
         with open(path, "rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}: {remedy}") from None
     try:
@@ -70,8 +70,8 @@ class _LimitExceeded(Exception):
 
 def _check(text: str) -> None:
     """Count what a text holds without building it."""
-    if len(text) > MOST_BYTES:
-        raise _LimitExceeded(f"is longer than {MOST_BYTES >> 20} MiB: split it, or keep large arrays in .npy files")
+    if len(text) > MAX_BYTES:
+        raise _LimitExceeded(f"is longer than {MAX_BYTES >> 20} MiB: split it, or keep large arrays in .npy files")
     nodes = 0
     anchors: dict[str, int] = {}
     """Nodes of everything anchored so far."""
@@ -83,30 +83,30 @@ def _check(text: str) -> None:
         if isinstance(event, yaml.NodeEvent):
             room[-1] -= 1
             if room[-1] < 0:
-                raise _LimitExceeded(f"holds a mapping of more than {MOST_KEYS} keys: split it")
+                raise _LimitExceeded(f"holds a mapping of more than {MAX_KEYS} keys: split it")
         if isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _ in open_nodes):
                 raise _LimitExceeded(f"the alias *{event.anchor} stands within itself: write the values out")
             nodes += anchors.get(str(event.anchor), 1)
         elif isinstance(event, yaml.ScalarEvent):
             nodes += 1
-            if len(event.value) > MOST_CHARACTERS:
-                raise _LimitExceeded(f"holds a value of {len(event.value)} characters: at most {MOST_CHARACTERS} are read")
+            if len(event.value) > MAX_CHARACTERS:
+                raise _LimitExceeded(f"holds a value of {len(event.value)} characters: at most {MAX_CHARACTERS} are read")
             if event.anchor is not None:
                 anchors[event.anchor] = 1
         elif isinstance(event, yaml.CollectionStartEvent):
             nodes += 1
             open_nodes.append((event.anchor, nodes))
-            room.append(2 * MOST_KEYS if isinstance(event, yaml.MappingStartEvent) else MOST_NODES)
-            if len(open_nodes) > MOST_DEPTH:
-                raise _LimitExceeded(f"is nested more than {MOST_DEPTH} deep: flatten it")
+            room.append(2 * MAX_KEYS if isinstance(event, yaml.MappingStartEvent) else MAX_NODES)
+            if len(open_nodes) > MAX_DEPTH:
+                raise _LimitExceeded(f"is nested more than {MAX_DEPTH} deep: flatten it")
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, begin = open_nodes.pop()
             room.pop()
             if anchor is not None:
                 anchors[anchor] = nodes - begin + 1
-        if nodes > MOST_NODES:
-            raise _LimitExceeded(f"holds more than {MOST_NODES} values, its aliases counted: split it")
+        if nodes > MAX_NODES:
+            raise _LimitExceeded(f"holds more than {MAX_NODES} values, its aliases counted: split it")
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]

@@ -26,7 +26,7 @@ LAGS = (1.0, 4.0, 16.0)
 """Times of the command's lagged copies, as multiples of the time in which its fastest part crosses a 64th of its range."""
 CREEPS = (0.3, 3.0)
 """Time constants of low-passed copies, as shares of the longest record."""
-LEAST_REVERSAL = 0.01
+MIN_REVERSAL = 0.01
 """Share of the range by which a command has to come back before its turning point counts as a reversal."""
 LONGEST, BLOCK = 2**20, 2**18
 """Samples of a command from which quantiles of its rate are taken; samples whose features are computed at a time."""
@@ -117,7 +117,7 @@ def features_of_tick(
     turn, extreme, rising = turning[0], turning[1], turning[2]
     if u > extreme if rising > 0.0 else u < extreme:
         extreme = u
-    if abs(u - extreme) > LEAST_REVERSAL:  # it has come back
+    if abs(u - extreme) > MIN_REVERSAL:  # it has come back
         turn, extreme, rising = extreme, u, 1.0 - rising
     turning[0], turning[1], turning[2] = turn, extreme, rising
     distance, speed = u - turn, abs(rate)
@@ -152,7 +152,7 @@ static void features_of_tick(const double ring[], int length, int now, double ra
     if (((turning[2] > 0.0) && (u > turning[1])) || ((turning[2] <= 0.0) && (u < turning[1]))) {
         turning[1] = u;
     }
-    if (fabs(u - turning[1]) > LEAST_REVERSAL) { /* it has come back */
+    if (fabs(u - turning[1]) > MIN_REVERSAL) { /* it has come back */
         turning[0] = turning[1];
         turning[1] = u;
         turning[2] = 1.0 - turning[2];
@@ -216,7 +216,7 @@ for _name, _value in (
     ("FIRST_PLAY", FIRST_PLAY),
 ):
     FEATURES_IN_C = FEATURES_IN_C.replace(_name, str(_value))
-FEATURES_IN_C = FEATURES_IN_C.replace("LEAST_REVERSAL", repr(LEAST_REVERSAL))
+FEATURES_IN_C = FEATURES_IN_C.replace("LEAST_REVERSAL", repr(MIN_REVERSAL))
 """`features_of_tick` in C, and the memories at rest; in double also where signals are float."""
 
 

@@ -51,7 +51,7 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     return mean, greatest[np.abs(greatest).argmax(axis=0), np.arange(axes)]
 
 
-def linearised(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
+def linearized(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
     """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
 
     Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.

@@ -6,14 +6,14 @@ import numpy as np
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.control.linearization import Complex, hysteresis_slopes, linearised, sampled_response
+from hyst_control.control.linearization import Complex, hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.reporting.frequency_figures import Response, bode, measured_responses
-from hyst_control.reporting.signal_figures import MOST_POINTS, Line, Panel, thinned
+from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel, thinned
 
 DECADES, LINES = 4.0, 400
 """Decades below half the sample rate, and frequencies, that a response is computed at."""
@@ -31,7 +31,7 @@ def model_responses(model: Model, frequency: Array, sample_time: float | None = 
     step = sample_time or model.sample_time
     mean, _ = hysteresis_slopes(model)
     z = np.exp(2j * np.pi * frequency * step)
-    found = sampled_response(linearised(model, mean), len(model.axes), step, z)
+    found = sampled_response(linearized(model, mean), len(model.axes), step, z)
     several = len(model.axes) > 1
     return [
         Response(f"{model.name} {axis}" if several else model.name, frequency, found[:, index, index])
@@ -63,7 +63,7 @@ def beside(model: Model, record: Record) -> list[Panel]:
     for index, axis in enumerate(data.axes):
         name = f".{axis}" if len(data.axes) > 1 else ""
         y, simulated, rest = measured[:, index], measured[:, index] - error[:, index], error[:, index]
-        step = max(1, len(y) // (10 * MOST_POINTS))  # a loop has no order: none of its points may be moved
+        step = max(1, len(y) // (10 * MAX_POINTS))  # a loop has no order: none of its points may be moved
         u = command[::step, index]
         correlations, bound = _correlations(rest, command[:, index])
         reach = len(correlations[0]) // 2

@@ -26,7 +26,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI, roll_off_share
-from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
@@ -290,7 +290,7 @@ def spread_responses(
     """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
-    stages = linearised(model, greatest)
+    stages = linearized(model, greatest)
     responses = []
     for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
         response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
@@ -309,7 +309,7 @@ def _largest_scale(
     courses = _courses(loops)
 
     def kept(scale: float) -> bool:
-        if 1.0 > peak_sensitivity * _least_distance(scale * loops, error):
+        if 1.0 > peak_sensitivity * _min_distance(scale * loops, error):
             return False
         return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
 
@@ -348,7 +348,7 @@ def _crossing_180(loops: Complex) -> Array:
     return np.asarray(np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0)))
 
 
-def _least_distance(loops: Complex, error: float) -> float:
+def _min_distance(loops: Complex, error: float) -> float:
     """The least |1 + L (1 + d)| over loops and all relative errors |d| up to `error`."""
     return float((np.abs(1.0 + loops) - error * np.abs(loops)).min())
 
@@ -409,7 +409,7 @@ def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -
     return Margins(
         gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
         phase_margin=float(np.degrees(_phase_margin(_courses(loop[None]), error)[0])),
-        peak_sensitivity=1.0 / _least_distance(loop, error),
+        peak_sensitivity=1.0 / _min_distance(loop, error),
         crossover=float(frequency[above[-1]]) if len(above) else 0.0,
         bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time,
     )
@@ -472,6 +472,6 @@ def _step(model: Model, kp: float, ki: float, roll_off: float, sample_time: floa
     """Measurement (length, A) of the linear loop when the reference jumps to 1 at its first sample; feedback alone."""
     axes = len(model.axes)
     mean, _ = hysteresis_slopes(model)
-    plant = Simulator(model.with_stages(Chain(linearised(model, mean)).stages), sample_time)
+    plant = Simulator(model.with_stages(Chain(linearized(model, mean)).stages), sample_time)
     controller = PI(kp, ki, sample_time, -1e300, 1e300, roll_off=roll_off).start(axes)
     return run_loop(np.ones((length, axes)), None, controller, plant)["measurement"]

@@ -20,7 +20,7 @@ SETBACK = 0.5
 LOST_AFTER = 5.0
 """s after which a node that says nothing is called lost: diagnostics come once a second."""
 
-MOST_EVENTS = 200
+MAX_EVENTS = 200
 """Events that are kept."""
 NUMBER = re.compile(r"[0-9][0-9.e+-]*")
 
@@ -119,7 +119,7 @@ class LiveState:
         """Gap of every judged window, in % of the range, and its alarm (0 or 1)."""
         self.answers: deque[str] = deque(maxlen=5)
         """Requests to the nodes and their answers, the newest last."""
-        self.events: deque[LoopEvent] = deque(maxlen=MOST_EVENTS)
+        self.events: deque[LoopEvent] = deque(maxlen=MAX_EVENTS)
         """Faults of the nodes and their ends, the newest last."""
         self._faults: dict[str, tuple[str, float]] = {}  # of each node: its fault with "…" for numbers, and since when
         self._lock = threading.Lock()

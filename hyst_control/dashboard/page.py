@@ -27,7 +27,7 @@ REST = 3.0
 """Pause after an update, in the time that the browser took to draw it: drawing keeps a quarter of a core busy at most."""
 SILENT_AFTER = 1.0
 """s without a row after which the page says so."""
-MOST_ROWS = 20_000
+MAX_ROWS = 20_000
 """Rows of a curve that a browser keeps."""
 NEUTRAL = "#7f8896"
 """Color of the reference and of axes, legible on a light and on a dark ground."""
@@ -96,7 +96,7 @@ class _Curve:
             if changed:
                 columns_changed()
         else:
-            self.source.stream(data, rollover=MOST_ROWS)
+            self.source.stream(data, rollover=MAX_ROWS)
         return True
 
 

@@ -27,7 +27,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
-MOST_POINTS = 700
+MAX_POINTS = 700
 """Points of a curve on the page, about; the curves are smooth."""
 PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "reference")
 """Every subject has one color in all figures."""
@@ -187,7 +187,7 @@ def _tracking_figure(
         ],
     )
     for index, (_, begin, end) in enumerate(stretches, start=1):
-        rows = slice(begin, end, max((end - begin) // MOST_POINTS, 1))
+        rows = slice(begin, end, max((end - begin) // MAX_POINTS, 1))
         time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
         line = {"color": PALETTE.color("reference"), "dash": "dot"}
         name, shown = "reference", index == 1
@@ -219,7 +219,7 @@ def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go
     )
     for column, sources in enumerate(loops.values(), start=1):
         _, truth = sources["measured"]
-        every = slice(None, None, max(len(truth) // MOST_POINTS, 1))
+        every = slice(None, None, max(len(truth) // MAX_POINTS, 1))
         for name, (u, y) in sources.items():
             line = {"color": PALETTE.color(name), "width": 1.4, "dash": "solid" if name == "measured" else "dash"}
             look = {"name": name, "legendgroup": name, "line": line}

@@ -49,7 +49,7 @@ class Thresholds:
         "clearest sign of an unknown effect, as a multiple of its rule's threshold, beyond which the verdict is unknown: conformal, "
         "of single effects on tuning seeds at most 4 % exceed it",
     )
-    most_effects: int = _setting(
+    max_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
@@ -63,12 +63,12 @@ class Thresholds:
         "what such a change must gain where the fits know the spectrum of the model's own error: what the largest of four changes gains "
         "by chance in 4 % of the cases, and the margin",
     )
-    least_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
+    min_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
     run_to_run: float = _setting(
         "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
     )
-    least_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
-    least_explained_whitened: float = _setting(
+    min_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
+    min_explained_whitened: float = _setting(
         "share of the gap's energy", "the same where the fits know the spectrum of the model's own error"
     )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
@@ -125,7 +125,7 @@ class Thresholds:
 class RecordSettings:
     """Records that can be used."""
 
-    least_rows: int = _setting("samples", "shortest gapless stretch that is used")
+    min_rows: int = _setting("samples", "shortest gapless stretch that is used")
     memory_part: int = _setting(
         "1/parts", "first part of a stretch after missing ticks that does not count: the hysteresis' memory fills"
     )
@@ -208,7 +208,7 @@ class FlickerSettings:
         "natural logarithm, rms", "most that bands may be off a + b/f^p, each weighed by this and chance together"
     )
     colored_share: float = _setting("share of the power", "1/f part from which a band counts for the shape")
-    least_bands: int = _setting("bands", "fewest bands that count for the shape")
+    min_bands: int = _setting("bands", "fewest bands that count for the shape")
     slow_corner: float = _setting("share of the Nyquist frequency", "corner of the low-pass before rest and motion are compared")
     motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
     jump: float = _setting("standard deviations", "step from one sample to the next from which it is a jump, as noise has none")
@@ -220,19 +220,19 @@ class HumpSettings:
     """Estimation of a vibration whose phase wanders."""
 
     lowest_bins: int = _setting("bins", "frequency from which a hump is looked for")
-    least_half_width: float = _setting("bins", "half width from which a hump is none of a line")
-    most_half_width: float = _setting("share of the frequency", "half width up to which noise is of a narrow band")
-    least_gain: float = _setting("nats", "gain from which a hump is fitted: a running mean over the white noise")
+    min_half_width: float = _setting("bins", "half width from which a hump is none of a line")
+    max_half_width: float = _setting("share of the frequency", "half width up to which noise is of a narrow band")
+    min_gain: float = _setting("nats", "gain from which a hump is fitted: a running mean over the white noise")
     starts: int = _setting("widths", "widths at which fits begin")
     colored_share: float = _setting("share of the power", "part of the hump from which a band counts for the shape")
     narrowest_band: float = _setting("half widths", "width of the bands at its top; the others widen from there")
     bands: int = _setting("bands", "bands on either side")
-    least_bands: int = _setting("bands", "fewest bands that count for the shape")
+    min_bands: int = _setting("bands", "fewest bands that count for the shape")
     shape_misfit: float = _setting(
         "natural logarithm, rms", "most that bands may be off the hump, each weighed by this and chance together"
     )
     segments: int = _setting("segments", "most parts of the record compared between rest and motion")
-    least_segments: int = _setting("segments", "fewest parts that are compared")
+    min_segments: int = _setting("segments", "fewest parts that are compared")
     motion_ratio: float = _setting("1", "most energy in motion over that at rest: more follows the command")
     followed: float = _setting("share of the power", "part of the hump from which it follows the command")
 

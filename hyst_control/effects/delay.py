@@ -9,8 +9,8 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Delay up to 20 samples, 5 ms at most, in a record's surroundings `around`; a period of the slowest line beside clean records."""
     ts = around.sample_time
-    if around.slowest is not None:
-        upper = max(1.0 / around.slowest, 2.5 * ts)
+    if around.lowest_frequency is not None:
+        upper = max(1.0 / around.lowest_frequency, 2.5 * ts)
         few = tuple(samples * ts for samples in (0.3, 1.0, 2.0, 4.0, 8.0) if samples * ts < upper)
         starts = (*few, *(share * upper for share in (0.003, 0.01, 0.03, 0.1, 0.25, 0.5)))
         return (Parameter("tau", "s", 0.0, starts, 0.0, upper, 0.1 * upper, smooth=0.1 * ts),)
@@ -26,6 +26,6 @@ EFFECT = Effect(
     lambda values, around: Delay(values["tau"]),
     separating_record="the amplifier's output voltage",
     also_beside_clean=("sensor",),
-    apart=True,
+    separate_sizes=True,
     phrase="a delay of {tau}",
 )

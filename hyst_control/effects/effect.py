@@ -83,11 +83,11 @@ class Surroundings:
     slew: float
     measurement: tuple[float, float]
     axes: int
-    slowest: float | None = None
+    lowest_frequency: float | None = None
     modes: tuple[tuple[float, float], ...] = ()
     begin: float = 0.0
     moved: float = 0.0
-    modelled: tuple[float, float] | None = None
+    modeled: tuple[float, float] | None = None
     poles: tuple[complex, ...] = ()
 
     @property
@@ -252,7 +252,7 @@ class Effect:
     waveform: bool = True
     couples: bool = False
     shared: bool = False
-    apart: bool = False
+    separate_sizes: bool = False
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
     variants: Callable[[Surroundings], tuple[Mapping[str, float], ...]] = lambda _: ({},)
     summary: Callable[[Values], dict[str, float]] = lambda _: {}

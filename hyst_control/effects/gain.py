@@ -20,11 +20,11 @@ EFFECT = Effect(
     "The gain of amplifier, piezo or sensor is 1 + gain times the model's.",
     lambda around: (
         Parameter("gain", "", 0.0, (0.01,), -0.2, 0.2, 0.03)
-        if around.slowest is None
+        if around.lowest_frequency is None
         else Parameter("gain", "", 0.0, (0.01,), -0.8, 4.0, 0.1),
     ),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
-    apart=True,
+    separate_sizes=True,
     phrase="a gain error of {gain}",
 )

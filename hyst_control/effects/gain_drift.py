@@ -226,7 +226,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """
     change = (
         Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
-        if around.slowest is None
+        if around.lowest_frequency is None
         else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     )
     return change, *drift_parameters(around, min(0.05 * around.duration + around.moved, around.duration))

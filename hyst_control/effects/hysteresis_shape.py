@@ -135,7 +135,7 @@ def shape(values: Values, around: Surroundings) -> HysteresisShape:
 
 def _reach(around: Surroundings) -> float:
     """Largest bend, in shares of the stroke."""
-    return 0.1 if around.slowest is None else 0.25
+    return 0.1 if around.lowest_frequency is None else 0.25
 
 
 def _usual(around: Surroundings) -> float:

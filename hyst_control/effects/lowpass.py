@@ -165,9 +165,9 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     tenth of the lowest excited frequency.
     """
     nyquist = 0.5 / around.sample_time
-    if around.slowest is not None:
-        starts = tuple(np.geomspace(0.3 * around.slowest, nyquist, 6).tolist())
-        lower = 0.1 * around.slowest
+    if around.lowest_frequency is not None:
+        starts = tuple(np.geomspace(0.3 * around.lowest_frequency, nyquist, 6).tolist())
+        lower = 0.1 * around.lowest_frequency
     else:
         starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
         lower = min(3.0 / around.duration, 0.01 * nyquist)

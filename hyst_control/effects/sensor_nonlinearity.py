@@ -101,9 +101,11 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     records, where no coefficient takes the slope up, slope is its ratio to the same root sum square.
     """
     size = around.stroke
-    wide = 1.0 if around.slowest is None else 5.0
+    wide = 1.0 if around.lowest_frequency is None else 5.0
     # No bend is larger than what is measured; how large a usual one is does not depend on that.
-    most, fewer, usual = (0.05 * size, 0.02 * size, 0.002 * size) if around.slowest is None else (size, 0.4 * size, 0.01 * size)
+    most, fewer, usual = (
+        (0.05 * size, 0.02 * size, 0.002 * size) if around.lowest_frequency is None else (size, 0.4 * size, 0.01 * size)
+    )
     return (
         *(
             Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size, is_size=True)
@@ -111,19 +113,19 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
         ),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
         *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, usual, told=False) for name in ("fourth", "fifth")),
-        *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.slowest is not None else []),
+        *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.lowest_frequency is not None else []),
     )
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
     """Beside clean records also the second and third term alone: of more the model's own error leaves nothing to be told."""
-    return ({},) if around.slowest is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
+    return ({},) if around.lowest_frequency is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
     """Bend over the range that the model simulates, or else that of the measurement, unless `lower` and `upper` are among the values."""
     # The range of the characteristic is that of its input: a large bend moves the ends of what is measured.
-    lower, upper = around.measurement if around.modelled is None else around.modelled
+    lower, upper = around.measurement if around.modeled is None else around.modeled
     upper = max(upper, lower + 1e-9)
     bend = np.hypot(values["second"], values["third"])
     zero, first = (frozen(np.multiply(values.get(name, 0.0), bend)) for name in ("ratio", "slope"))

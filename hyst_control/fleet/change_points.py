@@ -29,7 +29,7 @@ SHIFTS = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Sizes tau of a shift, in standard deviations of a night, likewise."""
 WALKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 """Standard deviations q of a walk's step, in those sigma of the noise, likewise."""
-LEAST_NIGHTS = 4
+MIN_NIGHTS = 4
 """Nights of a unit from which on it is looked at."""
 
 
@@ -90,7 +90,7 @@ def find_changes(
     quantity: str, units: Sequence[str], moments: Annotated[Array, "T"], values: Annotated[Array, "U T"], false_share: float = 0.02
 ) -> tuple[list[Onset], list[Trend]]:
     """Find the units whose quantity shifted or drifts."""
-    looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= LEAST_NIGHTS]
+    looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= MIN_NIGHTS]
     spread = night_variance(values[looked_at]) if looked_at else 0.0
     if spread <= 0.0:
         return [], []

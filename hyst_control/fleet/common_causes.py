@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from scipy.stats import binom, false_discovery_control, hypergeom
 
-LEAST_UNITS = 3
+MIN_UNITS = 3
 """Units that must have changed together."""
 
 
@@ -44,12 +44,12 @@ def find_common_causes(
             for value in sorted(set(values.values())):
                 having = {unit for unit, its in values.items() if its == value}
                 hit = sorted(having & set(begins))
-                if len(hit) >= LEAST_UNITS and len(having) < units:
+                if len(hit) >= MIN_UNITS and len(having) < units:
                     chance = float(hypergeom.sf(len(hit) - 1, units, len(begins), len(having)))
                     shared.append(CommonCause(quantity, column, value, hit, len(having), chance))
         for night in sorted(set(begins.values())):
             hit = sorted(unit for unit, begin in begins.items() if begin == night)
-            if len(hit) >= LEAST_UNITS and nights > 1:
+            if len(hit) >= MIN_UNITS and nights > 1:
                 chance = min(1.0, nights * float(binom.sf(len(hit) - 1, len(begins), 1.0 / nights)))
                 together.append(CommonCause(quantity, "first night", f"{night:g}", hit, len(begins), chance))
     return sorted(_kept(shared, false_share) + _kept(together, false_share), key=lambda cause: cause.probability)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 HUBER = 1.345
 """Residual, in standard deviations, from which a difference counts less: 95 % efficient for a normal law (Huber 1981)."""
 ROUNDS = 20
-LEAST_DIFFERENCES = 20
+MIN_DIFFERENCES = 20
 """Differences that a slope is fitted to."""
 DEVIATIONS = 4.0
 """Standard errors from which a slope is believed."""
@@ -56,7 +56,7 @@ def _slope(quantity: str, name: str, values: Array, covariate: Array) -> Covaria
     x, y = rise[known], change[known]
     night = np.nonzero(known)[1]
     spread = MAD * np.median(np.abs(y - np.median(y))) if len(y) else 0.0
-    if len(x) < LEAST_DIFFERENCES or spread <= 0.0 or np.ptp(x) <= 0.0:
+    if len(x) < MIN_DIFFERENCES or spread <= 0.0 or np.ptp(x) <= 0.0:
         return None
     slope = 0.0
     weights = np.ones(len(x))

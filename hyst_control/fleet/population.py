@@ -36,7 +36,7 @@ TOLERANCE = 1e-8
 """Relative change of the scatter at which the passes end."""
 MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
-LEAST_UNITS = 3
+MIN_UNITS = 3
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ def find_population(
     for row, unit in enumerate(units):
         rows[unit].append(row)
     names = tuple(sorted(rows))
-    if len(names) < LEAST_UNITS:
-        raise InputError(f"{len(names)} units with a model of one structure: a population needs {LEAST_UNITS} at least")
+    if len(names) < MIN_UNITS:
+        raise InputError(f"{len(names)} units with a model of one structure: a population needs {MIN_UNITS} at least")
     ordered = [np.array(sorted(rows[name], key=lambda row: moments[row])) for name in names]
     scale = _scale(values)
     scaled, error = values / scale, errors.mean(axis=0) / np.outer(scale, scale)

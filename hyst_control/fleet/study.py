@@ -28,7 +28,7 @@ from hyst_control.fleet.split_axes import split_axes
 
 SCHEMA = "hyst_control/fleet"
 SUMMARY = "summary.json"
-MOST_NAMED = 10
+MAX_NAMED = 10
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class Study:
             f"{len(self.failed)} failed"
         ]
         lines += [f"{count:8d}  {verdict}" for verdict, count in sorted(self.verdicts.items(), key=lambda item: -item[1])]
-        lines += [f"failed: {bag}: {reason}" for bag, reason in list(self.failed.items())[:MOST_NAMED]]
-        if len(self.failed) > MOST_NAMED:
-            lines.append(f"and {len(self.failed) - MOST_NAMED} more, see records.parquet")
+        lines += [f"failed: {bag}: {reason}" for bag, reason in list(self.failed.items())[:MAX_NAMED]]
+        if len(self.failed) > MAX_NAMED:
+            lines.append(f"and {len(self.failed) - MAX_NAMED} more, see records.parquet")
         return "\n".join([*lines, f"written: {self.folder / 'records.parquet'}", f"written: {self.folder / 'fleet.html'}"])
 
 

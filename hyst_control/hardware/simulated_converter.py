@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 class Converter:
     """Simulated digital-to-analog and analog-to-digital converters with a stage between them, which runs as time passes."""
 
-    MOST_STEPS = 10_000
+    MAX_STEPS = 10_000
     """Samples computed at once; after a longer pause the stage has settled."""
 
     def __init__(self, simulator: Simulator, axes: int, period: float, output_step: float = 0.0, input_step: float = 0.0) -> None:
@@ -33,7 +33,7 @@ class Converter:
     def sample(self) -> Array:
         """Measurement (A,) of this moment, um or mrad."""
         now = int(time.monotonic() / self._period)
-        steps = min(now - self._sample, self.MOST_STEPS)
+        steps = min(now - self._sample, self.MAX_STEPS)
         if steps > 0:
             self._value = self._simulator.step(np.repeat(self.voltage[None], steps, axis=0))[-1]
             self._sample = now

@@ -25,7 +25,7 @@ from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
 from hyst_control.reporting.tables import Table
 
-MOST_MOTIONS = 24
+MAX_MOTIONS = 24
 """Motions between rests that are told one by one: a sum of sines has hundreds."""
 
 
@@ -127,8 +127,8 @@ def _motions(data: Dataset, axis: int, error: Array, skipped: int) -> list[Motio
 
 
 def by_motion(motions: Sequence[Motion]) -> list[tuple[str, float, int]]:
-    """Errors of motions one by one, or, where there are more than `MOST_MOTIONS`, by octave of frequency and of amplitude."""
-    if len(motions) <= MOST_MOTIONS:
+    """Errors of motions one by one, or, where there are more than `MAX_MOTIONS`, by octave of frequency and of amplitude."""
+    if len(motions) <= MAX_MOTIONS:
         return [(f"{one.frequency:.4g} Hz, {one.amplitude:.4g} V", one.error / one.span, one.rows) for one in motions]
     groups: dict[tuple[int, int], list[Motion]] = {}
     for one in motions:

@@ -50,7 +50,7 @@ TOPICS = ("command", "measurement")
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
 
-MOST_NOTES = 5
+MAX_NOTES = 5
 """Lines of notes on a terminal."""
 SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
 """Least length of a stretch between gaps that is used: share of the longest one, and samples."""
@@ -110,7 +110,7 @@ def fit_text(report: Report) -> str:
     if "tried" in report:
         lines += choice_lines(report["tried"])
     notes = report["notes"]
-    shown = notes if len(notes) <= MOST_NOTES else notes[: MOST_NOTES - 1]
+    shown = notes if len(notes) <= MAX_NOTES else notes[: MAX_NOTES - 1]
     lines += [f"  note: {note}" for note in shown]
     if len(shown) < len(notes):
         lines.append(f"  note: {len(notes) - len(shown)} more are in the report (--json)")

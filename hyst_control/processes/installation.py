@@ -35,7 +35,7 @@ WRITTEN = 32 << 20
 """Bytes that the disk is tried with."""
 ROW_BYTES = 5 * 2 * 64
 """Bytes of a bag for a row of five signals of two axes, with their messages' frames."""
-LEAST_MEMORY = 2.0
+MIN_MEMORY = 2.0
 """GiB that an identification of an hour's record may take."""
 
 
@@ -232,7 +232,7 @@ def memory() -> Check:
     if "MemAvailable" not in sizes:
         return Check("memory", Verdict.NOTE, "this system does not tell")
     found = f"{sizes['MemAvailable']:.1f} of {sizes['MemTotal']:.1f} GiB available"
-    if sizes["MemAvailable"] < LEAST_MEMORY:
+    if sizes["MemAvailable"] < MIN_MEMORY:
         return Check("memory", Verdict.NOTE, found, "close what else is running, or identify from shorter records")
     return Check("memory", Verdict.GOOD, found)
 

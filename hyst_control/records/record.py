@@ -35,7 +35,7 @@ def axis_names(count: int) -> tuple[str, ...]:
     return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
 
 
-MOST_TICKS = 2.0**52
+MAX_TICKS = 2.0**52
 """Beyond it a float64 does not hold a tick's number and its fraction."""
 
 LATEST_TIME = 9e9
@@ -130,7 +130,7 @@ class Signal:
 
         Of times of reception only the first counts: their jitter is not the sampling's. Block by block.
         """
-        if not len(self.time) or max(abs(float(self.time[0])), abs(float(self.time[-1]))) / step > MOST_TICKS:
+        if not len(self.time) or max(abs(float(self.time[0])), abs(float(self.time[-1]))) / step > MAX_TICKS:
             return None
         first = int(np.rint(self.time[0] / step))
         if self.timing != "receive":
@@ -338,7 +338,7 @@ class Record:
         for topic in topics:
             signal = self.signal(topic)
             latest = float(np.abs(signal.time).max())
-            if latest / step > MOST_TICKS:
+            if latest / step > MAX_TICKS:
                 raise InputError(f"{self.source}: {topic}: steps of {step:g} s at times of up to {latest:g} s: record again")
             found = np.rint(signal.time / step).astype(np.int64)
             if signal.timing == "receive":

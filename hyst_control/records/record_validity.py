@@ -55,7 +55,7 @@ CLEAR_VOTE = 0.1
 """Difference of the two agreements from which they are believed."""
 
 
-MOST_PAIRED = 4
+MAX_PAIRED = 4
 """Axes up to which every order is tried."""
 
 CLEAR_LEAD = 3.0
@@ -332,7 +332,7 @@ def _agreement(phase: Array, lines: NDArray[np.intp], count: int) -> float:
 
 def _pairing(trial: Trial, spectra: Spectra, moving: Sequence[int]) -> list[Finding]:
     """Axes whose measurements follow each other's commands; of up to four that move, more are not paired."""
-    if not 2 <= len(moving) <= MOST_PAIRED:
+    if not 2 <= len(moving) <= MAX_PAIRED:
         return []
     return _exchanged_axes(spectra.shares[np.ix_(moving, moving)], trial.name, [trial.axes[index] for index in moving])
 
@@ -350,7 +350,7 @@ def _against_the_model(trial: Trial, moving: Sequence[int]) -> Iterator[Finding]
     if trial.simulated is None:
         return
     expressive = [index for index in moving if np.ptp(trial.simulated[:, index]) > 0 and np.ptp(trial.measurement[:, index]) > 0]
-    if 2 <= len(expressive) <= MOST_PAIRED:
+    if 2 <= len(expressive) <= MAX_PAIRED:
         both = np.hstack([trial.simulated[:, expressive], trial.measurement[:, expressive]])
         likeness = np.asarray(np.corrcoef(both, rowvar=False))[: len(expressive), len(expressive) :]
         exchanged = _exchanged_axes(np.abs(likeness), trial.name, [trial.axes[index] for index in expressive])
@@ -413,7 +413,7 @@ def _between(trials: tuple[Trial, Trial], numbers: tuple[int, int], known: dict[
 
 def _exchanged_axes_between(spectra: Sequence[Spectra], name: str, axes: Sequence[str]) -> list[Finding]:
     """Axes of one record that respond to all commands as others of another record do."""
-    if not 2 <= len(axes) <= MOST_PAIRED:
+    if not 2 <= len(axes) <= MAX_PAIRED:
         return []
     count = min(len(each.power) for each in spectra)
     shared = np.ones(count, bool)

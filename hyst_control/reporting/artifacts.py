@@ -10,7 +10,7 @@ from typing import Any
 
 SCHEMA = "hyst_control/made"
 VERSION = 1
-MOST_NAMED = 4
+MAX_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Artifacts:
         """The lines, and the paths of the files."""
         files = list(self.files)
         where = [f"written: {path}" for path in files]
-        if len(files) > MOST_NAMED:
+        if len(files) > MAX_NAMED:
             where = [f"written: {files[-1]} and {len(files) - 1} more files"]
         return "\n".join([*self.lines, *where])
 

@@ -13,11 +13,11 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra, segment_length
 from hyst_control.records.record import Record
 from hyst_control.records.repeated_periods import period_of
-from hyst_control.reporting.signal_figures import MOST_POINTS, Array, Line, Panel
+from hyst_control.reporting.signal_figures import MAX_POINTS, Array, Line, Panel
 
 COHERENT = 0.5
 """Coherence below which a measured response is not drawn: it is noise."""
-LEAST_POWER = 1e-9
+MIN_POWER = 1e-9
 """Of the command's strongest frequency, above which a response is told."""
 NEIGHBORS = 9
 """Frequencies whose phases are taken together to make it continuous."""
@@ -50,7 +50,7 @@ def measured_responses(record: Record, name: str | None = None) -> list[Response
     found = []
     for index, axis in enumerate(part.axes):
         own, cross = spectra.auto[:, index, index].real, spectra.cross[:, index, index]
-        known = own > LEAST_POWER * own[1:].max()
+        known = own > MIN_POWER * own[1:].max()
         known[0] = False
         # Where the commands of the axes are one, none is told from the others: what is measured follows its own.
         alone = np.abs(cross) ** 2 / np.maximum(own * spectra.power[:, index], 1e-300)
@@ -81,7 +81,7 @@ def bode(responses: Sequence[Response], unit: str) -> list[Panel]:
     magnitude, phase, coherence = [], [], []
     for each in responses:
         sure = np.ones(len(each.frequency), bool) if each.coherence is None else each.coherence >= COHERENT
-        step = max(1, len(each.frequency) // MOST_POINTS)
+        step = max(1, len(each.frequency) // MAX_POINTS)
         x, values = each.frequency[sure][::step], each.values[sure][::step]
         dots = each.coherence is not None
         magnitude.append(Line(each.name, x, np.abs(values), dots))

@@ -52,14 +52,14 @@ class Palette:
         return self._colors.setdefault(subject, COLORS[len(self._colors) % len(COLORS)])
 
 
-def figure_markup(figure: go.Figure, height: int = 420, least_width: int = 0) -> Markup:
+def figure_markup(figure: go.Figure, height: int = 420, min_width: int = 0) -> Markup:
     """Convert a zoomable figure to markup for a template; the page draws it."""
     figure.update_layout(**LAYOUT, height=height)
     figure.update_xaxes(**GRID, ticklabelstandoff=7)  # the label below the corner does not touch the one beside it
     figure.update_yaxes(**GRID)
     data = str(figure.to_json()).replace("</", "<\\/")
     return Markup(  # JSON within a script element needs no escape but that of its end
-        f"<div class='wide'><figure class='chart' style='height:{height}px;min-width:{least_width}px'>"
+        f"<div class='wide'><figure class='chart' style='height:{height}px;min-width:{min_width}px'>"
         f"<script type='application/json'>{data}</script></figure></div>"
     )
 
@@ -96,9 +96,9 @@ class Page:
         """Add a table of texts."""
         self._content.append({"kind": "table", "headers": headers, "rows": rows})
 
-    def figure(self, figure: go.Figure, height: int = 420, least_width: int = 0) -> None:
+    def figure(self, figure: go.Figure, height: int = 420, min_width: int = 0) -> None:
         """Add a zoomable figure."""
-        self._content.append({"kind": "figure", "drawing": figure_markup(figure, height, least_width)})
+        self._content.append({"kind": "figure", "drawing": figure_markup(figure, height, min_width)})
 
     def note(self, text: str) -> None:
         """Add a small paragraph."""

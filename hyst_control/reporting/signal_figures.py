@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_POINTS = 4000
+MAX_POINTS = 4000
 """Points of a line; of longer signals the lowest and highest of every stretch are drawn."""
 PICTURES = ("png", "svg", "pdf")
 SEGMENTS = 8
@@ -85,7 +85,7 @@ def over_each_other(record: Record, horizontal: str, vertical: str) -> list[Pane
     (x_unit, x_names, x), (y_unit, y_names, y) = picked
     if x.shape[1] != y.shape[1]:
         raise InputError(f"{horizontal} has {x.shape[1]} axes, {vertical} {y.shape[1]}: name one of each, as measurement.x")
-    step = max(1, len(x) // (10 * MOST_POINTS))  # a loop has no order in x: no point of it may be moved
+    step = max(1, len(x) // (10 * MAX_POINTS))  # a loop has no order in x: no point of it may be moved
     return [
         Panel(f"{x_names[i]} [{x_unit}]", f"{y_names[i]} [{y_unit}]", (Line(y_names[i], x[::step, i], y[::step, i]),))
         for i in range(x.shape[1])
@@ -111,7 +111,7 @@ def spectra(record: Record) -> list[Panel]:
     return panels
 
 
-def thinned(x: Annotated[Array, "N"], y: Annotated[Array, "N"], most: int = MOST_POINTS) -> tuple[Array, Array]:
+def thinned(x: Annotated[Array, "N"], y: Annotated[Array, "N"], most: int = MAX_POINTS) -> tuple[Array, Array]:
     """Thin a curve out for a drawing: of every stretch the lowest and the highest point stay."""
     if len(x) <= most:
         return x, y

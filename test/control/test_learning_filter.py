@@ -23,7 +23,7 @@ from hyst_control.control.learning.learning_filter import (
     robustness,
 )
 from hyst_control.control.learning.learning_loop import run_learning_loop
-from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.control.tuning import controller_response, tune
 from hyst_control.model_file import Model, Simulator, load_model, simulate
 from hyst_control.records.excitation import excitation
@@ -80,7 +80,7 @@ def test_it_converges_for_every_plant_that_it_allows_for(loop, gain, mode):
     z[0] = np.exp(1e-9j)
     feedback = feedback_response([controller_response(tuning.kp, tuning.ki, tuning.roll_off, ts, z)] * axes)
     mean, _ = hysteresis_slopes(model)
-    plant = sampled_response(with_first_mode(linearised(model, gain * mean), axes, mode), axes, ts, z)
+    plant = sampled_response(with_first_mode(linearized(model, gain * mean), axes, mode), axes, ts, z)
     if model is not MHL:
         plant = gain * plant
     left = filter_.contraction(plant, feedback)

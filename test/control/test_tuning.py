@@ -12,7 +12,7 @@ from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.control.tuning import _largest_scale, margins, tune
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
@@ -51,7 +51,7 @@ def test_static_plant_gets_at_least_the_integrator_that_its_margins_allow():
 @pytest.mark.parametrize("sample_time", [5e-5, 2e-4])
 def test_sampled_response_is_the_spectrum_of_the_simulated_impulse_response(model, sample_time):
     axes = len(model.axes)
-    stages = linearised(model, np.full(axes, 0.7))
+    stages = linearized(model, np.full(axes, 0.7))
     simulator = Simulator(model.with_stages(stages), sample_time)
     rest = simulator.reset(np.zeros(axes))
     n = 1 << 15
@@ -134,7 +134,7 @@ def test_margins_with_roll_off_from_impulse_responses(rolled, axis, gain, mode):
     impulse = np.zeros((count, 2))
     impulse[0, axis] = 1.0
     _, greatest = hysteresis_slopes(MHL)
-    stages = with_first_mode(linearised(MHL, gain * greatest), 2, mode)
+    stages = with_first_mode(linearized(MHL, gain * greatest), 2, mode)
     plant = Simulator(MHL.with_stages(stages), found.sample_time)
     plant.reset(np.zeros(2))
     answer = np.concatenate([np.zeros((1, 2)), plant.step(impulse)[:-1]])[:, axis]
@@ -156,7 +156,7 @@ def test_a_loop_with_roll_off_settles_at_all_corners_of_the_spread_and_at_twice_
     found = rolled["auto"]
     for gain in (0.9, 1.1):
         for mode in (0.8, 1.2):
-            stages = with_first_mode(linearised(MHL, gain * hysteresis_slopes(MHL)[1]), 2, mode)
+            stages = with_first_mode(linearized(MHL, gain * hysteresis_slopes(MHL)[1]), 2, mode)
             for factor, ticks in ((1.0, 80), (1.95, 800)):
                 controller = PI(factor * found.kp, factor * found.ki, 2e-4, -1e9, 1e9, roll_off=found.roll_off).start(2)
                 output = run_loop(np.ones((ticks, 2)), None, controller, Simulator(MHL.with_stages(stages), 2e-4))["measurement"]

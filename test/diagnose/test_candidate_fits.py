@@ -27,7 +27,7 @@ def test_a_second_order_low_pass_beside_a_large_gap(plant, cutoff):
     parts = with_clean([record], nominal(plant), 0.0, CONFIGURATION, ())[3]
     prepared = prepare(*parts[0][:2], (), CONFIGURATION)
     lowpasses = [member for member in prepared.members(False) if member.name == "amplifier_lowpass"]
-    best = search(prepared.linearised, lowpasses, 10.0, prepared.floor, prepared.leaves).singles[0]
+    best = search(prepared.linearized, lowpasses, 10.0, prepared.floor, prepared.leaves).singles[0]
     values = best.candidate.members[0].values(best.solution.x)
     assert values["order"] == 2.0 and values["cutoff"] == pytest.approx(cutoff, rel=0.01)
     assert best.solution.residual @ best.solution.residual < 1.3 * len(best.solution.residual)
@@ -41,7 +41,7 @@ def test_a_second_order_low_pass_and_a_gain():
     model = replace(model, tolerance=dict.fromkeys(model.tolerance, 0.01))
     prepared = prepare(*with_clean([record], model, 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
     members = [member for member in prepared.members(False) if member.name in ("amplifier_lowpass", "gain")]
-    found = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves)
+    found = search(prepared.linearized, members, 10.0, prepared.floor, prepared.leaves)
     best = max((*found.singles, *found.combinations), key=lambda one: one.score)
     assert best.names == ("amplifier_lowpass", "gain")
 
@@ -53,11 +53,11 @@ def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
     prepared = prepare(problem, clean, (), CONFIGURATION)
     members = [member for member in prepared.members(False) if member.name in ("delay", "gain")]
 
-    def stopped(linearised, begun, rival):
-        return [(one.candidate, fit(linearised, one.candidate.unknowns(), 0.7 * one.ends[0].x, rounds=0)) for one in begun]
+    def stopped(linearized, begun, rival):
+        return [(one.candidate, fit(linearized, one.candidate.unknowns(), 0.7 * one.ends[0].x, rounds=0)) for one in begun]
 
     monkeypatch.setattr("hyst_control.diagnose.search.beam_search.finish", stopped)
-    best = search(prepared.linearised, members, 10.0, prepared.floor, prepared.leaves).singles[0]
+    best = search(prepared.linearized, members, 10.0, prepared.floor, prepared.leaves).singles[0]
     assert best.names == ("delay",)
     assert best.candidate.members[0].values(best.solution.x)["tau"] == pytest.approx(1e-4, rel=0.02)
 
@@ -67,7 +67,7 @@ def test_only_a_fit_that_promises_less_than_its_rival_is_stopped_on_its_way(monk
     record = record_of("pea_published", [{"name": "delay", "tau": 1e-4}], duration=0.5)
     prepared = prepare(*with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
     delay = next(member for member in prepared.members(False) if member.name == "delay")
-    begun = begin(prepared.linearised, [(Candidate((delay,)), delay.starts())], CONFIGURATION.search)[0]
+    begun = begin(prepared.linearized, [(Candidate((delay,)), delay.starts())], CONFIGURATION.search)[0]
     rivals: list[float] = []
 
     def told(*given, rival):
@@ -76,7 +76,7 @@ def test_only_a_fit_that_promises_less_than_its_rival_is_stopped_on_its_way(monk
 
     monkeypatch.setattr(candidate_fits, "fit", told)
     for other in (1.01 * begun.misfit, 0.99 * begun.misfit):
-        candidate_fits._gone_on(prepared.linearised, replace(begun, ends=begun.ends[:1]), other)
+        candidate_fits._gone_on(prepared.linearized, replace(begun, ends=begun.ends[:1]), other)
     assert rivals == [np.inf, 0.99 * begun.misfit]
 
 

@@ -52,7 +52,7 @@ def test_every_value_is_in_the_hash():
         (("policy", "margin"), "three", "policy.margin: must be a number, got 'three'"),
         (("policy", "margin"), True, "policy.margin: must be a number, got True"),
         (("policy", "margin"), float("nan"), "policy.margin: must be finite"),
-        (("policy", "most_effects"), 2.5, "policy.most_effects: must be an integer, got 2.5"),
+        (("policy", "max_effects"), 2.5, "policy.max_effects: must be an integer, got 2.5"),
         (("noise", "band"), [0.6], "noise.band: must be a list of 2 numbers, got [0.6]"),
         (("checks", "mains_harmonics"), 3, "checks.mains_harmonics: must be a list of some numbers, got 3"),
         (("search", "width"), 3, "search: has no 'width'"),

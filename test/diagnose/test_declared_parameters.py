@@ -11,7 +11,7 @@ from hyst_control.base.config_files import config_path
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem, split
-from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.effects.coupled_resonance import CoupledResonance
 from hyst_control.effects.resonance import Resonance
 from hyst_control.model_file import load_model, model_from_document, model_to_document, simulate
@@ -61,7 +61,7 @@ def test_the_coefficients_of_the_measured_mirror_belong_to_all_axes_together(mea
 
 def test_the_measured_mirrors_own_coefficients_have_columns(measured_mirror):
     problem = problem_of(measured_mirror, 60, 0.1)
-    columns = Linearised(problem, scatter_of(measured_mirror)).columns
+    columns = Linearized(problem, scatter_of(measured_mirror)).columns
     assert np.isfinite(columns).all() and (np.abs(columns).max(axis=0) > 0.0).all()
 
 

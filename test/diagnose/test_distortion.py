@@ -11,10 +11,10 @@ from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.validate.constancy import distortions
 from hyst_control.model_file import Model
 
@@ -30,11 +30,11 @@ def distorted(sensor, name: str = "gain", temper: float = 1.0) -> dict[str, Dist
     measured = sensor(LEVEL, TIME[:, None] / TIME[-1], np.sign(RATE)) * COMMAND
     measured = measured + NOISE * np.random.default_rng(0).standard_normal(measured.shape)
     problem = Problem(model, (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]))
-    linearised = Linearised(problem, scatter_of(model))
+    linearized = Linearized(problem, scatter_of(model))
     (member,) = [one for one in catalogue(problem, {}) if one.name == name and one.place == "sensor"]
     candidate = Candidate((member,))
-    solution = fit(linearised, candidate.unknowns(), candidate.starts()[0])
-    return {one.variable: one for one in distortions(linearised, Scored(candidate, solution, 0.0), temper)}
+    solution = fit(linearized, candidate.unknowns(), candidate.starts()[0])
+    return {one.variable: one for one in distortions(linearized, FittedHypothesis(candidate, solution, 0.0), temper)}
 
 
 def test_a_gain_that_is_one_changes_with_nothing():

@@ -14,8 +14,8 @@ from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.prepare import _floor
-from hyst_control.diagnose.search.beam_search import temper_of
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.beam_search import effective_sample_weight
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 
@@ -110,8 +110,8 @@ def test_coefficients_are_pinned_by_clean_records():
     exact = 0.6 / np.sqrt(1.0 + 0.3**2 * float(rest @ rest))
     assert abs(narrow.joint.factor[0, 0]) == pytest.approx(exact, rel=0.02)
     other = problem(1.4 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
-    assert abs(fit(Linearised(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
-    assert abs(fit(Linearised(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the clean record does not take it up
+    assert abs(fit(Linearized(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
+    assert abs(fit(Linearized(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the clean record does not take it up
 
 
 @pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])
@@ -146,10 +146,10 @@ def test_a_low_frequency_error_is_that_of_fewer_rows_where_they_excite_it():
 def test_a_small_slow_residual_beside_an_own_error_keeps_its_weight():
     """What a low-pass leaves of a record has a tenth of the noise, and is slow: its density is below that of own error and noise."""
     command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
-    given = problem(2.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1), slowest=1.0)
+    given = problem(2.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1), lowest_frequency=1.0)
     slow = (slow_error(9)[:, 0] - slow_error(9).mean()) / 0.2
-    assert temper_of(given, 0.05 * slow) == 1.0
-    assert temper_of(given, slow) < 0.1  # as large as own error and noise: few of its samples are independent
+    assert effective_sample_weight(given, 0.05 * slow) == 1.0
+    assert effective_sample_weight(given, slow) < 0.1  # as large as own error and noise: few of its samples are independent
 
 
 def test_practical_size_is_in_units_of_own_error_and_noise():

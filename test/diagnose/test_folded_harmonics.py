@@ -11,7 +11,7 @@ from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.model_file import Model
 
 STEP, NOISE, AMPLITUDE = 5e-3, 0.05, 0.5
@@ -31,6 +31,6 @@ def test_the_fundamental_is_the_largest(third, within):
     problem = Problem(model, (Piece(COMMAND, measured[:, None]),), STEP, "foh", np.array([NOISE]))
     member = next(one for one in catalogue(problem, {"mains_hum": [50.0]}) if one.name == "mains_hum")
     unknowns = Candidate((member,)).unknowns()
-    found = fit(Linearised(problem, scatter_of(model)), unknowns, np.zeros(member.size))
+    found = fit(Linearized(problem, scatter_of(model)), unknowns, np.zeros(member.size))
     assert member.values(found.x)["amplitude"] == pytest.approx(AMPLITUDE, rel=within)
     assert found.residual @ found.residual < 1.2 * len(TIME)

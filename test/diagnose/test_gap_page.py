@@ -107,7 +107,7 @@ def test_coefficients_have_the_values_that_their_deviation_says(few):
     _, diagnosis, _ = few(DELAY)
     tolerance = diagnosis.model.tolerance
     rows = coefficient_changes(diagnosis, 100)
-    assert len(rows) == len([one for one in diagnosis.parts[0].linearised.scatter.coefficients if not one.companion])
+    assert len(rows) == len([one for one in diagnosis.parts[0].linearized.scatter.coefficients if not one.companion])
     for row in rows:
         share = tolerance.get(row.name.partition("[")[0])
         if share is not None:

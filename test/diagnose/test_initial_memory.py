@@ -94,7 +94,7 @@ def test_an_effect_of_no_size_takes_nothing_off():
     absent = next(
         one for one in part.found.singles if one.solution.misfit == pytest.approx(part.found.none.solution.misfit, rel=1e-9)
     )
-    left = held_out(part.linearised, absent, part.found.none)
+    left = held_out(part.linearized, absent, part.found.none)
     assert left.after.mean() == pytest.approx(left.before.mean(), rel=1e-6)
 
 
@@ -144,6 +144,6 @@ def test_what_both_records_have_is_no_noise():
     """Relays switch in steps, which are as rough as noise: what is carried keeps them, as the new record has them too."""
     clean, new = machine((0.0, 100.0), 1, command=LATE), machine((20.0, 60.0), 3, command=LATE)
     [part] = diagnose([record(new, "new", LATE)], None, cache=False, baseline=[record(clean, "clean", LATE)]).parts
-    problem = part.linearised.problem
+    problem = part.linearized.problem
     residual = problem.rows(part.found.none.solution.residual) * problem.sigma
     assert np.std(residual) < 2.0 * np.sqrt(2.0) * 2e-3

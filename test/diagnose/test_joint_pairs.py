@@ -10,12 +10,12 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.validate.error_gain import passed_error
+from hyst_control.diagnose.validate.error_gain import error_gain
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-3, 0.01, 2000
@@ -29,28 +29,28 @@ def problem_of(measured, **changes) -> Problem:
     return Problem(model, (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]), **changes)
 
 
-def prepared(problem: Problem) -> tuple[Linearised, list[Member]]:
-    return Linearised(problem, scatter_of(problem.model)), catalogue(problem, {})
+def prepared(problem: Problem) -> tuple[Linearized, list[Member]]:
+    return Linearized(problem, scatter_of(problem.model)), catalogue(problem, {})
 
 
-def fitted(linearised: Linearised, members, name: str, place: str = "sensor") -> Scored:
+def fitted(linearized: Linearized, members, name: str, place: str = "sensor") -> FittedHypothesis:
     candidate = Candidate((next(one for one in members if one.name == name and one.place == place),))
-    return Scored(candidate, fit(linearised, candidate.unknowns(), candidate.starts()[0]), 0.0)
+    return FittedHypothesis(candidate, fit(linearized, candidate.unknowns(), candidate.starts()[0]), 0.0)
 
 
 def test_two_effects_are_found_of_which_neither_leads():
     late = 10.0 * np.sin(2 * np.pi * 3.0 * (TIME - 0.002))[:, None]
-    linearised, members = prepared(problem_of(late * (1.0 + 0.05 * TIME[:, None] / TIME[-1])))
-    pairs = [set(candidate.names) for candidate, _ in joint_pairs(linearised, members, 3, 4)]
+    linearized, members = prepared(problem_of(late * (1.0 + 0.05 * TIME[:, None] / TIME[-1])))
+    pairs = [set(candidate.names) for candidate, _ in joint_pairs(linearized, members, 3, 4)]
     assert any("gain_drift" in pair and pair & {"delay", "sensor_lowpass", "amplifier_lowpass"} for pair in pairs)
 
 
 def test_the_start_of_a_pair_is_what_it_was_made_with():
     measured = COMMAND * (1.0 + 0.05 * TIME[:, None] / TIME[-1]) + 0.3
-    linearised, members = prepared(problem_of(measured))
+    linearized, members = prepared(problem_of(measured))
     straight = next(one for one in members if one.name == "gain_drift" and "tau" in dict(one.fixed) and one.place == "sensor")
     offset = next(one for one in members if one.name == "offset")
-    ((candidate, start),) = joint_pairs(linearised, [straight, offset], 1, 4)
+    ((candidate, start),) = joint_pairs(linearized, [straight, offset], 1, 4)
     values = {one.name: one.values(start[part]) for one, part in zip(candidate.members, candidate.slices(), strict=True)}
     assert values["offset"]["offset"] == pytest.approx(0.3, abs=0.01)
     assert values["gain_drift"]["change"] == pytest.approx(0.05, abs=0.002)  # a straight drift has no end: over the record
@@ -60,47 +60,47 @@ def test_of_the_realizations_of_a_pair_the_one_of_fewest_parameters_is_fitted():
     x = COMMAND / 10.0
     bent = COMMAND + 0.2 * (2.5 * x**3 - 1.5 * x) + 0.06 * (1.5 * x**2 - 0.5)  # Legendre polynomials of degree 3 and 2
     noise = NOISE * np.random.default_rng(0).standard_normal(bent.shape)
-    linearised, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, slowest=3.0))
-    ((candidate, start),) = joint_pairs(linearised, members, 1, 4)
+    linearized, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, lowest_frequency=3.0))
+    ((candidate, start),) = joint_pairs(linearized, members, 1, 4)
     assert set(candidate.names) == {"gain_drift", "sensor_nonlinearity"}
     assert len(start) == 3  # two degrees of the bend, and what the gain drifts by
 
 
 def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
-    linearised, members = prepared(problem_of(1.02 * COMMAND))
+    linearized, members = prepared(problem_of(1.02 * COMMAND))
     found = [
-        frozenset(member.variant for member in candidate.members) for candidate, _ in joint_pairs(linearised, members, 1000, 2)
+        frozenset(member.variant for member in candidate.members) for candidate, _ in joint_pairs(linearized, members, 1000, 2)
     ]
     assert len(found) == len(set(found)) and all(len(pair) == 2 for pair in found)
 
 
 def test_a_size_far_beyond_the_usual_one_is_kept_where_samples_count_little():
     # The model's own error makes all samples together worth a few: a normal prior would draw the gain far toward 0.
-    problem = problem_of(1.9 * COMMAND, slowest=3.0, own_error=np.array([1.0]), own_correlation=30.0)
-    linearised, members = prepared(problem)
+    problem = problem_of(1.9 * COMMAND, lowest_frequency=3.0, own_error=np.array([1.0]), own_correlation=30.0)
+    linearized, members = prepared(problem)
     assert ROWS * problem.weight < 0.01
-    found = fitted(linearised, members, "gain")
+    found = fitted(linearized, members, "gain")
     assert found.candidate is not None
     gain = found.candidate.members[0].values(found.solution.x)["gain"]
-    information = float(problem.weight * np.sum((0.1 * linearised.nominal) ** 2))  # of the gain, in usual deviations of 0.1
+    information = float(problem.weight * np.sum((0.1 * linearized.nominal) ** 2))  # of the gain, in usual deviations of 0.1
     normal = 0.9 * information / (1.0 + information)
     assert 0.9 - gain < 0.25 * (0.9 - normal)
 
 
 @pytest.mark.parametrize(("place", "energy"), [("sensor", 1.5**2), ("drive", 1.0)])
 def test_effects_of_the_sensor_pass_on_the_error_of_the_model(place, energy):
-    problem = problem_of(1.5 * COMMAND, slowest=3.0)
-    linearised, members = prepared(problem)
-    assert passed_error(linearised, fitted(linearised, members, "gain", place)) == pytest.approx(energy, rel=0.01)
-    assert passed_error(linearised, Scored(None, fit(linearised), 0.0)) == 1.0
+    problem = problem_of(1.5 * COMMAND, lowest_frequency=3.0)
+    linearized, members = prepared(problem)
+    assert error_gain(linearized, fitted(linearized, members, "gain", place)) == pytest.approx(energy, rel=0.01)
+    assert error_gain(linearized, FittedHypothesis(None, fit(linearized), 0.0)) == 1.0
 
 
 def test_pairs_are_the_same_on_any_number_of_cores(monkeypatch):
     """Effects hold functions that no process can send back to another one."""
-    linearised, members = prepared(problem_of(1.02 * COMMAND + 0.3))
+    linearized, members = prepared(problem_of(1.02 * COMMAND + 0.3))
     found = []
     for count in (1, 2):
         monkeypatch.setattr(parallel, "_serial", False)
         monkeypatch.setattr(parallel, "cores", lambda count=count: count)
-        found.append([(candidate.names, start.tolist()) for candidate, start in joint_pairs(linearised, members, 3, 2)])
+        found.append([(candidate.names, start.tolist()) for candidate, start in joint_pairs(linearized, members, 3, 2)])
     assert found[0] == found[1] and len(found[0]) == 3

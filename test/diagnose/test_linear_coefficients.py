@@ -15,7 +15,7 @@ from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import TAIL, Linearised, fit
+from hyst_control.diagnose.search.fit import TAIL, Linearized, fit
 from hyst_control.diagnose.search.starts import Begun, begin, finish
 from hyst_control.model_file import Model
 
@@ -30,13 +30,13 @@ def model_of(*stages) -> Model:
     return Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain(stages), "foh", tolerance=tolerance)
 
 
-def linearised_of(*truth) -> Linearised:
+def linearised_of(*truth) -> Linearized:
     """The plant's model on a record of the plant behind these stages as well, in noise."""
     blank = Problem(model_of(*truth), (Piece(COMMAND, np.zeros((ROWS, 1))),), STEP, "foh", np.ones(1))
     measured = blank.simulate(blank.model.chain.stages)[:, None]
     measured = measured + NOISE * np.random.default_rng(1).standard_normal(measured.shape)
     problem = Problem(model_of(PLANT), (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]))
-    found = Linearised(problem, scatter_of(problem.model))
+    found = Linearized(problem, scatter_of(problem.model))
     assert found.count == 3
     return found
 
@@ -44,47 +44,47 @@ def linearised_of(*truth) -> Linearised:
 LAG = TransferFunction((1.0,), (1.0 / (2 * np.pi * 900.0), 1.0))
 
 
-def candidate_of(linearised: Linearised, name: str) -> Candidate:
-    return Candidate((next(one for one in catalogue(linearised.problem, {}) if one.name == name),))
+def candidate_of(linearized: Linearized, name: str) -> Candidate:
+    return Candidate((next(one for one in catalogue(linearized.problem, {}) if one.name == name),))
 
 
 def test_it_ends_where_a_fit_of_scipy_does():
-    linearised = linearised_of(PLANT, LAG)
-    unknowns = candidate_of(linearised, "sensor_lowpass").unknowns()
-    found = fit(linearised, unknowns, unknowns.centre, linear=True)
-    nominal = np.zeros(linearised.count)
+    linearized = linearised_of(PLANT, LAG)
+    unknowns = candidate_of(linearized, "sensor_lowpass").unknowns()
+    found = fit(linearized, unknowns, unknowns.centre, linear=True)
+    nominal = np.zeros(linearized.count)
 
     def rows(v):
-        z, x = v[: linearised.count], v[linearised.count :]
-        rest = linearised.measured - linearised.simulate(nominal, unknowns, x) - linearised.columns @ z
+        z, x = v[: linearized.count], v[linearized.count :]
+        rest = linearized.measured - linearized.simulate(nominal, unknowns, x) - linearized.columns @ z
         away = (x - unknowns.centre) / TAIL
         return np.concatenate([rest, z, TAIL * np.sqrt(np.log1p(away**2))])
 
     start = np.concatenate([nominal, unknowns.centre])
-    low = np.concatenate([np.full(linearised.count, -np.inf), unknowns.lower])
-    high = np.concatenate([np.full(linearised.count, np.inf), unknowns.upper])
+    low = np.concatenate([np.full(linearized.count, -np.inf), unknowns.lower])
+    high = np.concatenate([np.full(linearized.count, np.inf), unknowns.upper])
     independent = least_squares(rows, start, bounds=(low, high), x_scale="jac")
     # The fit stops where a step would gain less than a nat.
     assert independent.cost - 1e-6 < found.misfit < independent.cost + 1.0 + 1e-3 * independent.cost
-    assert found.x == pytest.approx(independent.x[linearised.count :], abs=0.02)
-    assert found.z == pytest.approx(independent.x[: linearised.count], abs=0.05)
+    assert found.x == pytest.approx(independent.x[linearized.count :], abs=0.02)
+    assert found.z == pytest.approx(independent.x[: linearized.count], abs=0.05)
 
 
 def test_products_are_those_of_what_a_shrunk_least_squares_fit_leaves():
-    linearised = linearised_of(PLANT, LAG)
-    vectors = np.random.default_rng(2).standard_normal((ROWS, 3)) + linearised.columns[:, :3]
-    weight = np.sqrt(linearised.problem.weight)
+    linearized = linearised_of(PLANT, LAG)
+    vectors = np.random.default_rng(2).standard_normal((ROWS, 3)) + linearized.columns[:, :3]
+    weight = np.sqrt(linearized.problem.weight)
     # The coefficients' prior as rows of its own: a plain least-squares problem.
-    rows = np.vstack([weight * linearised.columns, np.eye(linearised.count)])
-    padded = np.vstack([weight * vectors, np.zeros((linearised.count, 3))])
+    rows = np.vstack([weight * linearized.columns, np.eye(linearized.count)])
+    padded = np.vstack([weight * vectors, np.zeros((linearized.count, 3))])
     left = padded - rows @ np.linalg.lstsq(rows, padded, rcond=None)[0]
-    assert linearised.unexplained_products(vectors) == pytest.approx(left.T @ left / weight**2, rel=1e-9, abs=1e-6)
+    assert linearized.unexplained_products(vectors) == pytest.approx(left.T @ left / weight**2, rel=1e-9, abs=1e-6)
 
 
 def test_where_nothing_else_scatters_it_is_the_fit_of_the_chain():
-    linearised = linearised_of(PLANT, LAG)
-    model = replace(linearised.problem.model, tolerance={})
-    fixed = Linearised(replace(linearised.problem, model=model), scatter_of(model))
+    linearized = linearised_of(PLANT, LAG)
+    model = replace(linearized.problem.model, tolerance={})
+    fixed = Linearized(replace(linearized.problem, model=model), scatter_of(model))
     unknowns = candidate_of(fixed, "sensor_lowpass").unknowns()
     one, other = (fit(fixed, unknowns, unknowns.centre, linear=way) for way in (True, False))
     assert one.x == pytest.approx(other.x, abs=1e-3)
@@ -92,38 +92,38 @@ def test_where_nothing_else_scatters_it_is_the_fit_of_the_chain():
 
 
 def test_the_truth_leads_and_its_fit_of_the_chain_leaves_the_noise():
-    linearised = linearised_of(PLANT, LAG)
+    linearized = linearised_of(PLANT, LAG)
     names = ("sensor_lowpass", "delay", "gain", "offset")
-    candidates = [candidate_of(linearised, name) for name in names]
-    begun = begin(linearised, [(one, one.starts()) for one in candidates], CONFIGURATION.search)
+    candidates = [candidate_of(linearized, name) for name in names]
+    begun = begin(linearized, [(one, one.starts()) for one in candidates], CONFIGURATION.search)
     assert begun[0].candidate.names == ("sensor_lowpass",)
     assert [one.misfit for one in begun] == sorted(one.misfit for one in begun)
-    ((_, solution),) = finish(linearised, begun[:1], np.inf)
+    ((_, solution),) = finish(linearized, begun[:1], np.inf)
     assert 2.0 * solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
 
 
 def test_fits_far_behind_another_end_early():
-    linearised = linearised_of(PLANT, LAG)
-    candidates = [candidate_of(linearised, name) for name in ("creep", "gain_drift", "backlash", "offset")]
+    linearized = linearised_of(PLANT, LAG)
+    candidates = [candidate_of(linearized, name) for name in ("creep", "gain_drift", "backlash", "offset")]
     runs: list[int] = []
-    simulate = linearised.simulate
-    linearised.simulate = lambda *arguments: (runs.append(1), simulate(*arguments))[1]
+    simulate = linearized.simulate
+    linearized.simulate = lambda *arguments: (runs.append(1), simulate(*arguments))[1]
     counts = []
     for rival in (np.inf, 0.5 * ROWS):
         runs.clear()
         for candidate in candidates:
-            end = fit(linearised, candidate.unknowns(), candidate.starts()[0], rival=rival)
+            end = fit(linearized, candidate.unknowns(), candidate.starts()[0], rival=rival)
             assert end.misfit > 100.0 * ROWS  # none of them is the lag
         counts.append(len(runs))
     assert counts[1] < 0.8 * counts[0]
 
 
 def test_coefficients_that_the_chain_cannot_follow_are_shortened():
-    linearised = linearised_of(PLANT, LAG)
-    candidate = candidate_of(linearised, "offset")
-    end = fit(linearised, candidate.unknowns(), np.zeros(1), linear=True)
-    wild = Begun(candidate, (replace(end, z=np.full(linearised.count, -1e3)),))
-    ((_, solution),) = finish(linearised, [wild], np.inf)
-    ((_, usual),) = finish(linearised, [Begun(candidate, (end,))], np.inf)
+    linearized = linearised_of(PLANT, LAG)
+    candidate = candidate_of(linearized, "offset")
+    end = fit(linearized, candidate.unknowns(), np.zeros(1), linear=True)
+    wild = Begun(candidate, (replace(end, z=np.full(linearized.count, -1e3)),))
+    ((_, solution),) = finish(linearized, [wild], np.inf)
+    ((_, usual),) = finish(linearized, [Begun(candidate, (end,))], np.inf)
     assert np.isfinite(solution.misfit)
     assert solution.misfit < 10.0 * usual.misfit

@@ -17,7 +17,7 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.search import null_distribution
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import cache_key, threshold
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model
@@ -27,7 +27,7 @@ FEW = replace(CONFIGURATION, null_distribution=replace(CONFIGURATION.null_distri
 COMMAND = 10.0 * np.random.default_rng(1).standard_normal((COUNT, 1)).cumsum(axis=0) / np.sqrt(COUNT)
 
 
-def linearised(sigma: float = 1e-2, seed: int = 2, step: float = STEP, tolerance: float = 0.01, **pieces: Any) -> Linearised:
+def linearized(sigma: float = 1e-2, seed: int = 2, step: float = STEP, tolerance: float = 0.01, **pieces: Any) -> Linearized:
     """A first-order lag with these tolerances, and a measurement of it with noise of this seed."""
     lag = TransferFunction((2.0,), (0.01, 1.0))
     model = Model(
@@ -36,14 +36,14 @@ def linearised(sigma: float = 1e-2, seed: int = 2, step: float = STEP, tolerance
     problem = Problem(model, (Piece(COMMAND, np.zeros_like(COMMAND)),), step, "zoh", np.array([sigma]))
     clean = problem.rows(problem.simulate(model.chain.stages))
     noisy = clean + sigma * np.random.default_rng(seed).standard_normal(clean.shape)
-    return Linearised(replace(problem, pieces=(Piece(COMMAND, noisy, **pieces),)), scatter_of(model))
+    return Linearized(replace(problem, pieces=(Piece(COMMAND, noisy, **pieces),)), scatter_of(model))
 
 
-def members(one: Linearised) -> list[Member]:
+def members(one: Linearized) -> list[Member]:
     return [member for member in catalogue(one.problem, {}) if member.name in ("gain", "delay", "offset")]
 
 
-def key(one: Linearised, configuration: Configuration = FEW, seed: int = 0) -> str:
+def key(one: Linearized, configuration: Configuration = FEW, seed: int = 0) -> str:
     return cache_key(one, members(one), seed, configuration)
 
 
@@ -61,9 +61,9 @@ def edited(monkeypatch: pytest.MonkeyPatch, **changes: float) -> None:
 @pytest.mark.parametrize("change", [{"scale": 0.77}, {"upper": 0.77}, {"lower": -0.77}, {"starts": (0.077,)}])
 def test_an_edited_prior_reuses_no_threshold(change, monkeypatch):
     """The same names on the same record: only the number says that it is another catalogue."""
-    before = key(linearised())
+    before = key(linearized())
     edited(monkeypatch, **change)
-    assert key(linearised()) != before
+    assert key(linearized()) != before
 
 
 def test_an_edited_prior_is_simulated_anew(monkeypatch, tmp_path):
@@ -71,7 +71,7 @@ def test_an_edited_prior_is_simulated_anew(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
     def found(cache: bool = True) -> float:
-        here = linearised()
+        here = linearized()
         offsets = [member for member in members(here) if member.name == "offset"]
         return threshold(here, offsets, configuration=FEW, cache=cache)
 
@@ -83,13 +83,13 @@ def test_an_edited_prior_is_simulated_anew(monkeypatch, tmp_path):
 
 
 def test_what_else_it_depends_on(monkeypatch):
-    here = linearised()
+    here = linearized()
     keep = np.arange(COUNT) >= 100
     wider = replace(FEW, policy=replace(FEW.policy, margin=FEW.policy.margin + 1.0))
     others = {
-        "sample time": key(linearised(step=2.0 * STEP)),
-        "noise": key(linearised(sigma=3e-2)),
-        "rows that count": key(linearised(keep=keep)),
+        "sample time": key(linearized(step=2.0 * STEP)),
+        "noise": key(linearized(sigma=3e-2)),
+        "rows that count": key(linearized(keep=keep)),
         "configuration": key(here, wider),
         "seed": key(here, seed=1),
         "members": cache_key(here, members(here)[:-1], 0, FEW),
@@ -102,7 +102,7 @@ def test_what_else_it_depends_on(monkeypatch):
 
 def test_records_of_one_command_share_a_threshold():
     """Other noise of the same size moves the measurement's range, and with it the effects' ranges on that record."""
-    one, other = linearised(seed=2), linearised(seed=3)
+    one, other = linearized(seed=2), linearized(seed=3)
     assert one.problem.surroundings.measurement != other.problem.surroundings.measurement
     assert key(one) == key(other)
 
@@ -113,7 +113,7 @@ def test_a_spoilt_threshold_in_the_cache_is_computed_anew(text, tmp_path, monkey
     file = tmp_path / "threshold.json"
     monkeypatch.setattr(null_distribution, "_cache_file", lambda _: file)
     monkeypatch.setattr(null_distribution, "null_scores", lambda *_: np.array([1.0, 2.0, 3.0]))
-    one = linearised()
+    one = linearized()
     file.write_text(f'{{"threshold": {text}}}')
     found = threshold(one, members(one), configuration=FEW)
     assert 1.0 <= found <= 3.0 and threshold(one, members(one), configuration=FEW) == found
@@ -124,7 +124,7 @@ def test_scores_are_what_fits_gain_on_simulated_records():
 
     Of effects of either sign: that a delay is never negative, the scores do not know.
     """
-    here, some = linearised(), replace(CONFIGURATION.null_distribution, records=12)
+    here, some = linearized(), replace(CONFIGURATION.null_distribution, records=12)
     both_signs = [member for member in members(here) if member.name != "delay"]
     scores = null_distribution.null_scores(here, both_signs, 0, some)
     gained = []
@@ -142,7 +142,7 @@ def test_scores_are_what_fits_gain_on_simulated_records():
 @pytest.mark.parametrize("tolerance", [1e-3, 0.3])
 def test_scores_are_ratios_of_gaussian_densities(tolerance):
     """Of a gain alone, beside coefficients that noise hardly tells or tells well, with the covariance of the record written out."""
-    here = linearised(tolerance=tolerance)
+    here = linearized(tolerance=tolerance)
     offsets = [member for member in members(here) if member.name == "offset"]
     some = replace(CONFIGURATION.null_distribution, records=5)
     scores = null_distribution.null_scores(here, offsets, 0, some)
@@ -162,7 +162,7 @@ def test_scores_are_ratios_of_gaussian_densities(tolerance):
 
 def test_scores_of_many_records_at_once_are_those_of_each(monkeypatch):
     """Also of a number of records that leaves the last block half full."""
-    here = linearised()
+    here = linearized()
     some = replace(CONFIGURATION.null_distribution, records=7)
     together = null_distribution.null_scores(here, members(here), 0, some)
     monkeypatch.setattr(null_distribution, "TOGETHER", 1)
@@ -172,8 +172,8 @@ def test_scores_of_many_records_at_once_are_those_of_each(monkeypatch):
 
 def test_records_without_a_gap_are_rounded_where_the_measurement_is():
     """Coarse steps of a converter let effects gain more than white noise of the same size: the threshold has to know of it."""
-    white = linearised(sigma=0.3)
-    coarse = Linearised(replace(white.problem, steps=(1.0,)), white.scatter)
+    white = linearized(sigma=0.3)
+    coarse = Linearized(replace(white.problem, steps=(1.0,)), white.scatter)
     noise = np.random.default_rng(3).standard_normal(len(coarse.nominal))
     drawn = null_distribution._rounded(coarse.problem, coarse.nominal, noise)
     steps = (coarse.nominal + drawn) * 0.3

@@ -21,7 +21,7 @@ from hyst_control.diagnose.report.attribution import _repetition, deviations
 from hyst_control.diagnose.run.collect import _has_holes
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
@@ -60,7 +60,7 @@ def test_the_posterior_of_a_coefficient_is_that_of_independent_samples():
         tolerance={"num": tolerance},
     )
     scatter = scatter_of(seen.model)
-    found = fit(Linearised(seen, scatter))
+    found = fit(Linearized(seen, scatter))
     precision = 1.0 / tolerance**2 + np.sum(COMMAND**2) / (length * (error**2 - 0.01**2) + 0.01**2)
     assert np.sqrt(found.covariance[0, 0]) * tolerance == pytest.approx(precision**-0.5, rel=0.02)
     assert found.z[0] * tolerance == pytest.approx(0.02, rel=0.02)
@@ -70,11 +70,11 @@ def test_a_line_of_ten_times_the_own_error_is_as_large_as_it_is():
     """Its prior is as wide as what the samples scatter by, not as the noise, of which the line is two hundred."""
     line = 2.0 * np.sin(2 * np.pi * 61.0 * STEP * np.arange(len(COMMAND)) + 0.4)
     seen = problem(Chain((Gain(1.0),)), COMMAND + line[:, None], own_error=np.array([0.2]), own_correlation=200.0)
-    linearised, found = Linearised(seen, scatter_of(seen.model)), []
+    linearized, found = Linearized(seen, scatter_of(seen.model)), []
     for member in catalogue(seen, {"vibration": [61.0]}):
         if member.name == "vibration":
             unknowns = Candidate((member,)).unknowns()
-            found.append((member, fit(linearised, unknowns, member.starts()[0])))
+            found.append((member, fit(linearized, unknowns, member.starts()[0])))
     assert (1, 1) in {(len(member.line.harmonics), member.line.swells) for member, _ in found}  # a pure tone is the simplest
     for member, solution in found:
         assert member.values(solution.x)["amplitude"] == pytest.approx(2.0, rel=0.02)

@@ -13,7 +13,7 @@ from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.record_checks.summary import lattice_of, record_evidence
 from hyst_control.diagnose.run.diagnosis import problem_of
 from hyst_control.diagnose.run.prepare import without_truncation
-from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
@@ -51,7 +51,7 @@ def test_a_half_step_is_told_beside_scattered_coefficients(seed, noises, down):
     seen = record_evidence(problem, problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages)))
     findings = detected(seen, frozenset(RecordCheck), CONFIGURATION.policy)
     assert [finding.check for finding in findings] == [RecordCheck.VALUE_LATTICE]
-    shifted = without_truncation(Linearised(problem, scatter_of(problem.model)), findings, CONFIGURATION)
+    shifted = without_truncation(Linearized(problem, scatter_of(problem.model)), findings, CONFIGURATION)
     shift = shifted.pieces[0].measurement - problem.pieces[0].measurement
     np.testing.assert_allclose(shift, 0.5 * step if down else 0.0, rtol=1e-6, atol=1e-12)
 

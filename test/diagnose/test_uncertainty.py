@@ -15,7 +15,7 @@ from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances, sca
 from hyst_control.diagnose.problem.problem import Piece, Problem, split
 from hyst_control.diagnose.run.diagnosis import problem_of
 from hyst_control.diagnose.search.beam_search import inflated
-from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.model_file import load_model, model_from_document, model_to_document, save_model, simulate
 from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import nominal
@@ -66,11 +66,11 @@ def test_columns_are_finite_and_widen_with_the_tolerances():
     model, _ = correlated()
     command = 25.0 + 10.0 * np.sin(np.arange(400) / 7.0)[:, None]
     problem = Problem(model, (Piece(command, simulate(model, command)),), model.sample_time, model.hold, np.array([1e-3]))
-    linearised = Linearised(problem, scatter_of(model))
-    assert np.isfinite(linearised.columns).all() and np.all(np.abs(linearised.columns).max(axis=0) > 0.0)
-    wide = inflated(linearised, 2.0)
-    z = np.full(linearised.count, 0.1)
-    before, after = linearised.simulate(z) - linearised.nominal, wide.simulate(z) - linearised.nominal
+    linearized = Linearized(problem, scatter_of(model))
+    assert np.isfinite(linearized.columns).all() and np.all(np.abs(linearized.columns).max(axis=0) > 0.0)
+    wide = inflated(linearized, 2.0)
+    z = np.full(linearized.count, 0.1)
+    before, after = linearized.simulate(z) - linearized.nominal, wide.simulate(z) - linearized.nominal
     np.testing.assert_allclose(after, 2.0 * before, rtol=0.1, atol=0.05 * np.abs(before).max())
 
 

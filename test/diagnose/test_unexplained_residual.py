@@ -9,10 +9,10 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.validate.unexplained_residual import leftover
 from hyst_control.model_file import Model
 
@@ -31,12 +31,12 @@ def test_overtones_of_a_wandering_vibration_are_its_own(multiple, own, number):
     measured = COMMAND + (shaken + NOISE * random.standard_normal(len(TIME)))[:, None]
     model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)), "foh")
     problem = Problem(model, (Piece(COMMAND, measured),), STEP, "foh", np.array([NOISE]))
-    linearised = Linearised(problem, scatter_of(model))
+    linearized = Linearized(problem, scatter_of(model))
     members = [
         one for one in catalogue(problem, {"vibration": [SHAKEN]}) if one.name == "vibration" and len(one.line.harmonics) == 1
     ]
     candidate = Candidate((members[number],))
-    solution = fit(linearised, candidate.unknowns(), candidate.starts()[0])
-    energy = float(np.mean(leftover(problem, Scored(candidate, solution, 0.0), np.zeros(1)) ** 2))
+    solution = fit(linearized, candidate.unknowns(), candidate.starts()[0])
+    energy = float(np.mean(leftover(problem, FittedHypothesis(candidate, solution, 0.0), np.zeros(1)) ** 2))
     second = 0.5 * (0.2 * 0.4 / NOISE) ** 2
     assert energy < 0.1 * second if own else energy > 0.8 * second

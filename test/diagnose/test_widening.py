@@ -11,10 +11,10 @@ from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.validate.cross_validation import widens
 from hyst_control.model_file import Model
 
@@ -40,10 +40,10 @@ def test_a_gain_that_a_coefficient_makes_up_for_is_none(measured: float, gain: f
     )  # fmt: skip
     noise = NOISE * np.random.default_rng(1).standard_normal(COMMAND.shape)
     problem = Problem(model, (Piece(COMMAND, measured * COMMAND + noise),), STEP, "foh", np.array([NOISE]))
-    linearised = Linearised(problem, scatter_of(model))
+    linearized = Linearized(problem, scatter_of(model))
     candidate = Candidate((next(one for one in catalogue(problem, {}) if one.name == "gain" and one.place == "sensor"),))
-    ended = fit(linearised, candidate.unknowns(), candidate.starts()[0])
+    ended = fit(linearized, candidate.unknowns(), candidate.starts()[0])
     size = gain / candidate.members[0].parameters[0].scale
-    named = Scored(candidate, replace(ended, x=np.array([size]), z=np.array([tolerances])), 0.0)
-    none = Scored(None, replace(ended, x=np.zeros(0), z=np.zeros(1)), 0.0)
-    assert widens(linearised, named, none) == expected
+    named = FittedHypothesis(candidate, replace(ended, x=np.array([size]), z=np.array([tolerances])), 0.0)
+    none = FittedHypothesis(None, replace(ended, x=np.zeros(0), z=np.zeros(1)), 0.0)
+    assert widens(linearized, named, none) == expected

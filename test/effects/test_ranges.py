@@ -15,7 +15,7 @@ STROKE = 3.0
 
 
 def reach(name: str, parameter: str, beside_own_error: bool) -> tuple[float, float]:
-    around = replace(AROUND, slowest=5.0) if beside_own_error else AROUND
+    around = replace(AROUND, lowest_frequency=5.0) if beside_own_error else AROUND
     found = next(one for one in EFFECTS[name].parameters(around) if one.name == parameter)
     return found.lower, found.upper
 

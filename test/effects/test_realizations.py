@@ -249,7 +249,7 @@ def test_a_drift_has_not_settled_before_the_first_sample_that_is_compared(name):
 
 
 def test_a_straight_gain_drift_is_one_number_of_the_usual_size():
-    around = replace(AROUND, duration=2.0, slowest=3.0)
+    around = replace(AROUND, duration=2.0, lowest_frequency=3.0)
     straight = next(one for one in EFFECTS["gain_drift"].variants(around) if "tau" in one)
     free = [p.name for p in EFFECTS["gain_drift"].parameters(around) if p.name not in straight]
     assert free == ["change"]

@@ -138,7 +138,7 @@ def test_derivatives_are_taken_only_where_a_step_begins(change, end):
     assert problem.linearized == max(found.steps, 1) and found.linearized == (found.steps == 0)
 
 
-@pytest.mark.parametrize("limit", [{"rejections": 3}, {"highest": 0.05}, {"least_move": 1e3}])
+@pytest.mark.parametrize("limit", [{"rejections": 3}, {"highest": 0.05}, {"min_move": 1e3}])
 def test_a_start_that_nothing_lowers_is_kept(limit):
     class Bottom(Curve):
         def at(self, x):

@@ -7,7 +7,7 @@ import pytest
 
 from hyst_control.identify import Dataset, identify
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
-from hyst_control.identify.workflow import MOST_NOTES, Result, datasets_of
+from hyst_control.identify.workflow import MAX_NOTES, Result, datasets_of
 from hyst_control.records.record import Record, Signal
 
 
@@ -67,4 +67,4 @@ def test_the_terminal_shows_five_notes():
     fit = identify(datasets_of(pairs()), "pi")
     fit.report["notes"][:] = [f"number {k}" for k in range(9)]
     lines = [line for line in Result(fit, None).text().splitlines() if line.startswith("  note:")]
-    assert len(lines) == MOST_NOTES and lines[-1] == "  note: 5 more are in the report (--json)"
+    assert len(lines) == MAX_NOTES and lines[-1] == "  note: 5 more are in the report (--json)"

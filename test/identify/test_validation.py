@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.identify.validation import MOST_MOTIONS, Motion, by_motion
+from hyst_control.identify.validation import MAX_MOTIONS, Motion, by_motion
 
 
 def test_few_motions_are_told_one_by_one():
@@ -19,6 +19,6 @@ def test_many_motions_are_told_by_octaves_and_none_is_lost():
         for frequency, amplitude in zip(random.uniform(5.0, 40.0, 300), random.uniform(1.0, 60.0, 300), strict=True)
     ]
     found = by_motion(motions)
-    assert len(found) <= MOST_MOTIONS and sum(rows for *_, rows in found) == 300 * 100
+    assert len(found) <= MAX_MOTIONS and sum(rows for *_, rows in found) == 300 * 100
     assert all(share == pytest.approx(0.01) for _, share, _ in found)
     assert found[0][0].startswith("4-8 Hz, ")

@@ -20,7 +20,7 @@ from hysteretic_oscillators.stages.bouc_wen import BoucWen
 
 SHARES, WIDTHS = (0.3, 0.7), (0.5, 2.0, 8.0)
 """Starts of the force's share of the stiffness for small motions, and of beta in units of one over the travel."""
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 """Least share of the force, and of the spring, in the stiffness for small motions."""
 TRIAL_PASSES, PASSES, FINAL_PASSES = 6, 40, 12
 
@@ -52,14 +52,14 @@ class Formula:
 
     @property
     def lhs(self) -> Array:
-        """Left sides of: the share is from `LEAST_SHARE` to 1 - `LEAST_SHARE`, beta at least 0, the exponent at least 1."""
+        """Left sides of: the share is from `MIN_SHARE` to 1 - `MIN_SHARE`, beta at least 0, the exponent at least 1."""
         unit = np.eye(self.size)
         return np.array([unit[0], -unit[0], unit[1], *unit[3:]])
 
     @property
     def rhs(self) -> Array:
         """Right sides."""
-        return np.array([LEAST_SHARE, LEAST_SHARE - 1.0, *np.zeros(self.size - 2)])
+        return np.array([MIN_SHARE, MIN_SHARE - 1.0, *np.zeros(self.size - 2)])
 
     def stage(self, linear: Linear, vector: Array) -> BoucWen:
         """Construct the stage of one axis."""

@@ -25,7 +25,7 @@ from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_s
 STEP = 0.05
 """Largest step of the integration, as a share of the way over which the memory saturates; at the kink z = 0 it leaves 1e-5 of z."""
 
-MOST_PIECES = 100_000
+MAX_PIECES = 100_000
 """Largest number of steps of the integration between two samples: a command that leaps farther is integrated coarsely."""
 
 LOADING = 2000
@@ -65,7 +65,7 @@ def duhem(
                 reach = abs(z) + abs(a * (1.0 + g * u) * way)
                 pace = (abs(b) + abs(c)) * n * reach ** (n - 1.0) if reach > 0.0 else 0.0
                 wanted = np.ceil(abs(way) * pace / STEP) if pace < 1e12 else 1.0
-                pieces = MOST_PIECES if wanted >= MOST_PIECES else int(wanted) if wanted > 1.0 else 1
+                pieces = MAX_PIECES if wanted >= MAX_PIECES else int(wanted) if wanted > 1.0 else 1
                 part, direction = way / pieces, 1.0 if way > 0.0 else -1.0
                 for _ in range(pieces):
                     first = memory_slope(u, z, direction, a, g, b, c, n)
@@ -96,7 +96,7 @@ static double followed_memory(double u_from, double z_from, double way, const do
     const double steepness = (fabs(law[2]) + fabs(law[3])) * law[4];
     const double pace = (reach > 0.0) ? (steepness * pow(reach, law[4] - 1.0)) : 0.0;
     const double wanted = (pace < 1e12) ? ceil((fabs(way) * pace) / STEP_SIZE) : 1.0;
-    const int pieces = (wanted >= MOST_PIECES) ? (int)MOST_PIECES : ((wanted > 1.0) ? (int)wanted : 1);
+    const int pieces = (wanted >= MAX_PIECES) ? (int)MAX_PIECES : ((wanted > 1.0) ? (int)wanted : 1);
     const double part = way / (double)pieces;
     const double direction = (way > 0.0) ? 1.0 : -1.0;
     double u = u_from;
@@ -111,7 +111,7 @@ static double followed_memory(double u_from, double z_from, double way, const do
     }
     return z;
 }
-""".replace("STEP_SIZE", repr(STEP)).replace("MOST_PIECES", repr(float(MOST_PIECES)))
+""".replace("STEP_SIZE", repr(STEP)).replace("MOST_PIECES", repr(float(MAX_PIECES)))
 
 ADVANCE = """
 for (int i = 0; i < AXES; i++) {

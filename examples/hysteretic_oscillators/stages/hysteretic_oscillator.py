@@ -23,7 +23,7 @@ from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_s
 RESOLUTION = 0.05
 """Longest step of the integration, in units of the fastest time constant of the linear part: its error is then that of the
 reversals, where the slope of the force jumps: a few 1e-5 of the range under a random command."""
-MOST_STEPS = 10_000
+MAX_STEPS = 10_000
 """Largest number of steps between two samples."""
 STATIC_STEPS, SETTLING_STEPS = 100, 10_000
 """Steps of the integration over one change of the command without inertia, and over the whole way from 0 to where a record begins."""
@@ -317,9 +317,9 @@ class HystereticOscillator(Stage):
         with np.errstate(over="ignore", divide="ignore"):
             fastest = np.maximum(np.sqrt(stiffest / mass), damping / mass)
             counts = np.ceil(sampling.sample_time * fastest / RESOLUTION)
-        if not np.all(counts <= MOST_STEPS):
+        if not np.all(counts <= MAX_STEPS):
             raise InputError(
-                f"mass: the fastest time constant of the mechanics is {1 / np.max(fastest):.3g} s, more than {MOST_STEPS} steps of "
+                f"mass: the fastest time constant of the mechanics is {1 / np.max(fastest):.3g} s, more than {MAX_STEPS} steps of "
                 f"integration per sample of {sampling.sample_time:g} s: give parameters for this sample time"
             )
         return [max(int(count), 1) for count in counts]

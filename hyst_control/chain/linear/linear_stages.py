@@ -42,7 +42,7 @@ from hyst_control.chain.parameter import (
 )
 from hyst_control.chain.stage import Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 
-MOST_SKEW = 1e8
+MAX_SKEW = 1e8
 """Condition number of the eigenvectors up to which a state space has modes to speak of."""
 LONGEST_DELAY = 1e6
 """Longest delay in samples: what is held in memory."""
@@ -313,7 +313,7 @@ class StateSpace(LinearStage):
         if not len(a):
             return []
         poles, right = np.linalg.eig(a)
-        if np.linalg.cond(right) > MOST_SKEW:
+        if np.linalg.cond(right) > MAX_SKEW:
             return []
         left = np.linalg.inv(right)
         found = [

@@ -447,17 +447,17 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
     operators = play_filter(core, Sampling(1.0, axes))
     upper = drive[1].copy()
 
-    def least_slope(axis: int, end: float) -> tuple[float, float, float, float]:
+    def min_slope(axis: int, end: float) -> tuple[float, float, float, float]:
         w0, k, b = coefficients[:, axis]
         return slope_range(
             operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end
         )
 
     for axis in range(axes):
-        if least_slope(axis, upper[axis])[0] > 0.0:
+        if min_slope(axis, upper[axis])[0] > 0.0:
             continue
         low, high = min(needed[axis], upper[axis]), upper[axis]
-        least, _, _, where = least_slope(axis, low)
+        least, _, _, where = min_slope(axis, low)
         if least <= 0.0:
             raise InputError(
                 f"weights of axis {axis}: the model's output falls while the command rises near {where:.4g} V "
@@ -465,7 +465,7 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
             )
         while high - low > 1e-3 * (drive[1, axis] - drive[0, axis]):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if least_slope(axis, middle)[0] > 0.0 else (low, middle)
+            low, high = (middle, high) if min_slope(axis, middle)[0] > 0.0 else (low, middle)
         upper[axis] = low
     return np.stack([drive[0], upper])
 

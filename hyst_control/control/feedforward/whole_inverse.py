@@ -6,7 +6,7 @@ IEEE/ASME Trans. Mechatronics 18 (2013)):
 
     u_j+1 = u_j + F^-1 { Q (P^H P + damping I)^-1 P^H F { reference - y[u_j] } }
 
-with P the sampled response of the model linearised at its mean slope, matrices over the axes, so coupled axes, delays and
+with P the sampled response of the model linearized at its mean slope, matrices over the axes, so coupled axes, delays and
 non-minimum-phase zeros need nothing special. It is the regularized least-squares step on the lifted system, whose matrix P
 diagonalises. Q learns slow errors first: its bandwidth is widened by half whenever an iteration no longer brings a tenth, until
 four times in a row nothing is gained. Learning everything at once ends three times worse with the HAMPI model, whose rate term
@@ -26,7 +26,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import drive_limits
 from hyst_control.control.feedforward.quasi_static import mean_line
-from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.model_file import Model, Simulator
 
 
@@ -89,14 +89,14 @@ def lifted_inverse(
 
 
 def _learning_filter(model: Model, rows: int, sample_time: float, damping: float) -> Callable[[Array, float], Array]:
-    """A function from an error (rows, A) to the command that the linearised model answers with it, in the least-squares sense."""
+    """A function from an error (rows, A) to the command that the linearized model answers with it, in the least-squares sense."""
     axes = len(model.axes)
     mean, _ = hysteresis_slopes(model)
     # Twice the length: the circular convolution of the transform must not wrap the end of the record into its start.
     length = 2 * rows
     z = np.exp(2j * np.pi * np.arange(length // 2 + 1) / length)
     frequency = np.arange(length // 2 + 1) / (length * sample_time)
-    response = sampled_response(linearised(model, mean), axes, sample_time, z)
+    response = sampled_response(linearized(model, mean), axes, sample_time, z)
     adjoint = response.conj().transpose(0, 2, 1)
     weight = damping * np.abs(response).max() ** 2
     gain = np.linalg.solve(adjoint @ response + weight * np.eye(axes), adjoint)

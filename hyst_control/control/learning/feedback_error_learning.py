@@ -137,7 +137,7 @@ LARGEST = 1e9
 
 @njit(cache=True)
 def _learn(feedforward: Array, feedback: Array, constants: Array, parameters: Array, state: Array) -> None:
-    period, step, passed, least, least_slope, gain_bound, lag_bound = constants
+    period, step, passed, least, min_slope, gain_bound, lag_bound = constants
     for k in range(feedforward.shape[0]):
         for axis in range(feedforward.shape[1]):
             value, taught = feedforward[k, axis], feedback[k, axis]
@@ -153,7 +153,7 @@ def _learn(feedforward: Array, feedback: Array, constants: Array, parameters: Ar
             state[2, axis] = moved
             state[3, axis] = max((1.0 - step) * state[3, axis], moved * moved)
             state[4, axis] = max((1.0 - step) * state[4, axis], slope * slope)
-            if state[3, axis] < least or state[4, axis] < least_slope:
+            if state[3, axis] < least or state[4, axis] < min_slope:
                 continue
             gain = parameters[0, axis] + step * moved * lacking / state[3, axis]
             lag = parameters[1, axis] + step * slope * lacking / state[4, axis]

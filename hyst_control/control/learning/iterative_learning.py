@@ -36,7 +36,7 @@ from hyst_control.control.learning.learning_filter import LearningFilter
 from hyst_control.control.learning.learning_loop import ENDLESS
 
 NOISE, GROWTH, GAIN, PATIENCE = 2.0, 1.1, 0.05, 3
-MOST_ROWS = 20_000_000
+MAX_ROWS = 20_000_000
 """Samples of a trial, and of all trials together: their signals are kept."""
 SIGNIFICANT = 4.0
 """Standard deviations of its noise beyond which a line's error tells something."""
@@ -71,7 +71,7 @@ class IterativeLearning:
         for name, least in (("settling", 1), ("averaged", 2), ("trials", 1)):
             if getattr(self, name) < least:
                 raise InputError(f"{name}: must be at least {least}, got {getattr(self, name)}")
-        if self.trial_rows > MOST_ROWS:
+        if self.trial_rows > MAX_ROWS:
             raise InputError(f"averaged: a trial of {self.trial_rows} samples is too long to keep: take fewer periods")
         if not 0.0 < self.gain <= 1.0:
             raise InputError(f"gain: must be above 0 and at most 1, got {self.gain:g}")

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearised, sampled_response
+from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
@@ -36,7 +36,7 @@ Complex = NDArray[np.complex128]
 
 AMPLIFICATION = 5.0
 """Voltage for a unit of error, relative to that at rest, beyond which nothing is learned: what little moves there is noise."""
-LEAST_RESONANT = 0.5
+MIN_RESONANT = 0.5
 """Damping ratio from which a pair of poles is no resonance."""
 CONTRACTION = 0.9
 """Greatest share of an error that a trial may leave, of any plant that is allowed for; the robustness filter ends where it is more."""
@@ -102,10 +102,10 @@ def model_filter(
     sample_time = float(sample_time or model.sample_time)
     axes, z = len(model.axes), lines_of(_checked(period))
     mean, _ = hysteresis_slopes(model)
-    stages = linearised(model, mean)
+    stages = linearized(model, mean)
     response = sampled_response(stages, axes, sample_time, z)
     mode = first_mode(stages, axes)
-    if mode is None or abs(mode) * sample_time > np.pi or -mode.real > LEAST_RESONANT * abs(mode):
+    if mode is None or abs(mode) * sample_time > np.pi or -mode.real > MIN_RESONANT * abs(mode):
         mode_spread = 0.0  # poles that belong to a delay or a filter do not move as a resonance does
     cases = spread_responses(model, sample_time, 0, gain_spread, mode_spread, z)
     ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))

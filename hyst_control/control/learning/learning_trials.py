@@ -12,7 +12,7 @@ from hyst_control.control.feedback.loop import Compensator, Plant
 from hyst_control.control.feedback.pi import RunningPI
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning
-from hyst_control.control.learning.iterative_learning import MOST_ROWS, IterativeLearning, RunningIterativeLearning
+from hyst_control.control.learning.iterative_learning import MAX_ROWS, IterativeLearning, RunningIterativeLearning
 from hyst_control.control.learning.learning_loop import run_learning_loop
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -33,10 +33,10 @@ def run_trials(
 ) -> tuple[RunningIterativeLearning, dict[str, Array]]:
     """Learn one period (N, A) of a reference on a plant; the learner and the signals of all trials."""
     periods = description.trials * (description.settling + description.averaged)
-    if periods * len(reference) > MOST_ROWS:
+    if periods * len(reference) > MAX_ROWS:
         raise InputError(
             f"trials: {description.trials} of {description.trial_rows} samples are too many to keep, "
-            f"{MOST_ROWS // description.trial_rows} are possible: take fewer, or fewer periods in each"
+            f"{MAX_ROWS // description.trial_rows} are possible: take fewer, or fewer periods in each"
         )
     learner = description.start()
     return learner, run_learning_loop(np.tile(reference, (periods, 1)), compensator, controller, plant, learner)

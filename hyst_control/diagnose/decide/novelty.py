@@ -24,7 +24,7 @@ def signs(
     """Measure the signs of an unknown effect beside an explanation."""
     one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
     due = _energy_due(evidence, chosen)
-    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.least_excess * due)
+    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.min_excess * due)
     found: dict[Reason, float] = {}
     if not outweighed:
         found[Reason.ENERGY_LEFT] = min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share)
@@ -33,7 +33,7 @@ def signs(
         share = unexplained(evidence, chosen, thresholds) / thresholds.named_unexplained_share
         found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
     if _too_many(evidence, chosen, thresholds):
-        found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.most_effects
+        found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.max_effects
     for test, sign in changes(evidence, chosen, thresholds):
         reason = Reason(f"distortion_{test.variable}")
         found[reason] = max(sign, found.get(reason, 0.0))
@@ -75,7 +75,7 @@ def failed_tests(
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
     residual, due = residual_of(evidence, index), _energy_due(evidence, index)
-    beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.least_excess * due)
+    beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.min_excess * due)
     nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = []
     for test in residual.distortions:
@@ -93,7 +93,7 @@ def failed_tests(
 def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
     after, due = residual_of(evidence, chosen).energy, _energy_due(evidence, chosen)
-    if not after - due > max(evidence.floor**2, thresholds.least_excess * due):
+    if not after - due > max(evidence.floor**2, thresholds.min_excess * due):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
 
@@ -108,7 +108,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
     if not (one.names or one.coefficients_alone):
         return 0.0
     beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
-    if before <= thresholds.least_excess * evidence.stated:
+    if before <= thresholds.min_excess * evidence.stated:
         return beyond  # coefficients took all of it
     if one.names:
         beyond = min(beyond, one.taken_up / before)
@@ -127,13 +127,13 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
     They are not where few of them explain nearly all: the others are then details beside them.
     """
     names = set(evidence.hypotheses[chosen].names)
-    if evidence.hypotheses[chosen].together <= thresholds.most_effects:
+    if evidence.hypotheses[chosen].together <= thresholds.max_effects:
         return False
     before = max(evidence.hypotheses[0].energy - evidence.stated, 1e-12)
     return not any(
         one.energy - evidence.stated <= thresholds.unknown_share * before
         for one in evidence.hypotheses
-        if one.names and one.together <= thresholds.most_effects and set(one.names) < names
+        if one.names and one.together <= thresholds.max_effects and set(one.names) < names
     )
 
 

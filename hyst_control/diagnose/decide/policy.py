@@ -54,7 +54,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     claims = _claims(evidence, thresholds)
     noise = flicker_found(evidence, _first(claims), thresholds)
     outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
-    shaken = None if noise is not None else _shaken(evidence, _first(claims), thresholds)
+    shaken = None if noise is not None else _narrowband_vibration_index(evidence, _first(claims), thresholds)
     if outweighed or shaken == 0:
         claims = _claims(evidence, thresholds, with_effects=False)
     chosen = _first(claims)
@@ -165,7 +165,8 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         return tuple(
             index
             for index in found
-            if not _idle(index, found, evidence, thresholds, wanted) and not _is_known_effect(index, found, evidence, thresholds)
+            if not _adds_too_little(index, found, evidence, thresholds, wanted)
+            and not _is_known_effect(index, found, evidence, thresholds)
         )
 
     claims = kept()
@@ -215,7 +216,7 @@ def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset
     return frozenset(names | {drift} for drift in evidence.drifts - names)
 
 
-def _shaken(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
+def _narrowband_vibration_index(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
     """Index of the hypothesis whose residual shows a vibration without a waveform."""
     return vibration_found(evidence, first, remainder(evidence, first, thresholds), thresholds)
 
@@ -280,11 +281,11 @@ def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Threshold
     """True where effects take off enough of the error beyond the one that the model states; any amount if coefficients are strained."""
     none = evidence.hypotheses[0]
     gap = none.energy - evidence.stated
-    if not one.names or gap <= thresholds.least_excess * evidence.stated:
+    if not one.names or gap <= thresholds.min_excess * evidence.stated:
         return True
     if strained(none.strain, evidence.coefficients, thresholds):
         return True
-    least = thresholds.least_explained_whitened if evidence.whitened else thresholds.least_explained
+    least = thresholds.min_explained_whitened if evidence.whitened else thresholds.min_explained
     return none.energy - one.energy > least * gap
 
 
@@ -311,7 +312,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     )
 
 
-def _idle(
+def _adds_too_little(
     index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[frozenset[str]] = frozenset()
 ) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.

@@ -22,8 +22,8 @@ from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
 from hyst_control.diagnose.run.diagnosis import with_clean
 from hyst_control.diagnose.run.prepare import Prepared, prepare
-from hyst_control.diagnose.search.beam_search import Found, Scored, inflated, settled
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, inflated, settled
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.model_file import Model
@@ -59,13 +59,13 @@ def screen(
     energies, floors, relative, left, clear = [], [], [], [], verdict
     for problem, beside, sensor_side in parts:
         prepared = prepare(problem, beside, (), configuration)
-        linearised = prepared.linearised
-        gap = prepared.problem.rows(linearised.measured - linearised.simulate(np.zeros(linearised.count)))
-        measured = prepared.problem.rows(linearised.measured)
+        linearized = prepared.linearized
+        gap = prepared.problem.rows(linearized.measured - linearized.simulate(np.zeros(linearized.count)))
+        measured = prepared.problem.rows(linearized.measured)
         energies += list(np.mean(gap**2, axis=0))
         floors += list(np.asarray(prepared.problem.sigma) ** 2)
         relative += list(100.0 * np.sqrt(np.mean(gap**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
-        first = fit(linearised)
+        first = fit(linearized)
         left += list(np.mean(prepared.problem.rows(first.residual) ** 2, axis=0))
         near = _energy(first.residual) <= CLEARLY * _no_gap_energy(prepared)
         clear = clear and near and _is_clear(prepared, beside, sensor_side, configuration)
@@ -91,16 +91,16 @@ def _no_gap_energy(prepared: Prepared) -> float:
 
 def _is_clear(prepared: Prepared, beside: Baseline | None, sensor_side: bool, configuration: Configuration) -> bool:
     """True where no search could find anything to name."""
-    policy, linearised = configuration.policy, prepared.linearised
-    none = Scored(None, settled(linearised), 0.0)
+    policy, linearized = configuration.policy, prepared.linearized
+    none = FittedHypothesis(None, settled(linearized), 0.0)
     if _energy(none.solution.residual) > _no_gap_energy(prepared):
         return False  # an effect might take off enough to be named
     if 0.5 * float(none.solution.z @ none.solution.z) > policy.margin:
         return False  # an effect might relieve the coefficients
-    if _coefficients_may_claim(linearised, none, configuration):
+    if _coefficients_may_claim(linearized, none, configuration):
         return False
-    found = Found(linearised, none, none, (), (), 1.0)
-    zero = () if beside is None else companions(linearised, none, beside.usual_zero, 1.0)
+    found = Found(linearized, none, none, (), (), 1.0)
+    zero = () if beside is None else companions(linearized, none, beside.usual_zero, 1.0)
     left = residual_evidence(prepared.problem, none, prepared.findings, prepared.checks, configuration, zero)
 
     def passes(null: float) -> bool:
@@ -110,14 +110,14 @@ def _is_clear(prepared: Prepared, beside: Baseline | None, sensor_side: bool, co
 
     # The null is asked for only where it matters, as of 1/f noise: it is the dearest part.
     return passes(0.0) or (
-        passes(np.inf) and passes(threshold(linearised, prepared.members(sensor_side), configuration=configuration))
+        passes(np.inf) and passes(threshold(linearized, prepared.members(sensor_side), configuration=configuration))
     )
 
 
-def _coefficients_may_claim(linearised: Linearised, none: Scored, configuration: Configuration) -> bool:
+def _coefficients_may_claim(linearized: Linearized, none: FittedHypothesis, configuration: Configuration) -> bool:
     """True where coefficients beyond their tolerances might explain more than the margin; beside a weight only their strain counts."""
-    if linearised.problem.weight != 1.0:
+    if linearized.problem.weight != 1.0:
         return False
     factor = configuration.search.inflation
-    wide = settled(inflated(linearised, factor), none.solution.z / factor)
+    wide = settled(inflated(linearized, factor), none.solution.z / factor)
     return none.solution.misfit - wide.misfit > configuration.policy.margin

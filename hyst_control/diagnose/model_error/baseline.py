@@ -182,7 +182,12 @@ def _beside_own_error(
         spectrum = on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
     beside = replace(
-        problem, model=model, slowest=lowest_frequency(problem), own_error=rest, own_correlation=length, own_spectrum=spectrum
+        problem,
+        model=model,
+        lowest_frequency=lowest_frequency(problem),
+        own_error=rest,
+        own_correlation=length,
+        own_spectrum=spectrum,
     )
     return Baseline(beside, False, error, usual, floor, clean, excess, known)
 
@@ -257,7 +262,7 @@ def _carried(
         problem,
         model=model,
         pieces=tuple(pieces),
-        slowest=lowest_frequency(problem),
+        lowest_frequency=lowest_frequency(problem),
         own_error=alone if differences else floor,
         own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
         own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, lowest_frequency(problem), both**2)

@@ -17,7 +17,7 @@ from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.records.session_zero import without_zero
 
-LEAST_DIRECTION = 0.1
+MIN_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
 UNEXCITED = 1e-6
 """Power of a command, as a share of its largest, below which it excites nothing."""
@@ -75,7 +75,7 @@ def predicted_error(problem: Problem, learned: LearnedDiscrepancy) -> tuple[Lear
     factor = np.column_stack([learned.mean, learned.factor])
     spread = np.concatenate(rows) @ factor
     _, sizes, directions = np.linalg.svd(spread, full_matrices=False)
-    kept = directions[sizes > LEAST_DIRECTION * learned.rest * np.sqrt(len(spread))].T
+    kept = directions[sizes > MIN_DIRECTION * learned.rest * np.sqrt(len(spread))].T
     if not kept.shape[1]:
         return ()
     return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)

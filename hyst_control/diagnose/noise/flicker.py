@@ -18,7 +18,7 @@ LINE_BINS = 1.5
 """Bins to either side of a line that Hann's window spreads it over."""
 NORMAL_MEDIAN = 0.6745
 """Median of a normal variable's size."""
-LEAST_APART = 4.0
+MIN_APART = 4.0
 """Bins between lines from which those in between tell the noise."""
 
 
@@ -70,7 +70,7 @@ def flicker(
         colored = b * item[2] / spectrum > settings.colored_share
         # A band of three bins is off by twice as much by chance as the shape may be: it says little of the shape.
         scatter = np.log(level / spectrum)[colored] ** 2 / (settings.shape_misfit**2 + 1.0 / bins[colored])
-        return bool(colored.sum() >= settings.least_bands and np.mean(scatter) < 1.0)
+        return bool(colored.sum() >= settings.min_bands and np.mean(scatter) < 1.0)
 
     # The usual exponent stands first: another one has to explain clearly more, or have the shape that the usual one has not.
     usual, other = (min(some, key=lambda item: item[0].fun) for some in (fits[:2], fits))
@@ -97,7 +97,7 @@ def _at_harmonics(k: NDArray[np.int_], command: Array) -> NDArray[np.bool_]:
     """
     period = period_of(command[:, None])
     apart = len(command) / period if period is not None else 0.0
-    if apart < LEAST_APART:
+    if apart < MIN_APART:
         return np.zeros(len(k), dtype=bool)
     return np.asarray(np.abs(k - np.rint(k / apart) * apart) < LINE_BINS, dtype=bool)
 

@@ -19,7 +19,7 @@ NORMAL_95 = 1.645
 """95 % quantile of the normal distribution: half a 90 % interval."""
 OUTSIDE = 1e300
 """Misfit outside the range: finite, since the simplex subtracts misfits."""
-MOST_LOG = 300.0
+MAX_LOG = 300.0
 """Logarithm up to which the floor, height and width of a trial are taken: their products are finite."""
 SHAPES = ("tone", "mode")
 """Sources of a hump: a tone whose phase wanders, or a mode excited by white noise."""
@@ -78,7 +78,7 @@ def random_vibration(
     off = NORMAL_95 * _deviation(hump, power, at)
     width = 1.0 / (count * sample_time)
     plausible = (
-        1.05 * settings.least_half_width < hump.half_width < 0.95 * settings.most_half_width * hump.frequency
+        1.05 * settings.min_half_width < hump.half_width < 0.95 * settings.max_half_width * hump.frequency
         and _has_shape(power[colored], at[colored], hump, settings)
         and _is_steady(residual, commands[:, 0], hump, settings)
         and _followed(residual, commands, simulated, hump) < settings.followed
@@ -107,14 +107,14 @@ def _starts(power: Array, at: Array, settings: HumpSettings) -> list[Hump]:
     """Humps to begin fits at: where a running mean exceeds the white noise most, for several widths; none if chance explains it."""
     floor = float(np.median(power)) / np.log(2.0)
     found: list[tuple[float, Hump]] = []
-    half_width = settings.least_half_width
-    while half_width < settings.most_half_width * at[-1]:
+    half_width = settings.min_half_width
+    while half_width < settings.max_half_width * at[-1]:
         bins = int(2.0 * half_width) + 1
         mean = uniform_filter1d(power, bins) / floor
-        mean[at < half_width / settings.most_half_width] = 0.0
+        mean[at < half_width / settings.max_half_width] = 0.0
         top = int(np.argmax(mean))
         gain = bins * (mean[top] - 1.0 - np.log(max(mean[top], 1.0))) / HANN_BINS
-        if gain > settings.least_gain:
+        if gain > settings.min_gain:
             height = max(2.0 * (float(mean[top]) - 1.0), 1.0)
             found.append((gain, Hump(floor, height, float(at[top]), 0.7 * half_width, SHAPES[0])))
         half_width *= 1.6
@@ -124,18 +124,18 @@ def _starts(power: Array, at: Array, settings: HumpSettings) -> list[Hump]:
 
 def _fitted(start: Hump, power: Array, at: Array, settings: HumpSettings) -> Hump:
     """The hump of greatest likelihood near a start."""
-    most = settings.most_half_width
+    most = settings.max_half_width
 
     def of(x: Array) -> Hump:
-        floor, height, half_width = np.exp(np.clip(x[[0, 1, 3]], -MOST_LOG, MOST_LOG))  # a search may try any number
+        floor, height, half_width = np.exp(np.clip(x[[0, 1, 3]], -MAX_LOG, MAX_LOG))  # a search may try any number
         return Hump(float(floor), float(height), float(x[2]), float(half_width), start.shape)
 
     def misfit(x: Array) -> float:
         hump = of(x)
-        inside = at[0] <= x[2] <= at[-1] and settings.least_half_width <= hump.half_width <= most * x[2]
+        inside = at[0] <= x[2] <= at[-1] and settings.min_half_width <= hump.half_width <= most * x[2]
         return hump.misfit(power, at) if inside else OUTSIDE
 
-    half_width = float(np.clip(start.half_width, 1.05 * settings.least_half_width, 0.95 * most * start.frequency))
+    half_width = float(np.clip(start.half_width, 1.05 * settings.min_half_width, 0.95 * most * start.frequency))
     first = np.array([np.log(start.floor), np.log(start.height), start.frequency, np.log(half_width)])
     simplex = first + np.vstack([np.zeros(4), np.diag([0.2, 0.4, 0.4 * half_width, 0.3])])
     options = {"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400, "initial_simplex": simplex}
@@ -162,14 +162,14 @@ def _has_shape(power: Array, at: Array, hump: Hump, settings: HumpSettings) -> b
                 level = float(np.median(power[band] / hump.spectrum(at[band]))) / np.log(2.0)
                 chance = 1.5 * HANN_BINS / np.count_nonzero(band)  # a median knows less than a mean
                 scatter.append(np.log(level) ** 2 / (settings.shape_misfit**2 + chance))
-    return len(scatter) >= settings.least_bands and float(np.mean(scatter)) < 1.0
+    return len(scatter) >= settings.min_bands and float(np.mean(scatter)) < 1.0
 
 
 def _is_steady(residual: Array, command: Array, hump: Hump, settings: HumpSettings) -> bool:
     """True where the hump is about as strong where the command moves most as where it moves least."""
     count = len(residual)
     segments = min(settings.segments, int(2.0 * hump.half_width))  # more are not independent of each other
-    if segments < settings.least_segments:
+    if segments < settings.min_segments:
         return True
     spectrum = np.fft.rfft(residual)
     spectrum[np.abs(np.arange(len(spectrum)) - hump.frequency) > 2.0 * hump.half_width] = 0.0

@@ -15,7 +15,7 @@ from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.problem.per_record_stages import CarriedError
-from hyst_control.diagnose.problem.simulation_cache import MOST_BYTES, KnownLinks
+from hyst_control.diagnose.problem.simulation_cache import MAX_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
@@ -60,7 +60,7 @@ class Problem:
     sample_time: float
     hold: str
     sigma: Array
-    slowest: float | None = None
+    lowest_frequency: float | None = None
     """Lowest frequency (Hz) that the command excites; only where clean records keep the model's own error apart."""
     own_error: Array | None = None
     """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
@@ -161,7 +161,7 @@ class Problem:
     @cached_property
     def _links(self) -> list[KnownLinks]:
         """By piece, the outputs of the filters that were run on its command already."""
-        return [KnownLinks(piece.command, MOST_BYTES // len(self.pieces)) for piece in self.pieces]
+        return [KnownLinks(piece.command, MAX_BYTES // len(self.pieces)) for piece in self.pieces]
 
     @cached_property
     def _counts(self) -> list[int]:
@@ -191,7 +191,7 @@ class Problem:
             slew,
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
-            self.slowest,
+            self.lowest_frequency,
             shared_modes(poles),
             min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
             min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,

@@ -10,7 +10,7 @@ from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.chain import Link, Parallel, arrange, link_of, pieces, resolved, started_link
 from hyst_control.chain.stage import Array
 
-MOST_BYTES = 64_000_000
+MAX_BYTES = 64_000_000
 """Memory for the outputs that are kept; the one that was not asked for longest is dropped first."""
 
 
@@ -26,7 +26,7 @@ class Signal(NamedTuple):
 class KnownLinks:
     """Simulation of chains on one command, from the first filter that it has not run before."""
 
-    def __init__(self, command: Annotated[Array, "N A"], most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, command: Annotated[Array, "N A"], most_bytes: int = MAX_BYTES) -> None:
         self.command = command
         self.most = max(most_bytes // max(command.nbytes, 1), 1)
         self._forget()

@@ -19,19 +19,19 @@ from hyst_control.diagnose.record_checks.command_smoothing import smoothed, whit
 
 BANDS = 4
 """Bands of equal information in which the residual is regressed on d."""
-LEAST_ROWS = 64
+MIN_ROWS = 64
 """Rows that a record needs."""
-LEAST_SHARE = 1e-6
+MIN_SHARE = 1e-6
 """White part of a command, as a share of its rms, under which nothing is looked at: numbers of few digits."""
 
 
 def roughness_evidence(problem: Problem, axis: int) -> tuple[RoughnessEvidence | None, tuple[Array, ...]]:
     """Measure the roughness of a command, and how much of it the plant received."""
     columns = [piece.command[:, axis] for piece in problem.pieces]
-    if min(len(column) for column in columns) < LEAST_ROWS or not problem.model.chain.stages:
+    if min(len(column) for column in columns) < MIN_ROWS or not problem.model.chain.stages:
         return None, ()
     white, whole = max(white_part(column) for column in columns), max(float(np.std(column)) for column in columns)
-    if not white > LEAST_SHARE * whole or white > whole:
+    if not white > MIN_SHARE * whole or white > whole:
         return None, ()
     smooth = tuple(smoothed(column) for column in columns)
     rough = [column - one for column, one in zip(columns, smooth, strict=True)]

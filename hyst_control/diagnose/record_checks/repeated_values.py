@@ -20,7 +20,7 @@ PASSED = 10.0
 """Times as far as these the simulation must pass it meanwhile."""
 STANDING = 1.0 / 3.0
 """Least share of all passages through the level: where a hum cancels the motion now and then, most pass."""
-MOST_LEVELS = 1e6
+MAX_LEVELS = 1e6
 """Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
 
 
@@ -98,7 +98,7 @@ def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
     reach = STANDS * sigma
     values = np.concatenate([measured for _, measured in pieces])
     lowest, span = float(values.min()), float(np.ptp(values))
-    if step > sigma or not PASSED * reach < span < MOST_LEVELS * reach:
+    if step > sigma or not PASSED * reach < span < MAX_LEVELS * reach:
         return 0
     moved = np.concatenate([np.abs(np.diff(simulated, prepend=simulated[:1])) for simulated, _ in pieces])
     bins = ((values - lowest) / reach).astype(np.int64)

@@ -13,7 +13,7 @@ from hyst_control.diagnose.configuration import AttributionSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.validate.cross_validation import HeldOut, held_out, shares, shrink
 from hyst_control.effects import EFFECTS
 from hyst_control.records.correlation import matching_length
@@ -69,7 +69,7 @@ def _rank(effect: Named) -> tuple[bool, float, float]:
 
 
 def _waveforms(diagnosis: Diagnosis) -> list[Named]:
-    found: dict[str, list[tuple[AxisDiagnosis, Scored, int, float]]] = {}
+    found: dict[str, list[tuple[AxisDiagnosis, FittedHypothesis, int, float]]] = {}
     for part in diagnosis.parts:
         seen: set[str] = set()
         for scored in part.listed:  # the first one that has an effect counts; it may have it on each of several coupled axes
@@ -81,12 +81,12 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         return []
     settings = diagnosis.configuration.reduction
     errors = {
-        (part.axes, scored.names): held_out(part.linearised, scored, part.found.none, settings)
+        (part.axes, scored.names): held_out(part.linearized, scored, part.found.none, settings)
         for part in diagnosis.parts
         for scored in part.listed
         if not scored.inflated
     }
-    none = {part.axes: held_out(part.linearised, part.found.none, part.found.none, settings) for part in diagnosis.parts}
+    none = {part.axes: held_out(part.linearized, part.found.none, part.found.none, settings) for part in diagnosis.parts}
     whole = sum(float(none[part.axes].before.sum()) for part in diagnosis.parts)
     named = []
     for name, places in found.items():
@@ -110,7 +110,7 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
         by_part = {part.axes: p for part, _, _, p in places}
         probability = 1.0 - float(np.prod([1.0 - p for p in by_part.values()]))
         share = sum(
-            shares(part.linearised, scored)[index] * float(none[part.axes].before.sum()) / whole
+            shares(part.linearized, scored)[index] * float(none[part.axes].before.sum()) / whole
             for part, scored, index, _ in places
         )
         unit = _rms_unit(diagnosis, chosen, none)
@@ -139,7 +139,7 @@ def _companions(diagnosis: Diagnosis) -> list[Named]:
     ]
 
 
-def _axes_of(part: AxisDiagnosis, scored: Scored, index: int) -> Axes:
+def _axes_of(part: AxisDiagnosis, scored: FittedHypothesis, index: int) -> Axes:
     """Axes of the plant that an effect of an explanation is on."""
     assert scored.candidate is not None
     axis = scored.candidate.members[index].axis
@@ -174,12 +174,12 @@ def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mappin
     return float(np.sqrt(sums[0] / rows)), float(np.sqrt(sums[1] / rows))
 
 
-def _values(part: AxisDiagnosis, scored: Scored, index: int, settings: AttributionSettings) -> dict[str, Value]:
+def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings: AttributionSettings) -> dict[str, Value]:
     """Parameter values of one effect with 90 % intervals, from draws of the fit's covariance: wider beside a model's own error."""
     assert scored.candidate is not None
     member = scored.candidate.members[index]
     where = scored.candidate.slices()[index]
-    begin = part.linearised.count + where.start
+    begin = part.linearized.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
     covariance = covariance * _repetition(part.problem)
     centre = scored.solution.x[where]
@@ -296,7 +296,7 @@ def _parameters(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
     found = []
     for part in diagnosis.parts:
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
-        scatter = part.linearised.scatter.coefficients
+        scatter = part.linearized.scatter.coefficients
         found += [
             (c.name + axis, float(z)) for c, z in zip(scatter, part.coefficients, strict=True) if abs(z) > least and not c.companion
         ]

@@ -32,7 +32,7 @@ LETTERS = 13
 """Most letters that fit on a line in a box."""
 
 
-LEAST_SHARE = 0.005
+MIN_SHARE = 0.005
 """Share of the gap under which a box stays white."""
 
 
@@ -56,7 +56,7 @@ def chain_picture(document: Mapping[str, Any]) -> Markup:
         width=len(BOXES) * (WIDTH + GAP) - GAP,
         height=TOP + HEIGHT + 20 + 18 * lines,
         gap=GAP,
-        least_share=LEAST_SHARE,
+        min_share=MIN_SHARE,
         boxes=[_box(index, name, shares[index], labels.get(index, [])) for index, name in enumerate(BOXES)],
         elsewhere=[f"{name} {100 * share:.0f} %" for name, share in rest.items()],
     )
@@ -73,7 +73,7 @@ def _box(index: int, name: str, share: float, labels: Sequence[str]) -> dict[str
         "height": HEIGHT,
         "center": left + WIDTH / 2,
         "middle": middle,
-        "marked": bool(labels) or share > LEAST_SHARE,
+        "marked": bool(labels) or share > MIN_SHARE,
         "opacity": 0.14 + 0.6 * min(share, 1.0),
         "share": share,
         "words": [{"y": middle + 5 + 17 * (row - (len(words) - 1) / 2), "text": text} for row, text in enumerate(words)],

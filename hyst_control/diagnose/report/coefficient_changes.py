@@ -27,7 +27,7 @@ def coefficient_changes(diagnosis: Diagnosis, most: int) -> list[CoefficientChan
     found = []
     for part in diagnosis.parts:
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
-        scatter, z = part.linearised.scatter, part.coefficients
+        scatter, z = part.linearized.scatter, part.coefficients
         fitted = scatter.at(z)
         for index, coefficient in enumerate(scatter.coefficients):
             if not coefficient.companion:

@@ -130,7 +130,7 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
     energies, floors, relative = [], [], []
     for part in diagnosis.parts:
         rows = part.gap()
-        measured = part.problem.rows(part.linearised.measured)
+        measured = part.problem.rows(part.linearized.measured)
         energies += list(np.mean(rows**2, axis=0))
         floors += list(np.asarray(part.problem.sigma) ** 2)
         relative += list(100.0 * np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))

@@ -52,24 +52,24 @@ def stages(diagnosis: Diagnosis, attribution: Attribution, unfaithful: Sequence[
     energies: dict[str, Array] = dict.fromkeys(unfaithful, np.zeros(blocks))
     session = effects = coefficients = noise = unexplained = np.zeros(blocks)
     for part in diagnosis.parts:
-        problem, linearised, solution = part.problem, part.linearised, part.chosen.solution
+        problem, linearized, solution = part.problem, part.linearized, part.chosen.solution
         unknowns = part.chosen.candidate.unknowns() if part.chosen.candidate else None
-        companions = linearised.companions(solution.z)
-        whole = _energy(problem, linearised.measured - linearised.simulate(np.zeros(linearised.count)), blocks)
-        given = np.minimum(_energy(problem, linearised.measured - linearised.simulate(companions), blocks), whole)
+        companions = linearized.companions(solution.z)
+        whole = _energy(problem, linearized.measured - linearized.simulate(np.zeros(linearized.count)), blocks)
+        given = np.minimum(_energy(problem, linearized.measured - linearized.simulate(companions), blocks), whole)
         session = session + whole - given
         left = np.minimum(_energy(problem, solution.residual, blocks), given)
         # What the effects leave with the coefficients as given is the coefficients' part.
-        with_effects = _energy(problem, linearised.measured - linearised.simulate(companions, unknowns, solution.x), blocks)
+        with_effects = _energy(problem, linearized.measured - linearized.simulate(companions, unknowns, solution.x), blocks)
         fitted = np.clip(with_effects - left, 0.0, given - left)
-        floor = np.minimum(float(np.sum(problem.sigma**2)) * len(linearised.measured) / len(problem.sigma) / blocks, left)
+        floor = np.minimum(float(np.sum(problem.sigma**2)) * len(linearized.measured) / len(problem.sigma) / blocks, left)
         effects, coefficients = effects + given - left - fitted, coefficients + fitted
         noise, unexplained = noise + floor, unexplained + left - floor
     named = [effect for effect in attribution.effects if effect.shrink is not None]
     for effect in named:
         place = EFFECTS[effect.name].place
         energies[place] = energies.get(place, np.zeros(blocks)) + effects * effect.share
-    energies |= {SESSION: session} if any(part.linearised.scatter.companions.any() for part in diagnosis.parts) else {}
+    energies |= {SESSION: session} if any(part.linearized.scatter.companions.any() for part in diagnosis.parts) else {}
     energies |= {"coefficients": coefficients if named else coefficients + effects, "noise": noise, "unexplained": unexplained}
     return _shares_with_intervals(energies, diagnosis.seed, settings.resamples)
 
@@ -129,7 +129,7 @@ def _bands(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
 
 
 def _amplitudes(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array]:
-    measured = part.problem.rows(part.linearised.measured)
+    measured = part.problem.rows(part.linearized.measured)
     level = (measured - measured.min(axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300)
     which = np.minimum((3 * level).astype(int), 2)
     return {name: _blocks((residual**2 * (which == i)).sum(axis=1), blocks) for i, name in enumerate(THIRDS)}
@@ -155,9 +155,9 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
     nothing = np.zeros(blocks)
     for axis in range(residual.shape[1]):
         left = residual[:, axis]
-        whole, columns, solution = left, part.linearised.columns, part.chosen.solution
-        if not part.chosen.inflated and part.linearised.count:
-            free = part.linearised.companions(solution.z)
+        whole, columns, solution = left, part.linearized.columns, part.chosen.solution
+        if not part.chosen.inflated and part.linearized.count:
+            free = part.linearized.companions(solution.z)
             for name, taken in ((SESSION, columns @ free), ("like coefficients", columns @ (solution.z - free))):
                 energy = _blocks(left**2, blocks)
                 left = left - part.problem.rows(taken)[:, axis]
@@ -188,10 +188,10 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
 
 def _features(part: AxisDiagnosis, axis: int) -> list[tuple[str, Array]]:
     """Groups of regressors (M, n), what is simplest first."""
-    problem, linearised = part.problem, part.linearised
+    problem, linearized = part.problem, part.linearized
     axes = len(problem.model.axes)
     command = np.concatenate([piece.counted(piece.command) for piece in problem.pieces])[:, axis]
-    simulated = problem.rows(linearised.nominal)[:, axis]
+    simulated = problem.rows(linearized.nominal)[:, axis]
     count = len(simulated)
     time = np.linspace(-1.0, 1.0, count)
     u, y = _normalised(command), _normalised(simulated)
@@ -212,7 +212,7 @@ def _features(part: AxisDiagnosis, axis: int) -> list[tuple[str, Array]]:
         ("rate and amplitude", np.stack([np.abs(rate), rate * y, rate * np.abs(rate), rate * y**2], axis=1)),
     ]
     if axes > 1:
-        groups.append(("cross-axis", np.delete(problem.rows(linearised.nominal), axis, axis=1)))
+        groups.append(("cross-axis", np.delete(problem.rows(linearized.nominal), axis, axis=1)))
     else:
         others = [piece.counted(piece.others) for piece in problem.pieces if piece.others is not None and piece.others.shape[1]]
         if others:

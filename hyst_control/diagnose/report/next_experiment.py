@@ -13,8 +13,8 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
-from hyst_control.diagnose.search.beam_search import Scored
-from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.records.excitation.excitation import build
@@ -90,13 +90,13 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _channel(rivals: Sequence[Scored]) -> str:
+def _channel(rivals: Sequence[FittedHypothesis]) -> str:
     """The channel that would tell what no excitation can: the first that one of the effects names."""
     named = (EFFECTS[name].separating_record for scored in rivals for name in scored.names)
     return f"no excitation separates them: record {next(filter(None, named), OTHER_SENSOR)} as well"
 
 
-def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> float:
+def _distance(part: AxisDiagnosis, rivals: Sequence[FittedHypothesis], command: Array) -> float:
     """The smallest distance between two rivals' predictions, coefficients marginalized."""
     problem = part.problem
     axes = list(part.axes)
@@ -107,24 +107,24 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[Scored], command: Array) -> 
         problem.sample_time,
         problem.hold,
         problem.sigma,
-        problem.slowest,
+        problem.lowest_frequency,
         problem.own_error,
         problem.own_correlation,
         problem.own_spectrum,
     )
-    linearised = Linearised(fresh, replace(part.linearised.scatter))
+    linearized = Linearized(fresh, replace(part.linearized.scatter))
     predictions = []
     for scored in rivals:
         if scored.candidate is None:
-            predictions.append(linearised.nominal)
+            predictions.append(linearized.nominal)
             continue
         members = type(scored.candidate)(tuple(replace(member, problem=fresh) for member in scored.candidate.members))
-        predictions.append(linearised.simulate(np.zeros(linearised.count), members.unknowns(), scored.solution.x))
-    if not all(np.isfinite(rows).all() for rows in (*predictions, linearised.columns)):
+        predictions.append(linearized.simulate(np.zeros(linearized.count), members.unknowns(), scored.solution.x))
+    if not all(np.isfinite(rows).all() for rows in (*predictions, linearized.columns)):
         raise InputError("a prediction leaves the finite under this excitation: it separates nothing")
     distances = []
     for i, one in enumerate(predictions):
         for other in predictions[i + 1 :]:
             apart = one - other
-            distances.append(np.sqrt(max(fresh.weight * float(apart @ linearised.unexplained(apart)), 0.0)))
+            distances.append(np.sqrt(max(fresh.weight * float(apart @ linearized.unexplained(apart)), 0.0)))
     return float(min(distances, default=0.0))

@@ -36,10 +36,10 @@ BINS = 1000
 
 BAND_POINTS = 400
 LOOP_POINTS = 1500
-MOST_FIGURES = 4
-MOST_CANDIDATES = 12
-MOST_REJECTED = 8
-MOST_COEFFICIENTS = 15
+MAX_FIGURES = 4
+MAX_CANDIDATES = 12
+MAX_REJECTED = 8
+MAX_COEFFICIENTS = 15
 LIKELY = 1.645
 """Standard deviations on either side that hold 90 %."""
 PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
@@ -80,7 +80,7 @@ def write_page(
         for index, piece in enumerate(pieces)
         for axis, name in enumerate(diagnosis.model.axes)
     ]
-    weighed = document["candidates"][:MOST_CANDIDATES]
+    weighed = document["candidates"][:MAX_CANDIDATES]
     write_template(
         path,
         "diagnose/templates/gap.html",
@@ -90,7 +90,7 @@ def write_page(
         chain=chain_picture(document),
         effects=[_effect_row(effect) for effect in document["effects"]],
         meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
-        rivals=[_rival_row(row) for row in rejected(diagnosis, MOST_REJECTED)],
+        rivals=[_rival_row(row) for row in rejected(diagnosis, MAX_REJECTED)],
         augmented=better is not None,
         signals=signals,
         pieces_drawn=len(pieces),
@@ -103,7 +103,7 @@ def write_page(
         next_experiment=document["next_experiment"],
         coefficients=[
             (row.name, f"{row.before:.5g}", f"{row.after:.5g}", f"{row.deviations:+.1f}")
-            for row in coefficient_changes(diagnosis, MOST_COEFFICIENTS)
+            for row in coefficient_changes(diagnosis, MAX_COEFFICIENTS)
         ],
         replay=[(block["name"], block["text"]) for block in document["replay"]],
         notes=document["notes"],
@@ -113,7 +113,7 @@ def write_page(
 def traces_of(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:
     """The first pieces, whole, in the measurement's unit."""
     problem, found = diagnosis.problem, []
-    for index, piece in enumerate(problem.pieces[: max(MOST_FIGURES // len(diagnosis.model.axes), 1)]):
+    for index, piece in enumerate(problem.pieces[: max(MAX_FIGURES // len(diagnosis.model.axes), 1)]):
         whole = type(problem)(
             problem.model, (type(piece)(piece.command, piece.measurement),), problem.sample_time, problem.hold, problem.sigma
         )
@@ -143,11 +143,11 @@ def _usual_zero(part: AxisDiagnosis, index: int, rows: int) -> Array:
 
 def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:
     """Half interval (N, A) of a piece: noise, coefficients within their tolerance, and the model's own error."""
-    problem, linearised = part.problem, part.linearised
+    problem, linearized = part.problem, part.linearized
     axes = len(problem.model.axes)
     own = np.zeros(axes) if problem.own_error is None else problem.own_error
-    uncertain = 1.0 - linearised.scatter.companions if linearised.count else np.zeros(0)
-    energy = (linearised.columns**2 @ uncertain).reshape(-1, axes) * problem.sigma**2 + problem.sigma**2 + own**2
+    uncertain = 1.0 - linearized.scatter.companions if linearized.count else np.zeros(0)
+    energy = (linearized.columns**2 @ uncertain).reshape(-1, axes) * problem.sigma**2 + problem.sigma**2 + own**2
     counts = [np.ones(len(piece.command), bool) if piece.keep is None else piece.keep for piece in problem.pieces]
     band = np.full((rows, axes), np.nan)
     if len(counts[index]) == rows:

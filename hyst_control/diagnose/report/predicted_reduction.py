@@ -81,7 +81,7 @@ def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:
 def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = False) -> Array:
     """Rows (N, A) of the measurement for coefficients z, with the chosen effects or without."""
     candidate = part.chosen.candidate
-    stages = part.linearised.scatter.at(z)
+    stages = part.linearized.scatter.at(z)
     if candidate is None or not effects:
         return problem.rows(problem.simulate(stages))
     x = part.chosen.solution.x

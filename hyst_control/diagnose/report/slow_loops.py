@@ -9,18 +9,18 @@ import numpy as np
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.reversal_points import turning_points
 
-LEAST_HEIGHT = 0.3
+MIN_HEIGHT = 0.3
 """Least height of a loop, in the command's range."""
 
 
 def slow_loops(command: Annotated[Array, "N"], most: int = 2) -> list[slice]:
     """Find the slowest loops of a command: up and down again, or down and up; steps are the fastest."""
-    turns = np.append(_large_turns(command, LEAST_HEIGHT * float(np.ptp(command))), len(command) - 1)
+    turns = np.append(_large_turns(command, MIN_HEIGHT * float(np.ptp(command))), len(command) - 1)
     speed = np.abs(np.diff(command, append=command[-1]))
     found = [
         (float(speed[begin:end].max() / np.ptp(command[begin : end + 1])), int(begin), int(end))
         for begin, middle, end in zip(turns[:-2], turns[1:-1], turns[2:], strict=True)
-        if min(abs(command[middle] - command[begin]), abs(command[middle] - command[end])) >= LEAST_HEIGHT * np.ptp(command)
+        if min(abs(command[middle] - command[begin]), abs(command[middle] - command[end])) >= MIN_HEIGHT * np.ptp(command)
     ]
     kept: list[tuple[int, int]] = []
     for _, begin, end in sorted(found):

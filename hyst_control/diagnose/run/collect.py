@@ -29,8 +29,8 @@ from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.summary import outliers
-from hyst_control.diagnose.search.beam_search import Found, Scored, strain
-from hyst_control.diagnose.search.fit import Linearised
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, strain
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.validate.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
@@ -43,7 +43,7 @@ class Collected:
     """Hypotheses of a search, in the order of the evidence on them."""
 
     evidence: Evidence  # Without residuals
-    hypotheses: tuple[Scored, ...]  # "No effect", single effects, combinations, coefficients alone
+    hypotheses: tuple[FittedHypothesis, ...]  # "No effect", single effects, combinations, coefficients alone
 
 
 def collect(
@@ -56,15 +56,15 @@ def collect(
     configuration: Configuration = CONFIGURATION,
 ) -> Collected:
     """Collect the evidence of a search."""
-    problem = found.linearised.problem
+    problem = found.linearized.problem
     hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
-    size = len(found.linearised.measured)
+    size = len(found.linearized.measured)
     rows = size // len(problem.model.axes)
     lower, upper = configuration.noise.band
     evidence = Evidence(
         tuple(_hypothesis(found, scored, configuration.policy.many_tolerances) for scored in hypotheses),
         found.temper,
-        found.linearised.count,
+        found.linearized.count,
         null,
         floor,
         max(
@@ -78,7 +78,7 @@ def collect(
         tuple(record),
         checks,
         problem.weight,
-        problem.slowest is not None and problem.own_error is None,
+        problem.lowest_frequency is not None and problem.own_error is None,
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
@@ -89,7 +89,7 @@ def collect(
     return Collected(evidence, hypotheses)
 
 
-def _local_energy(problem: Problem, none: Scored, scored: Scored) -> float:
+def _local_energy(problem: Problem, none: FittedHypothesis, scored: FittedHypothesis) -> float:
     """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
 
     In units of the model's own error and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
@@ -105,7 +105,7 @@ def _local_energy(problem: Problem, none: Scored, scored: Scored) -> float:
 
 def residual_evidence(
     problem: Problem,
-    scored: Scored,
+    scored: FittedHypothesis,
     findings: Sequence[Finding],
     checks: frozenset[RecordCheck],
     configuration: Configuration = CONFIGURATION,
@@ -130,7 +130,7 @@ def residual_evidence(
         tuple(count for count, _ in counted),
         tuple(rms for _, rms in counted),
         _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
-        1.0 if problem.slowest is None else _predictable(problem, rows, configuration.baseline.blocks),
+        1.0 if problem.lowest_frequency is None else _predictable(problem, rows, configuration.baseline.blocks),
         beside,
         distorted,
         passed,
@@ -139,19 +139,19 @@ def residual_evidence(
 
 
 def companions(
-    linearised: Linearised, scored: Scored, usual: Annotated[Array, "A 3"], temper: float
+    linearized: Linearized, scored: FittedHypothesis, usual: Annotated[Array, "A 3"], temper: float
 ) -> tuple[CompanionEvidence, ...]:
     """Measure the zero and the drift of a session as a hypothesis has them."""
     variances = np.diag(scored.solution.covariance) / temper
     effects = {effect.companion.degree: effect for effect in EFFECTS.values() if effect.companion is not None}
     found = []
-    for coefficient, z, variance in zip(linearised.scatter.coefficients, scored.solution.z, variances, strict=False):
+    for coefficient, z, variance in zip(linearized.scatter.coefficients, scored.solution.z, variances, strict=False):
         if coefficient.field != SessionZero.FIELD or coefficient.index[-1] not in effects:
             continue
         _, axis, degree = coefficient.index
         companion = effects[degree].companion
         assert companion is not None
-        size = linearised.scatter.size(coefficient)
+        size = linearized.scatter.size(coefficient)
         departure = size * float(z)
         found.append(
             CompanionEvidence(
@@ -219,14 +219,14 @@ def _between_periods(problem: Problem, left: Sequence[Array], axis: int, setting
     return noise_between_periods(left, [piece.counted(piece.command) for piece in pieces], settings)
 
 
-def _hypothesis(found: Found, scored: Scored, believed: float) -> HypothesisEvidence:
-    solution, problem = scored.solution, found.linearised.problem
+def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> HypothesisEvidence:
+    solution, problem = scored.solution, found.linearized.problem
     size = len(solution.residual)
     energy = float(solution.residual @ solution.residual) / size
     farthest = float(np.max(np.abs(solution.z), initial=0.0)) * scored.tolerances
     taken_up = float("inf")
     if not scored.inflated:
-        columns, scatter = found.linearised.columns, found.linearised.scatter
+        columns, scatter = found.linearized.columns, found.linearized.scatter
         far = np.where(scatter.companions > 0.0, 0.0, solution.z) * max(1.0 - believed / max(farthest, 1e-300), 0.0)
         taken_up = float(np.mean((solution.residual + columns @ far) ** 2)) - energy
     return HypothesisEvidence(
@@ -252,7 +252,7 @@ def _has_holes(piece: Piece) -> bool:
     return int(np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int)))) > 2
 
 
-def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> FlickerEvidence | None:
+def _flicker(problem: Problem, scored: FittedHypothesis, configuration: Configuration) -> FlickerEvidence | None:
     """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
     if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None
@@ -263,7 +263,7 @@ def _flicker(problem: Problem, scored: Scored, configuration: Configuration) -> 
     return replace(seen, gain=problem.weight * seen.gain)
 
 
-def _hump(problem: Problem, scored: Scored, configuration: Configuration) -> HumpEvidence | None:
+def _hump(problem: Problem, scored: FittedHypothesis, configuration: Configuration) -> HumpEvidence | None:
     """A vibration whose phase wanders in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
     if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
         return None

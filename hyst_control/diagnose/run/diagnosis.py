@@ -30,13 +30,13 @@ from hyst_control.diagnose.run.collect import (
     residual_evidence,
 )
 from hyst_control.diagnose.run.prepare import clean_rows, is_used, nominal_residuals, prepare, with_noise
-from hyst_control.diagnose.search.beam_search import Found, Scored, search
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.candidate import Candidate
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.validate.constancy import distortions
 from hyst_control.diagnose.validate.cross_validation import holds, widens
-from hyst_control.diagnose.validate.error_gain import passed_error
+from hyst_control.diagnose.validate.error_gain import error_gain
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects.effect import RecordCheck
@@ -54,20 +54,20 @@ class AxisDiagnosis:
 
     axes: tuple[int, ...]  # Indices in the model
     problem: Problem  # Records and model of these axes
-    linearised: Linearised  # The problem with the columns of its coefficients
+    linearized: Linearized  # The problem with the columns of its coefficients
     found: Found  # Result of the search, with the fits of all hypotheses
-    hypotheses: tuple[Scored, ...]  # Hypotheses in the order of the evidence
+    hypotheses: tuple[FittedHypothesis, ...]  # Hypotheses in the order of the evidence
     evidence: Evidence  # Numbers that the decision is based on
     decision: Decision  # Verdict, its reasons, and the effects that are named
     baseline: Baseline | None = None  # Clean records or stated discrepancy that were used
 
     @property
-    def chosen(self) -> Scored:
+    def chosen(self) -> FittedHypothesis:
         """The best explanation."""
         return self.hypotheses[self.decision.chosen]
 
     @property
-    def listed(self) -> tuple[Scored, ...]:
+    def listed(self) -> tuple[FittedHypothesis, ...]:
         """Explanations that the data cannot distinguish from the best one, best first, including it."""
         return tuple(self.hypotheses[index] for index in self.decision.listed)
 
@@ -81,7 +81,7 @@ class AxisDiagnosis:
         recorded = as_recorded(self.problem)
         if recorded is not self.problem:
             return recorded.rows(recorded.measured() - recorded.simulate(recorded.model.chain.stages))
-        return self.problem.rows(self.linearised.measured - self.linearised.simulate(np.zeros(self.linearised.count)))
+        return self.problem.rows(self.linearized.measured - self.linearized.simulate(np.zeros(self.linearized.count)))
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def diagnose(
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
-    problem = replace(problem, slowest=parts[0].problem.slowest)
+    problem = replace(problem, lowest_frequency=parts[0].problem.lowest_frequency)
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
 
 
@@ -169,7 +169,7 @@ def problem_of(
     records: Sequence[Record], model: Model, warm_up: float = 0.0, configuration: Configuration = CONFIGURATION
 ) -> tuple[Problem, list[str]]:
     """Make one problem from records, cut into gapless pieces, and estimate its noise."""
-    least_rows = configuration.record.least_rows
+    min_rows = configuration.record.min_rows
     if not 0.0 <= warm_up < np.inf:
         raise InputError(f"warm-up: must be >= 0 s, got {warm_up!r}")
     pieces, notes, sample_times, holds = [], [], set(), set()
@@ -177,9 +177,9 @@ def problem_of(
         check_units(model, record.signal("measurement").unit, record.source)
         check_command(model, record)
         stretches = record.aligned(("command", "measurement"), allow_gaps=True)
-        used = [stretch for stretch in stretches if len(stretch.time) >= least_rows]
+        used = [stretch for stretch in stretches if len(stretch.time) >= min_rows]
         if not used:
-            raise InputError(f"{record.source}: no gapless stretch of {least_rows} samples: record longer, or mend the transport")
+            raise InputError(f"{record.source}: no gapless stretch of {min_rows} samples: record longer, or mend the transport")
         if len(stretches) > 1:
             notes.append(f"{record.source}: ticks are missing between {len(stretches)} stretches; only the first starts settled")
         notes += record.notes
@@ -201,9 +201,9 @@ def problem_of(
                 keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
             elif warm_up:
                 keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
-                if np.count_nonzero(keep) < least_rows:
+                if np.count_nonzero(keep) < min_rows:
                     raise InputError(
-                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {least_rows} "
+                        f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {min_rows} "
                         "are due: shorten the warm-up or record longer"
                     )
             pieces.append(Piece(command, measurement, keep))
@@ -257,12 +257,12 @@ def _axis(
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
     prepared = prepare(problem, baseline, without, configuration, progress)
-    problem, linearised, checks, findings = prepared.problem, prepared.linearised, prepared.checks, prepared.findings
+    problem, linearized, checks, findings = prepared.problem, prepared.linearized, prepared.checks, prepared.findings
     floor = prepared.floor
     members = prepared.members(sensor_side)
     progress("records without a gap")
-    null = threshold(linearised, members, seed, cache=cache, configuration=configuration)
-    found = search(linearised, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+    null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
+    found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
     collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
 
     def with_residuals(evidence: Evidence) -> Evidence:
@@ -274,9 +274,9 @@ def _axis(
                     findings,
                     checks,
                     configuration,
-                    companions(linearised, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
-                    distortions(linearised, collected.hypotheses[index], found.temper),
-                    passed_error(linearised, collected.hypotheses[index]),
+                    companions(linearized, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
+                    distortions(linearized, collected.hypotheses[index], found.temper),
+                    error_gain(linearized, collected.hypotheses[index]),
                 )
                 for index in contenders(evidence, thresholds)
                 if evidence.hypotheses[index].residual is None
@@ -300,13 +300,13 @@ def _axis(
             clean = CleanRecords(rows)
         known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
         # Beside a clean record of the same command no coefficient is free, and a gap that the fits weigh by its spectrum is none as given.
-        follows = known or (not evidence.carried and widens(linearised, best, found.none))
-        if not follows and holds(linearised, best, found.none, configuration.reduction):
+        follows = known or (not evidence.carried and widens(linearized, best, found.none))
+        if not follows and holds(linearized, best, found.none, configuration.reduction):
             break
         dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
         evidence = tested(evidence.without(dropped))
         decision = decide(evidence, thresholds)
-    return AxisDiagnosis(axes, problem, linearised, found, collected.hypotheses, evidence, decision, baseline)
+    return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline)
 
 
 def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:
@@ -317,7 +317,7 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
     baseline = found.baseline
     if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
         return False
-    left = found.linearised.unexplained(found.found.none.solution.residual)
+    left = found.linearized.unexplained(found.found.none.solution.residual)
     return "spectrum" in found.problem.model.discrepancy and any(
         lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
     )
@@ -327,9 +327,9 @@ def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration
     """True where a line by itself gains as much beside the own error's spectrum as any claim has to beyond the null."""
     prepared = prepare(baseline.problem, baseline, without, configuration)
     candidates = [Candidate((member,)) for member in prepared.members(False) if member.is_line]
-    nothing = fit(prepared.linearised).misfit
+    nothing = fit(prepared.linearized).misfit
     return any(
-        nothing - fit(prepared.linearised, one.unknowns(), one.starts()[0]).misfit > configuration.policy.margin
+        nothing - fit(prepared.linearized, one.unknowns(), one.starts()[0]).misfit > configuration.policy.margin
         for one in candidates
     )
 

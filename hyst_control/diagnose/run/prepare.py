@@ -28,7 +28,7 @@ from hyst_control.diagnose.run.collect import (
 )
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import Linearised, Solution, fit
+from hyst_control.diagnose.search.fit import Linearized, Solution, fit
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 
@@ -57,7 +57,7 @@ class Prepared:
     """Problem of an axis before any effect is tried."""
 
     problem: Problem  # With its noise, and without rows that hold no measurement of their own
-    linearised: Linearised  # The problem with the columns of its coefficients
+    linearized: Linearized  # The problem with the columns of its coefficients
     without: tuple[str, ...]  # Effects that are not tried
     checks: frozenset[RecordCheck]  # Checks whose effect is in the catalogue
     record: tuple[RecordEvidence, ...]  # By axis
@@ -94,29 +94,29 @@ def prepare(
     clean = None if baseline is None else clean_rows(baseline, problem)
     if clean is not None:
         scatter = pinned(scatter, clean)
-    linearised = Linearised(problem, scatter)
-    none = fit(linearised)
+    linearized = Linearized(problem, scatter)
+    none = fit(linearized)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
     if baseline is not None and baseline.clean is not None:
         record = _beside_usual(record, baseline.clean, configuration)
     findings = detected(record, checks, thresholds)
-    suggested = partial(_suggested, problem, linearised, none, baseline, configuration)
+    suggested = partial(_suggested, problem, linearized, none, baseline, configuration)
     # The first noise estimate still contained spectral leakage from the gap.
     problem = replace(with_noise(problem, problem.rows(none.residual), configuration), steps=_steps(problem, findings))
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
     problem = _without_repeats(problem, repeated)
-    linearised = Linearised(problem, scatter)
-    problem = without_truncation(linearised, findings, configuration)
-    linearised = linearised if problem is linearised.problem else Linearised(problem, scatter)
+    linearized = Linearized(problem, scatter)
+    problem = without_truncation(linearized, findings, configuration)
+    linearized = linearized if problem is linearized.problem else Linearized(problem, scatter)
     if repeated:
-        problem = with_noise(problem, problem.rows(fit(linearised).residual), configuration)
-        linearised = Linearised(problem, scatter)
+        problem = with_noise(problem, problem.rows(fit(linearized).residual), configuration)
+        linearized = Linearized(problem, scatter)
     floor = _floor(problem, own, configuration)
     if baseline is not None:
         least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    return Prepared(problem, linearised, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+    return Prepared(problem, linearized, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
 
 
 def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
@@ -133,10 +133,10 @@ def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
 
 
 def _suggested(
-    problem: Problem, linearised: Linearised, none: Solution, baseline: Baseline | None, configuration: Configuration
+    problem: Problem, linearized: Linearized, none: Solution, baseline: Baseline | None, configuration: Configuration
 ) -> dict[str, list[float]]:
     """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
-    found = lines(problem, linearised.unexplained(none.residual), configuration.checks)
+    found = lines(problem, linearized.unexplained(none.residual), configuration.checks)
     if baseline is None or baseline.clean is None:
         return found
     clean_rows = np.split(nominal_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
@@ -186,20 +186,20 @@ def _floor(problem: Problem, stated: Array, configuration: Configuration) -> flo
     return practical_floor(np.ptp(measured, axis=0), steps, stated, unit, configuration.policy)
 
 
-def without_truncation(linearised: Linearised, findings: Sequence[Finding], configuration: Configuration) -> Problem:
+def without_truncation(linearized: Linearized, findings: Sequence[Finding], configuration: Configuration) -> Problem:
     """Take back the half step by which a converter rounded down or up.
 
     Only where the constant that fits best beside the coefficients is that half step: any other one is an offset.
     """
-    problem = linearised.problem
+    problem = linearized.problem
     shift = np.zeros(len(problem.model.axes))
-    gap = linearised.unexplained(linearised.measured - linearised.nominal)
+    gap = linearized.unexplained(linearized.measured - linearized.nominal)
     for finding in findings:
         if finding.check is RecordCheck.VALUE_LATTICE:
             constant = np.zeros((len(gap) // len(shift), len(shift)))
             constant[:, finding.axis] = 1.0 / problem.sigma[finding.axis]
             column = problem.whitened(constant.reshape(-1))
-            steps = float(column @ gap / (column @ linearised.unexplained(column))) / finding.value
+            steps = float(column @ gap / (column @ linearized.unexplained(column))) / finding.value
             if abs(abs(steps) - 0.5) < configuration.checks.truncation:
                 shift[finding.axis] = -0.5 * np.sign(steps) * finding.value
     if not shift.any():

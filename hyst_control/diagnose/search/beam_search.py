@@ -28,14 +28,14 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Se
 from hyst_control.diagnose.decide.policy import strained as are_strained
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import Linearised, Solution, fit, refined
+from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
 from hyst_control.diagnose.search.starts import Begun, begin, finish, merged_start, misfit_of, promising_pairs
 from hyst_control.records.correlation import correlation_length
 
 
 @dataclass(frozen=True)
-class Scored:
+class FittedHypothesis:
     """Hypothesis with its fit and its score."""
 
     candidate: Candidate | None  # Effects; None for "no effect" and for coefficients alone
@@ -54,32 +54,32 @@ class Scored:
 class Found:
     """Hypotheses that a search fitted on one problem."""
 
-    linearised: Linearised  # Problem with the columns of its coefficients
-    none: Scored  # No effect
-    parameters: Scored  # Coefficients alone
+    linearized: Linearized  # Problem with the columns of its coefficients
+    none: FittedHypothesis  # No effect
+    parameters: FittedHypothesis  # Coefficients alone
     # singles, combinations: Single effects and combinations, best first
-    singles: tuple[Scored, ...]
-    combinations: tuple[Scored, ...]
+    singles: tuple[FittedHypothesis, ...]
+    combinations: tuple[FittedHypothesis, ...]
     temper: float  # Weight of a sample
 
 
-def inflated(linearised: Linearised, factor: float) -> Linearised:
+def inflated(linearized: Linearized, factor: float) -> Linearized:
     """The same columns with every tolerance multiplied; companions stay as they are."""
-    wide = copy(linearised)
-    factors = np.where(linearised.scatter.companions > 0, 1.0, factor)
+    wide = copy(linearized)
+    factors = np.where(linearized.scatter.companions > 0, 1.0, factor)
     wide.scatter = replace(
-        linearised.scatter,
+        linearized.scatter,
         coefficients=tuple(
-            replace(c, tolerance=c.tolerance * float(f)) for c, f in zip(linearised.scatter.coefficients, factors, strict=True)
+            replace(c, tolerance=c.tolerance * float(f)) for c, f in zip(linearized.scatter.coefficients, factors, strict=True)
         ),
     )
-    wide.columns, wide.gram = linearised.columns * factors, linearised.gram * np.outer(factors, factors)
+    wide.columns, wide.gram = linearized.columns * factors, linearized.gram * np.outer(factors, factors)
     wide.factor = cho_factor(wide.gram + np.eye(wide.count)) if wide.count else None
     return wide
 
 
 def search(
-    linearised: Linearised,
+    linearized: Linearized,
     members: Sequence[Member],
     threshold: float,
     floor: float,
@@ -90,24 +90,24 @@ def search(
     """Fit and weigh all candidates."""
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
-    whitened = linearised.problem.own_spectrum is not None
+    whitened = linearized.problem.own_spectrum is not None
     if leaves >= thresholds.own_error_energy or whitened:
         depth = min(depth, settings.depth_with_own_error)
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
-    side_by_side = whitened and len(linearised.problem.model.axes) == 1
-    none = Scored(None, settled(linearised), 0.0)
-    wide = inflated(linearised, settings.inflation)
-    parameters = Scored(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
+    side_by_side = whitened and len(linearized.problem.model.axes) == 1
+    none = FittedHypothesis(None, settled(linearized), 0.0)
+    wide = inflated(linearized, settings.inflation)
+    parameters = FittedHypothesis(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     # Every effect is as likely as any other before the record is seen, however many realizations it has.
     realizations = Counter(member.name for member in members)
     alternatives = np.log(max(len(realizations), 1))
-    members = _screened(linearised, members, settings.realizations)
+    members = _screened(linearized, members, settings.realizations)
     without = none.solution.misfit
-    begun = begin(linearised, [(one, one.starts()) for one in map(_alone, members)], settings)
+    begun = begin(linearized, [(one, one.starts()) for one in map(_alone, members)], settings)
     for one in begun:
         progress(one.candidate.names[0])
-    size = len(linearised.measured)
+    size = len(linearized.measured)
     leading, waiting = _leading(begun, size), begun
     for size_reached in range(1, depth):
         if not leading:
@@ -122,31 +122,31 @@ def search(
             break  # there is no gap to explain
         # Beside the own error several effects are alike, and the two at work need not lead alone.
         joint = (
-            joint_pairs(linearised, members, settings.joint_pairs, settings.joint_starts)
+            joint_pairs(linearized, members, settings.joint_pairs, settings.joint_starts)
             if size_reached == 1 and side_by_side
             else []
         )
-        grown = _grown(linearised, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
+        grown = _grown(linearized, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
         if not grown:
             break
         end = grown[0].ends[0]
         gain = min(best.misfit, without) - end.misfit
-        taken_off = 2.0 * gain / (size * linearised.problem.weight)
+        taken_off = 2.0 * gain / (size * linearized.problem.weight)
         relieved = strained(best) and not strained(end)
-        if gain * temper_of(linearised.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
+        if gain * effective_sample_weight(linearized.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
             break
         leading = _leading(grown, size)
         waiting = waiting + grown
-    finished = _contenders(linearised, waiting, without, threshold, configuration)
+    finished = _contenders(linearized, waiting, without, threshold, configuration)
     fits = [item for item in finished if len(item[0].members) == 1]
     combinations = [item for item in finished if len(item[0].members) > 1]
-    for candidate, solution in _pruned(linearised, combinations):
+    for candidate, solution in _pruned(linearized, combinations):
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
     fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
-    temper = temper_of(linearised.problem, min(everything, key=lambda solution: solution.misfit).residual)
+    temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
 
-    def scored(candidate: Candidate, solution: Solution) -> Scored:
+    def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model's own error, which is no white noise.
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
@@ -155,37 +155,37 @@ def search(
         # criterion of Schwarz (1978) is the most that parameters cost.
         most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
         among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
-        return Scored(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
+        return FittedHypothesis(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
 
-    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[Scored, ...]:
+    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[FittedHypothesis, ...]:
         return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
 
     wider = (
         0.5
         * (
             np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
-            - np.linalg.slogdet(np.eye(wide.count) + temper * linearised.gram)[1]
+            - np.linalg.slogdet(np.eye(wide.count) + temper * linearized.gram)[1]
         )
         if wide.count
         else 0.0
     )
     parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
-    return Found(linearised, none, parameters, ranked(fits), ranked(combinations), temper)
+    return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
-def _screened(linearised: Linearised, members: Sequence[Member], most: int) -> list[Member]:
+def _screened(linearized: Linearized, members: Sequence[Member], most: int) -> list[Member]:
     """The members, of those of an effect without anything to fit only the `most` that come closest to the record."""
     ready = [member for member in members if not member.size]
     if len(ready) <= most:
         return list(members)
-    nominal = np.zeros(linearised.count)
+    nominal = np.zeros(linearized.count)
 
     def left(i: int) -> float:
         try:
-            simulated = linearised.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
+            simulated = linearized.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
         except InputError:
             return np.inf
-        return misfit_of(linearised, linearised.measured - simulated)
+        return misfit_of(linearized, linearized.measured - simulated)
 
     order = np.argsort(list(map_forked(left, len(ready))))
     kept = {id(ready[i]) for i in order[:most]}
@@ -218,7 +218,7 @@ def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]
 
 
 def _contenders(
-    linearised: Linearised, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
+    linearized: Linearized, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
     settings, found, best = configuration.search, list[tuple[Candidate, Solution]](), without
@@ -230,11 +230,11 @@ def _contenders(
         near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found else begun[:1])
         if not near:
             break
-        ends = _freed(linearised, finish(linearised, near, best), without, configuration)
+        ends = _restart_from_grid_minimum(linearized, finish(linearized, near, best), without, configuration)
         # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
         limit = best if found else within
         hopeful = [min(one.misfit, solution.misfit) <= limit for one, (_, solution) in zip(near, ends, strict=True)]
-        found += _refined(linearised, ends, hopeful, configuration.policy)
+        found += _refined(linearized, ends, hopeful, configuration.policy)
         best = min([best, *(solution.misfit for _, solution in found)])
         begun = begun[len(near) :]
     return found
@@ -260,7 +260,7 @@ def strain(solution: Solution) -> float:
 
 
 def _grown(
-    linearised: Linearised,
+    linearized: Linearized,
     parents: Sequence[Begun],
     members: Sequence[Member],
     least: float,
@@ -270,7 +270,7 @@ def _grown(
 ) -> list[Begun]:
     """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
     promising = map_forked(
-        lambda i: promising_pairs(linearised, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
+        lambda i: promising_pairs(linearized, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
     )
     wanted: list[tuple[Candidate, list[Array]]] = []
     for parent, found in zip(parents, promising, strict=True):
@@ -279,13 +279,13 @@ def _grown(
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
     wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    begun = begin(linearised, wanted, settings)
+    begun = begin(linearized, wanted, settings)
     for one in begun:
         progress("+".join(one.candidate.names))
     return begun
 
 
-def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
+def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]]) -> list[tuple[Candidate, Solution]]:
     """The best combination without each of its effects: what was grown step by step may have come to do without one of the first."""
     if not found:
         return []
@@ -297,7 +297,7 @@ def _pruned(linearised: Linearised, found: Sequence[tuple[Candidate, Solution]])
         unknowns = candidates[dropped].unknowns()
         start = np.concatenate([solution.x[place] for place in places[:dropped] + places[dropped + 1 :]])
         try:
-            return refined(linearised, unknowns, fit(linearised, unknowns, start, solution.z))
+            return refined(linearized, unknowns, fit(linearized, unknowns, start, solution.z))
         except InputError:
             return None
 
@@ -314,7 +314,7 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
     return min(0.5 * max(float(value), 0.0), most) if sign > 0 else 0.0
 
 
-def temper_of(problem: Problem, residual: Annotated[Array, "M"]) -> float:
+def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
     Where the spectrum of the model's own error is known, its size and correlation together count, which are its density at low
@@ -324,49 +324,49 @@ def temper_of(problem: Problem, residual: Annotated[Array, "M"]) -> float:
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
     """
     size = float(np.mean(residual**2))
-    length = 1.0 if problem.slowest is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
+    length = 1.0 if problem.lowest_frequency is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
     density = size * length if problem.own_spectrum is not None else max(size, 1.0) * length
     return min(1.0 / max(density, 1.0) / problem.weight, 1.0)
 
 
-def settled(linearised: Linearised, z: Array | None = None) -> Solution:
+def settled(linearized: Linearized, z: Array | None = None) -> Solution:
     """The fit of the coefficients alone, gone on with columns taken where it ended."""
-    return refined(linearised, None, fit(linearised, z=z))
+    return refined(linearized, None, fit(linearized, z=z))
 
 
 def _refined(
-    linearised: Linearised, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
+    linearized: Linearized, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
 ) -> list[tuple[Candidate, Solution]]:
     """The fits, the hopeful ones gone on with."""
     chosen = [i for i, one in enumerate(hopeful) if one]
-    better = map_forked(lambda i: _settled(linearised, *found[chosen[i]], thresholds), len(chosen))
+    better = map_forked(lambda i: _settled(linearized, *found[chosen[i]], thresholds), len(chosen))
     gone_on = dict(zip(chosen, better, strict=True))
     return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
 
 
-def _settled(linearised: Linearised, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
+def _settled(linearized: Linearized, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
     """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
     unknowns = candidate.unknowns()
-    best = refined(linearised, unknowns, solution)
+    best = refined(linearized, unknowns, solution)
     if not _strained(best, thresholds):
         return best
     try:
-        alone = fit(_held(linearised), unknowns, best.x)
-        again = refined(linearised, unknowns, fit(linearised, unknowns, alone.x))
+        alone = fit(_held(linearized), unknowns, best.x)
+        again = refined(linearized, unknowns, fit(linearized, unknowns, alone.x))
     except InputError:
         return best
     return min(best, again, key=lambda one: one.misfit)
 
 
-def _held(linearised: Linearised) -> Linearised:
+def _held(linearized: Linearized) -> Linearized:
     """The same problem with coefficients that a fit leaves where they are."""
-    held = copy(linearised)
-    held.columns, held.gram = np.zeros_like(linearised.columns), np.zeros_like(linearised.gram)
+    held = copy(linearized)
+    held.columns, held.gram = np.zeros_like(linearized.columns), np.zeros_like(linearized.gram)
     return held
 
 
-def _freed(
-    linearised: Linearised, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
+def _restart_from_grid_minimum(
+    linearized: Linearized, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
     """The fits, of which some of one parameter begin again, where it alone does best.
 
@@ -380,8 +380,8 @@ def _freed(
         if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
     ]
 
-    alone = list(map_forked(lambda i: _best_alone(linearised, fits[stuck[i]][0], settings.scanned), len(stuck)))
-    again = map_forked(lambda i: _begun_again(linearised, fits[stuck[i]][0], alone[i]), len(stuck))
+    alone = list(map_forked(lambda i: _best_alone(linearized, fits[stuck[i]][0], settings.scanned), len(stuck)))
+    again = map_forked(lambda i: _begun_again(linearized, fits[stuck[i]][0], alone[i]), len(stuck))
     freed = dict(zip(stuck, again, strict=True))
     return [
         (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
@@ -389,20 +389,20 @@ def _freed(
     ]
 
 
-def _begun_again(linearised: Linearised, candidate: Candidate, start: Array) -> Solution | None:
+def _begun_again(linearized: Linearized, candidate: Candidate, start: Array) -> Solution | None:
     try:
-        return fit(linearised, candidate.unknowns(), start)
+        return fit(linearized, candidate.unknowns(), start)
     except InputError:
         return None
 
 
-def _best_alone(linearised: Linearised, candidate: Candidate, count: int) -> Array:
+def _best_alone(linearized: Linearized, candidate: Candidate, count: int) -> Array:
     """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
-    unknowns, nominal = candidate.unknowns(), np.zeros(linearised.count)
+    unknowns, nominal = candidate.unknowns(), np.zeros(linearized.count)
 
     def misfit(value: float) -> float:
         try:
-            residual = linearised.measured - linearised.simulate(nominal, unknowns, np.array([value]))
+            residual = linearized.measured - linearized.simulate(nominal, unknowns, np.array([value]))
         except InputError:
             return np.inf
         size = float(residual @ residual)

@@ -42,7 +42,7 @@ class Member:
     """Shape of a line, where it is not the effect's usual one."""
     elsewhere: str = ""
     """Place, where it is not the effect's usual one."""
-    apart: bool = False
+    separate_sizes: bool = False
     """True where each axis has a size of its own: the parameters are then those of one axis after those of the other."""
 
     @property
@@ -142,7 +142,7 @@ class Member:
             # Mean square of the swelling amplitude: that of a Legendre polynomial of degree i is 1 / (2 i + 1).
             square = sum((x[i] ** 2 + x[swells + i] ** 2) / (2 * i + 1) for i in range(swells))
             return {"amplitude": float(np.sqrt(square)) * self._line_scale, "frequency": self._line_frequency(x)}
-        if self.apart:
+        if self.separate_sizes:
             return self._values_apart(x)
         found = {**{p.name: _natural(p, value) for p, value in zip(self.parameters, x, strict=True)}, **dict(self.fixed)}
         return {**found, **self.effect.summary(found)}
@@ -169,7 +169,9 @@ class Member:
         if self.is_line:
             return {"amplitude": unit, "frequency": "Hz"}
         usual = {p.name: unit if p.unit == "unit" else p.unit for p in self.effect.parameters(self.problem.surroundings)}
-        return usual | {f"{name}_{axis}": own for name, own in usual.items() for axis in self.problem.model.axes if self.apart}
+        return usual | {
+            f"{name}_{axis}": own for name, own in usual.items() for axis in self.problem.model.axes if self.separate_sizes
+        }
 
     @property
     def untold(self) -> set[str]:
@@ -178,7 +180,7 @@ class Member:
 
     def stage(self, x: Annotated[Array, "P"]) -> Stage:
         """Build the effect's stage for scaled parameters."""
-        if self.apart:
+        if self.separate_sizes:
             names = [p.name for p in self.parameters[: len(self.parameters) // len(self.problem.model.axes)]]
             columns = np.transpose(self._by_axis(x)).tolist()
             return self.effect.stage(dict(zip(names, columns, strict=True)), self.problem.surroundings)

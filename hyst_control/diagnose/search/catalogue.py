@@ -45,9 +45,9 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
                 if any(parameter.suggested for parameter in fitted) and not suggested.get(name):
                     continue  # nothing of the kind in this record
                 found.append(Member(effect, fitted, problem, axis, fixed=tuple(fixed.items())))
-        if effect.apart and count > 1:
-            found.append(Member(effect, count * parameters, problem, apart=True))
-    beside_clean = problem.slowest is not None
+        if effect.separate_sizes and count > 1:
+            found.append(Member(effect, count * parameters, problem, separate_sizes=True))
+    beside_clean = problem.lowest_frequency is not None
     return found + [
         replace(member, elsewhere=place)
         for member in found

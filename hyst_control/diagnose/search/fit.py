@@ -37,13 +37,13 @@ RAN_AWAY = 1e60
 TAIL = 3.0
 """Size of a parameter, in usual deviations, from which its prior falls more slowly than a normal one."""
 
-LEAST_GAIN = 0.02
+MIN_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
-LEAST_APPROACH = 0.05
+MIN_APPROACH = 0.05
 """Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
 
-ROUGHLY = 50.0
+LINEAR_FIT_TOLERANCE_FACTOR = 50.0
 """Factor on the least gain of a step beside linear coefficients: they are right to about a per cent, so finer steps say nothing."""
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)
@@ -86,7 +86,7 @@ class Solution:
     """(P, P): of x, z marginalized."""
 
 
-class Linearised:
+class Linearized:
     """The columns J (M, K) of a model's scattered coefficients on its records, prepared once for all fits."""
 
     def __init__(
@@ -160,7 +160,7 @@ class Linearised:
 
 
 def fit(
-    linearised: Linearised,
+    linearized: Linearized,
     unknowns: Unknowns | None = None,
     start: Array | None = None,
     z: Array | None = None,
@@ -178,25 +178,25 @@ def fit(
     # linear: whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients
     # that it has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this
     # output
-    y = linearised.measured if measured is None else measured
+    y = linearized.measured if measured is None else measured
     x = np.zeros(0)
     if start is not None and len(start):
         assert unknowns is not None, "a start without unknowns"
         x = np.clip(start, unknowns.lower, unknowns.upper)
-    z = np.zeros(linearised.count) if z is None else z
-    count, size = linearised.count, len(x)
+    z = np.zeros(linearized.count) if z is None else z
+    count, size = linearized.count, len(x)
     fitted = unknowns if size else None
-    columns, gram, sample_weight = linearised.columns, linearised.gram, linearised.problem.weight
+    columns, gram, sample_weight = linearized.columns, linearized.gram, linearized.problem.weight
     if weight is not None:
         columns = columns * weight[:, None]
         gram = sample_weight * (columns.T @ columns)
 
     def residual_of(z: Array, x: Array) -> tuple[Array, Array, Array]:
         """Residual, the z that it belongs to, and the simulated output."""
-        output = linearised.simulate(nominal if linear else z, unknowns, x)
+        output = linearized.simulate(nominal if linear else z, unknowns, x)
         found = y - output
         if linear and is_bounded(found):
-            z = linearised.explaining(found)
+            z = linearized.explaining(found)
             found -= columns @ z
         # chosen, not multiplied: 0 times what ran away to infinity is no number
         return (found if weight is None else np.where(weight > 0, found, 0.0)), z, output
@@ -212,12 +212,12 @@ def fit(
     misfit = misfit_of(residual, z, x)
     normal = np.eye(count + size)
     for _ in range(rounds):
-        enough = max((ROUGHLY if linear else 1.0) * (LEAST_GAIN + 1e-5 * misfit), LEAST_APPROACH * (misfit - rival))
+        enough = max((LINEAR_FIT_TOLERANCE_FACTOR if linear else 1.0) * (MIN_GAIN + 1e-5 * misfit), MIN_APPROACH * (misfit - rival))
         if fitted is None:
             design, away = np.zeros((len(y), 0)), x
         else:
             try:
-                design = effect_columns(linearised, fitted, nominal if linear else z, x, output, weight)
+                design = effect_columns(linearized, fitted, nominal if linear else z, x, output, weight)
                 away = x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
@@ -261,7 +261,7 @@ def fit(
 
 
 def effect_columns(
-    linearised: Linearised,
+    linearized: Linearized,
     unknowns: Unknowns,
     z: Annotated[Array, "K"],
     x: Annotated[Array, "P"],
@@ -284,7 +284,7 @@ def effect_columns(
         step = unknowns.difference(x, p)
         moved = x.copy()
         moved[p] += step
-        column = ((linearised.simulate(z, unknowns, moved) - base) / step)[counted]
+        column = ((linearized.simulate(z, unknowns, moved) - base) / step)[counted]
         if not is_bounded(column):
             raise InputError("the chain grows without limit next to these values")
         found[counted, place[p]] = column
@@ -333,11 +333,11 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
     return fresh
 
 
-def refined(linearised: Linearised, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
+def refined(linearized: Linearized, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
     """Continue a fit with columns taken at its end, until that gains nothing more."""
     for _ in range(rounds):
         try:
-            here = Linearised(linearised.problem, linearised.scatter, solution.z, unknowns, solution.x)
+            here = Linearized(linearized.problem, linearized.scatter, solution.z, unknowns, solution.x)
             again = fit(here, unknowns, solution.x, solution.z)
         except InputError:
             break

@@ -31,11 +31,11 @@ from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import Linearised, effect_columns, is_bounded
+from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 from hyst_control.effects.effect import Surroundings
 from hyst_control.model_file import model_to_document
 
-MANY = 20
+MAX_NULL_PARAMETERS = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
 of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
@@ -44,7 +44,7 @@ TOGETHER = 10
 
 
 def threshold(
-    linearised: Linearised,
+    linearized: Linearized,
     members: Sequence[Member],
     seed: int = 0,
     progress: Callable[[int], None] = lambda _: None,
@@ -52,12 +52,12 @@ def threshold(
     configuration: Configuration = CONFIGURATION,
 ) -> float:
     """Score that the best candidate stays under in nearly all simulated records without a gap."""
-    file = _cache_file(cache_key(linearised, members, seed, configuration)) if cache else None
+    file = _cache_file(cache_key(linearized, members, seed, configuration)) if cache else None
     if file is not None and (known := _read(file)) is not None:
         return known
-    scores = null_scores(linearised, members, seed, configuration.null_distribution, progress)
+    scores = null_scores(linearized, members, seed, configuration.null_distribution, progress)
     found = float(np.quantile(scores, configuration.null_distribution.quantile)) if len(scores) else 0.0
-    if linearised.problem.own_spectrum is not None:
+    if linearized.problem.own_spectrum is not None:
         # As a ratio to a variance that few records estimate, a score has the wider tail of F instead of chi-square's.
         found *= configuration.null_distribution.estimated_spectrum
     if file is not None:
@@ -66,34 +66,34 @@ def threshold(
 
 
 def null_scores(
-    linearised: Linearised,
+    linearized: Linearized,
     members: Sequence[Member],
     seed: int,
     settings: NullSettings = CONFIGURATION.null_distribution,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Array:
     """Gain of the best candidate on every record that is drawn without a gap."""
-    designs = tangents(linearised, members, settings.starts)
+    designs = tangents(linearized, members, settings.starts)
     if not designs:
         return np.zeros(settings.records)
-    known = [linearised.unexplained(design) for design in designs]
-    weight = linearised.problem.weight
+    known = [linearized.unexplained(design) for design in designs]
+    weight = linearized.problem.weight
     inverses = [
         np.linalg.inv(design.T @ left + np.eye(design.shape[1]) / weight) for design, left in zip(designs, known, strict=True)
     ]
     flat = np.concatenate(known, axis=1)
     edges = np.cumsum([0, *(left.shape[1] for left in known)])
-    of_coefficients = flat.T @ linearised.columns
+    of_coefficients = flat.T @ linearized.columns
 
     def record(index: int) -> tuple[Array, Array] | None:
         """Draw noise (M,) and coefficients (K,) of a record, or None if these make no valid model."""
         random = np.random.default_rng([seed, index])
-        z = random.standard_normal(linearised.count)
+        z = random.standard_normal(linearized.count)
         noise = np.asarray(random.standard_normal(len(flat)) / np.sqrt(weight), dtype=np.float64)
-        if not _is_rounded(linearised.problem):
+        if not _is_rounded(linearized.problem):
             return noise, z
         try:
-            return _rounded(linearised.problem, linearised.simulate(z), noise), z
+            return _rounded(linearized.problem, linearized.simulate(z), noise), z
         except InputError:
             return None
 
@@ -137,17 +137,17 @@ def _rounded(problem: Problem, simulated: Array, noise: Array) -> Array:
     return np.asarray(rows.reshape(-1), dtype=np.float64)
 
 
-def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> list[Array]:
+def tangents(linearized: Linearized, members: Sequence[Member], count: int) -> list[Array]:
     """Derivatives ∂ŷ/∂x of every candidate at its starts, at the nominal model."""
     found = []
-    z = np.zeros(linearised.count)
+    z = np.zeros(linearized.count)
     for member in members:
-        if not member.size or member.is_suggested or member.size > MANY:
+        if not member.size or member.is_suggested or member.size > MAX_NULL_PARAMETERS:
             continue  # there or not, with no small first step; or more than chance may gain is taken off by the evidence
         unknowns, starts = Candidate((member,)).unknowns(), member.starts()
         for x in starts[:: max(len(starts) // count, 1)]:
             try:
-                design = effect_columns(linearised, unknowns, z, x, linearised.simulate(z, unknowns, x))
+                design = effect_columns(linearized, unknowns, z, x, linearized.simulate(z, unknowns, x))
             except InputError:
                 continue
             if is_bounded(design):
@@ -155,18 +155,18 @@ def tangents(linearised: Linearised, members: Sequence[Member], count: int) -> l
     return found
 
 
-def cache_key(linearised: Linearised, members: Sequence[Member], seed: int, configuration: Configuration) -> str:
+def cache_key(linearized: Linearized, members: Sequence[Member], seed: int, configuration: Configuration) -> str:
     """Key of a threshold: everything that it depends on but for a single measurement.
 
     The ranges and priors of an effect are those that it has around the simulated record, not the measured one: so records of one
     command share a threshold, though each measurement has another range.
     """
-    problem = linearised.problem
+    problem = linearized.problem
     digest = hashlib.sha256()
     for piece in problem.pieces:
         digest.update(np.ascontiguousarray(piece.command).tobytes())
         digest.update(b"all rows" if piece.keep is None else np.packbits(piece.keep).tobytes())
-    simulated = problem.rows(linearised.nominal)
+    simulated = problem.rows(linearized.nominal)
     span = float(f"{simulated.min():.6g}"), float(f"{simulated.max():.6g}")
     around = replace(problem.surroundings, measurement=span)
     document = {
@@ -192,7 +192,7 @@ def _member(member: Member, around: Surroundings) -> list[object]:
     effect = member.effect
     makers = [effect.parameters, *([effect.coupled_parameters] if effect.coupled_parameters else [])]
     parameters = [asdict(parameter) for maker in makers for parameter in maker(around)]
-    return [member.name, member.axis, member.place, round(member.frequency), member.fixed, member.apart, parameters]
+    return [member.name, member.axis, member.place, round(member.frequency), member.fixed, member.separate_sizes, parameters]
 
 
 def _version() -> str:

@@ -17,7 +17,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import Linearised, effect_columns, is_bounded
+from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 
 
 @dataclass(frozen=True)
@@ -30,19 +30,19 @@ class Tangent:
     columns: Array
 
 
-def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
+def joint_pairs(linearized: Linearized, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
     """Find the pairs of effects that together come closest to the records, to first order."""
     fitted = [member for member in members if member.size]
-    found = map_forked(lambda i: _tangents(linearised, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
+    found = map_forked(lambda i: _tangents(linearized, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
     tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]
     if len(tangents) < 2:
         return []
     blocks = np.hstack([np.column_stack([one.added, one.columns]) for one in tangents])
     edges = np.cumsum([0, *(1 + one.columns.shape[1] for one in tangents)])
-    gap = linearised.measured - linearised.nominal
-    known = linearised.unexplained(blocks)
-    gram, right, energy = blocks.T @ known, known.T @ gap, float(gap @ linearised.unexplained(gap))
-    each = float(np.log(len(gap))) / linearised.problem.weight
+    gap = linearized.measured - linearized.nominal
+    known = linearized.unexplained(blocks)
+    gram, right, energy = blocks.T @ known, known.T @ gap, float(gap @ linearized.unexplained(gap))
+    each = float(np.log(len(gap))) / linearized.problem.weight
     best: dict[frozenset[object], tuple[float, int, int, Array]] = {}
     for a, one in enumerate(tangents):
         for b in range(a + 1, len(tangents)):
@@ -50,7 +50,7 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
             if one.member.variant == other.member.variant or one.member.excludes(other.member):
                 continue
             left, step = _after_step(
-                gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), linearised.problem.weight
+                gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), linearized.problem.weight
             )
             # A pair of many parameters comes closer by chance: Schwarz's criterion (1978).
             left += each * len(step)
@@ -61,16 +61,16 @@ def joint_pairs(linearised: Linearised, members: Sequence[Member], count: int, s
     return [_pair(tangents[a], tangents[b], step) for _, a, b, step in chosen]
 
 
-def _tangents(linearised: Linearised, member: Member, most: int) -> list[tuple[Array, Array, Array]]:
+def _tangents(linearized: Linearized, member: Member, most: int) -> list[tuple[Array, Array, Array]]:
     """Tangents of an effect at some of its starts, those left out that cannot be simulated: all of them but the effect."""
-    unknowns, nominal, found = Candidate((member,)).unknowns(), np.zeros(linearised.count), []
+    unknowns, nominal, found = Candidate((member,)).unknowns(), np.zeros(linearized.count), []
     begins = member.starts()
     for start in begins[:: -(-len(begins) // most)]:
         x = np.clip(start, unknowns.lower, unknowns.upper)
         try:
-            there = linearised.simulate(nominal, unknowns, x)
+            there = linearized.simulate(nominal, unknowns, x)
             if is_bounded(there):
-                found.append((x, there - linearised.nominal, effect_columns(linearised, unknowns, nominal, x, there)))
+                found.append((x, there - linearized.nominal, effect_columns(linearized, unknowns, nominal, x, there)))
         except InputError:
             continue
     return found

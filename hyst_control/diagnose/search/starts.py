@@ -13,7 +13,7 @@ from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import LENGTHS, Linearised, Solution, Unknowns, effect_columns, fit, is_bounded
+from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
 
 FEW = 2
 """Parameters up to which fits begin at the starts themselves too."""
@@ -32,36 +32,36 @@ class Begun:
         return self.ends[0].misfit
 
 
-def begin(linearised: Linearised, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
+def begin(linearized: Linearized, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
     """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter."""
-    ends = map_forked(lambda i: _begun(linearised, *candidates[i], settings), len(candidates))
+    ends = map_forked(lambda i: _begun(linearized, *candidates[i], settings), len(candidates))
     found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
     return sorted(found, key=lambda one: one.misfit)
 
 
-def finish(linearised: Linearised, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
+def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
     """Fit candidates from where they were begun, the chain with all its coefficients as it is."""
-    found = map_forked(lambda i: _gone_on(linearised, begun[i], rival), len(begun))
+    found = map_forked(lambda i: _gone_on(linearized, begun[i], rival), len(begun))
     return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
 
 
-def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
+def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
     """Fits from those starts that a linear step makes most of, the coefficients' columns as they are: best first."""
     unknowns = candidate.unknowns()
     starts = (
-        _nearby(linearised, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
+        _nearby(linearized, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
     )
     if len(starts) > settings.followed:
         ranked: list[tuple[float, int, Array]] = []
         for start in starts:
             try:
-                left, there = _after_step(linearised, unknowns, candidate, candidate.members[0], start, settings)
+                left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
                 ranked.append((left, len(ranked), there))
             except InputError:
                 continue
         leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
         if len(starts[0]) == 1:
-            starts = leading + _nearest(linearised, unknowns, starts)
+            starts = leading + _nearest(linearized, unknowns, starts)
         elif len(starts[0]) <= FEW:
             # Beside a great gap the first step, in all coefficients too, may lead to the end of a range: begin where the starts are too.
             starts = [*leading, *starts]
@@ -70,13 +70,13 @@ def _begun(linearised: Linearised, candidate: Candidate, starts: Sequence[Array]
     tried: list[Solution] = []
     for start in starts:
         try:
-            tried.append(fit(linearised, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
+            tried.append(fit(linearized, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
         except InputError:
             continue
     return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
 
 
-def _gone_on(linearised: Linearised, begun: Begun, rival: float) -> Solution:
+def _gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
     """The best of the fits that were begun, each gone on with while it may reach the best other one.
 
     One that promises less than the other leaves is not stopped on its way, however far behind its coefficients begin.
@@ -86,44 +86,44 @@ def _gone_on(linearised: Linearised, begun: Begun, rival: float) -> Solution:
     for solution in begun.ends:
         behind = rival if solution.misfit > rival else np.inf
         try:
-            ends.append(fit(linearised, unknowns, solution.x, _possible(linearised, unknowns, solution), rival=behind))
+            ends.append(fit(linearized, unknowns, solution.x, _possible(linearized, unknowns, solution), rival=behind))
         except InputError:
             continue  # next to the nominal coefficients it could be simulated, but not at these
         rival = min(rival, ends[-1].misfit)
     return min(ends or begun.ends, key=lambda one: one.misfit)
 
 
-def _possible(linearised: Linearised, unknowns: Unknowns, begun: Solution) -> Array:
+def _possible(linearized: Linearized, unknowns: Unknowns, begun: Solution) -> Array:
     """The coefficients (K,) that a fit beside linear ones promises, as far as the chain follows them: beside a great gap they may be
     many tolerances away."""
 
     def left(length: float) -> float:
         z = length * begun.z
         try:
-            residual = linearised.measured - linearised.simulate(z, unknowns, begun.x)
+            residual = linearized.measured - linearized.simulate(z, unknowns, begun.x)
         except InputError:
             return np.inf
-        return 0.5 * float(linearised.problem.weight * (residual @ residual) + z @ z) if is_bounded(residual) else np.inf
+        return 0.5 * float(linearized.problem.weight * (residual @ residual) + z @ z) if is_bounded(residual) else np.inf
 
     if left(1.0) <= 2.0 * begun.misfit:
         return begun.z
     return min((1.0, *LENGTHS[1:], 0.0), key=left) * begun.z
 
 
-def _nearest(linearised: Linearised, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
+def _nearest(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
     """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
-    nominal = np.zeros(linearised.count)
+    nominal = np.zeros(linearized.count)
 
     def left(start: Array) -> float:
         try:
-            return misfit_of(linearised, linearised.measured - linearised.simulate(nominal, unknowns, start))
+            return misfit_of(linearized, linearized.measured - linearized.simulate(nominal, unknowns, start))
         except InputError:
             return np.inf
 
     return [min(starts, key=left)]
 
 
-def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
+def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
     """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record.
 
     The misfit of such a parameter has a narrow minimum without a slope around it: a scan over the width that a spectrum leaves, and two
@@ -133,14 +133,14 @@ def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: 
     if index is None:
         return starts
     lower, upper = unknowns.lower[index], unknowns.upper[index]
-    nominal = np.zeros(linearised.count)
+    nominal = np.zeros(linearized.count)
     span = np.ptp(np.concatenate([piece.command for piece in member.problem.pieces])) / member.parameters[index].scale
 
     def left(start: Array, value: float) -> float:
         x = start.copy()
         x[index] = np.clip(value, lower, upper)
         try:
-            return misfit_of(linearised, linearised.measured - linearised.simulate(nominal, unknowns, x))
+            return misfit_of(linearized, linearized.measured - linearized.simulate(nominal, unknowns, x))
         except InputError:
             return np.inf
 
@@ -161,7 +161,7 @@ def _nearby(linearised: Linearised, unknowns: Unknowns, member: Member, starts: 
 
 
 def promising_pairs(
-    linearised: Linearised,
+    linearized: Linearized,
     candidate: Candidate,
     solution: Solution,
     members: Sequence[Member],
@@ -170,8 +170,8 @@ def promising_pairs(
 ) -> list[tuple[int, Array]]:
     """Find the effects that a linear step on top of a candidate makes most of."""
     found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
-    nominal = np.zeros(linearised.count)
-    before = misfit_of(linearised, linearised.measured - linearised.simulate(nominal, candidate.unknowns(), solution.x))
+    nominal = np.zeros(linearized.count)
+    before = misfit_of(linearized, linearized.measured - linearized.simulate(nominal, candidate.unknowns(), solution.x))
     for index, member in enumerate(members):
         if any(member.excludes(other) for other in candidate.members):
             continue
@@ -182,7 +182,7 @@ def promising_pairs(
         for start in starts[:: max(len(starts) // settings.screened, 1)]:
             x = merged_start(pair, candidate, solution.x, member, start)
             try:
-                left, there = _after_step(linearised, unknowns, pair, member, x, settings)
+                left, there = _after_step(linearized, unknowns, pair, member, x, settings)
                 gain = before - left
             except InputError:
                 continue
@@ -194,13 +194,13 @@ def promising_pairs(
 
 
 def _after_step(
-    linearised: Linearised, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
+    linearized: Linearized, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
 ) -> tuple[float, Array]:
     """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
     and where it leads."""
-    nominal = np.zeros(linearised.count)
-    simulated = linearised.simulate(nominal, unknowns, x)
-    residual = linearised.measured - simulated
+    nominal = np.zeros(linearized.count)
+    simulated = linearized.simulate(nominal, unknowns, x)
+    residual = linearized.measured - simulated
     place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
     chosen = list(range(place.start, place.stop))
     if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
@@ -208,8 +208,8 @@ def _after_step(
         chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
     if not is_bounded(residual):
         raise InputError("the chain grows without limit at these values")
-    design = effect_columns(linearised, unknowns, nominal, x, simulated, chosen=chosen)
-    products, weight = linearised.unexplained_products(np.column_stack([design, residual])), linearised.problem.weight
+    design = effect_columns(linearized, unknowns, nominal, x, simulated, chosen=chosen)
+    products, weight = linearized.unexplained_products(np.column_stack([design, residual])), linearized.problem.weight
     normal, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
     there = x.copy()
     step = np.linalg.solve(normal + np.eye(len(right)) / weight, right)
@@ -217,11 +217,11 @@ def _after_step(
     return 0.5 * weight * (energy - float(right @ step)), there
 
 
-def misfit_of(linearised: Linearised, residual: Annotated[Array, "N"]) -> float:
+def misfit_of(linearized: Linearized, residual: Annotated[Array, "N"]) -> float:
     """Half the squared size of a residual, coefficients marginalized."""
     if not is_bounded(residual):
         return np.inf
-    return 0.5 * linearised.problem.weight * float(linearised.unexplained_products(residual[:, None])[0, 0])
+    return 0.5 * linearized.problem.weight * float(linearized.unexplained_products(residual[:, None])[0, 0])
 
 
 def merged_start(

@@ -19,29 +19,29 @@ import numpy as np
 from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.evidence import DistortionEvidence
-from hyst_control.diagnose.search.beam_search import Scored, temper_of
-from hyst_control.diagnose.search.fit import Linearised, is_bounded
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, effective_sample_weight
+from hyst_control.diagnose.search.fit import Linearized, is_bounded
 
 VARIABLES = ("time", "level", "rate", "branch")
-LEAST_LEFT = 0.1
+MIN_LEFT = 0.1
 """Least share of a distortion that coefficients and parameters leave for it to be tested."""
 STRETCHES = 5
 """Stretches of the rows, any one of which is left out: a size that changes does so without it too."""
 
 
-def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[DistortionEvidence, ...]:
+def distortions(linearized: Linearized, scored: FittedHypothesis, temper: float) -> tuple[DistortionEvidence, ...]:
     """Test the effects of an explanation for distortion."""
-    candidate, solution, problem = scored.candidate, scored.solution, linearised.problem
+    candidate, solution, problem = scored.candidate, scored.solution, linearized.problem
     if candidate is None:
         return ()
-    simulated = linearised.measured - solution.residual
+    simulated = linearized.measured - solution.residual
     try:
-        known = _known(linearised, scored, simulated)
+        known = _known(linearized, scored, simulated)
     except InputError:
         return ()  # next to these values the chain cannot be simulated
     weight = temper * problem.weight
     gram = known.T @ known + np.eye(known.shape[1]) / weight
-    variables = _variables(linearised)
+    variables = _variables(linearized)
 
     def projected(vector: Array) -> Array:
         return np.asarray(vector - known @ np.linalg.solve(gram, known.T @ vector), dtype=np.float64)
@@ -53,7 +53,7 @@ def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[
         others = candidate.without(index)
         x = np.delete(solution.x, np.r_[candidate.slices()[index]])
         try:
-            absent = linearised.simulate(solution.z, others.unknowns() if others.members else None, x)
+            absent = linearized.simulate(solution.z, others.unknowns() if others.members else None, x)
         except InputError:
             continue
         added = simulated - absent
@@ -62,10 +62,10 @@ def distortions(linearised: Linearised, scored: Scored, temper: float) -> tuple[
             distorted = variable * added
             left = projected(distorted)
             size = float(distorted @ left)
-            if not (is_bounded(distorted) and energy > 0.0) or size < LEAST_LEFT * float(distorted @ distorted):
+            if not (is_bounded(distorted) and energy > 0.0) or size < MIN_LEFT * float(distorted @ distorted):
                 continue  # this record cannot tell
             along = float(left @ solution.residual)
-            certain = max(temper, temper_of(problem, solution.residual - along / size * left)) * problem.weight
+            certain = max(temper, effective_sample_weight(problem, solution.residual - along / size * left)) * problem.weight
             along, size = _without_any_stretch(left * solution.residual, distorted * left)
             found.append(
                 DistortionEvidence(member.name, name, 2.0 * along / size, 0.5 * certain * along**2 / size, along**2 / size / energy)
@@ -87,24 +87,24 @@ def _stretches(*rows: Array) -> list[tuple[Array, ...]]:
     return list(zip(*(np.array_split(one, STRETCHES) for one in rows), strict=True))
 
 
-def _known(linearised: Linearised, scored: Scored, simulated: Array) -> Array:
+def _known(linearized: Linearized, scored: FittedHypothesis, simulated: Array) -> Array:
     """Columns (M, K + P) of the coefficients and of all parameters of an explanation."""
     candidate, solution = scored.candidate, scored.solution
     assert candidate is not None
     unknowns = candidate.unknowns()
-    columns = [linearised.columns]
+    columns = [linearized.columns]
     for p in range(len(solution.x)):
         moved = solution.x.copy()
         moved[p] += unknowns.difference(moved, p)
-        column = (linearised.simulate(solution.z, unknowns, moved) - simulated) / (moved[p] - solution.x[p])
+        column = (linearized.simulate(solution.z, unknowns, moved) - simulated) / (moved[p] - solution.x[p])
         if is_bounded(column):
             columns.append(column[:, None])
     return np.hstack(columns)
 
 
-def _variables(linearised: Linearised) -> dict[str, Array]:
+def _variables(linearized: Linearized) -> dict[str, Array]:
     """Variables (M,) by name, each within -1 … 1 on every axis."""
-    pieces = linearised.problem.pieces
+    pieces = linearized.problem.pieces
     low = np.min([piece.command.min(axis=0) for piece in pieces], axis=0)
     high = np.max([piece.command.max(axis=0) for piece in pieces], axis=0)
     rates = [np.gradient(piece.command, axis=0) for piece in pieces]

@@ -19,8 +19,8 @@ import numpy as np
 from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
-from hyst_control.diagnose.search.beam_search import Scored
-from hyst_control.diagnose.search.fit import Linearised, fit
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
+from hyst_control.diagnose.search.fit import Linearized, fit
 
 
 @dataclass(frozen=True)
@@ -36,37 +36,37 @@ class HeldOut:
 
 
 def held_out(
-    linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction
+    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> HeldOut:
     """Squared errors of an explanation by two-fold blocked cross-validation."""
-    count = len(linearised.measured)
+    count = len(linearized.measured)
     fold = (np.arange(count) * settings.blocks // count) % 2
     unknowns = scored.candidate.unknowns() if scored.candidate else None
-    in_noise = linearised.problem.in_noise
-    as_given = linearised.simulate(linearised.companions(none.solution.z))
+    in_noise = linearized.problem.in_noise
+    as_given = linearized.simulate(linearized.companions(none.solution.z))
     before, after, before_fitted, after_fitted = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    without = Linearised(linearised.problem, linearised.scatter, none.solution.z)
+    without = Linearized(linearized.problem, linearized.scatter, none.solution.z)
     within = (
-        Linearised(linearised.problem, linearised.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
+        Linearized(linearized.problem, linearized.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
     )
     for held in (0, 1):
         weight = (fold != held).astype(float)
         rows = fold == held
 
-        def left(within: Linearised, simulated: Array, rows: Array = rows) -> Array:
+        def left(within: Linearized, simulated: Array, rows: Array = rows) -> Array:
             companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
             columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
-            return _beside_companions(columns, in_noise(linearised.measured - simulated)[rows]) ** 2
+            return _beside_companions(columns, in_noise(linearized.measured - simulated)[rows]) ** 2
 
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
         before[rows] = left(without, as_given)
-        before_fitted[rows] = left(without, linearised.simulate(alone.z))
+        before_fitted[rows] = left(without, linearized.simulate(alone.z))
         if unknowns is None:
             after[rows], after_fitted[rows] = before[rows], before_fitted[rows]
             continue
         both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        after_fitted[rows] = left(within, linearised.simulate(both.z, unknowns, both.x))
-        after[rows] = left(within, linearised.simulate(linearised.companions(both.z), unknowns, both.x))
+        after_fitted[rows] = left(within, linearized.simulate(both.z, unknowns, both.x))
+        after[rows] = left(within, linearized.simulate(linearized.companions(both.z), unknowns, both.x))
     return HeldOut(before, after, before_fitted, after_fitted)
 
 
@@ -78,24 +78,26 @@ def _beside_companions(columns: Array, residual: Array) -> Array:
     return np.asarray(residual - columns @ np.linalg.solve(gram, columns.T @ residual), dtype=np.float64)
 
 
-def holds(linearised: Linearised, scored: Scored, none: Scored, settings: ReductionSettings = CONFIGURATION.reduction) -> bool:
+def holds(
+    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
+) -> bool:
     """Check that effects leave less than no effect does on blocks that they were not fitted to."""
     assert scored.candidate is not None
     unknowns = scored.candidate.unknowns()
-    fold = (np.arange(len(linearised.measured)) * settings.blocks // len(linearised.measured)) % 2
+    fold = (np.arange(len(linearized.measured)) * settings.blocks // len(linearized.measured)) % 2
     before = after = 0.0
     for held in (0, 1):
         weight, rows = (fold != held).astype(float), fold == held
-        alone = fit(linearised, z=none.solution.z, weight=weight, rounds=settings.rounds)
-        both = fit(linearised, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        columns = linearised.columns[rows][:, linearised.scatter.companions > 0]
-        before += float(np.sum(_beside_companions(columns, (linearised.measured - linearised.simulate(alone.z))[rows]) ** 2))
-        left = (linearised.measured - linearised.simulate(both.z, unknowns, both.x))[rows]
+        alone = fit(linearized, z=none.solution.z, weight=weight, rounds=settings.rounds)
+        both = fit(linearized, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
+        columns = linearized.columns[rows][:, linearized.scatter.companions > 0]
+        before += float(np.sum(_beside_companions(columns, (linearized.measured - linearized.simulate(alone.z))[rows]) ** 2))
+        left = (linearized.measured - linearized.simulate(both.z, unknowns, both.x))[rows]
         after += float(np.sum(_beside_companions(columns, left) ** 2))
     return after < before
 
 
-def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
+def widens(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis) -> bool:
     """Check whether effects, added to the model as given, make the gap larger.
 
     Beside clean records, which leave the coefficients little to make up for, such effects are not there: together with the
@@ -103,16 +105,16 @@ def widens(linearised: Linearised, scored: Scored, none: Scored) -> bool:
     coefficients do.
     """
     assert scored.candidate is not None
-    in_noise = linearised.problem.in_noise
-    columns = [in_noise(column) for column in linearised.columns[:, linearised.scatter.companions > 0].T]
-    companions = np.stack(columns, axis=1) if columns else np.zeros((len(linearised.measured), 0))
+    in_noise = linearized.problem.in_noise
+    columns = [in_noise(column) for column in linearized.columns[:, linearized.scatter.companions > 0].T]
+    companions = np.stack(columns, axis=1) if columns else np.zeros((len(linearized.measured), 0))
 
     def gap(simulated: Array) -> float:
-        return float(np.sum(_beside_companions(companions, in_noise(linearised.measured - simulated)) ** 2))
+        return float(np.sum(_beside_companions(companions, in_noise(linearized.measured - simulated)) ** 2))
 
-    before = gap(linearised.simulate(linearised.companions(none.solution.z)))
-    companion = linearised.companions(scored.solution.z)
-    return gap(linearised.simulate(companion, scored.candidate.unknowns(), scored.solution.x)) > before
+    before = gap(linearized.simulate(linearized.companions(none.solution.z)))
+    companion = linearized.companions(scored.solution.z)
+    return gap(linearized.simulate(companion, scored.candidate.unknowns(), scored.solution.x)) > before
 
 
 def shrink(
@@ -134,7 +136,7 @@ def shrink(
     return value, (float(min(low, value)), float(max(high, value)))
 
 
-def shares(linearised: Linearised, scored: Scored) -> list[float]:
+def shares(linearized: Linearized, scored: FittedHypothesis) -> list[float]:
     """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted."""
     candidate, solution = scored.candidate, scored.solution
     assert candidate is not None
@@ -149,12 +151,12 @@ def shares(linearised: Linearised, scored: Scored) -> list[float]:
                 subset = type(candidate)(tuple(candidate.members[i] for i in members))
                 x = np.concatenate([solution.x[parts[i]] for i in members])
                 try:
-                    simulated = linearised.simulate(solution.z, subset.unknowns(), x)
+                    simulated = linearized.simulate(solution.z, subset.unknowns(), x)
                 except InputError:  # an effect that cannot stand without another one of them
-                    simulated = linearised.simulate(solution.z)
+                    simulated = linearized.simulate(solution.z)
             else:
-                simulated = linearised.simulate(solution.z)
-            known[members] = -float(np.sum((linearised.measured - simulated) ** 2))
+                simulated = linearized.simulate(solution.z)
+            known[members] = -float(np.sum((linearized.measured - simulated) ** 2))
         return known[members]
 
     known: dict[tuple[int, ...], float] = {}

@@ -13,8 +13,8 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.problem.per_record_stages import CarriedError
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.diagnose.search.beam_search import Scored
-from hyst_control.diagnose.search.fit import Linearised, is_bounded
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
+from hyst_control.diagnose.search.fit import Linearized, is_bounded
 from hyst_control.effects.placement import insert
 
 SIZE = 0.01
@@ -23,15 +23,15 @@ PERIODS = 40
 """Turns of the probe, a random line, in a record."""
 
 
-def passed_error(linearised: Linearised, scored: Scored) -> float:
+def error_gain(linearized: Linearized, scored: FittedHypothesis) -> float:
     """Measure the energy with which a small slow error of the model passes the effects of an explanation."""
-    candidate, solution, problem = scored.candidate, scored.solution, linearised.problem
+    candidate, solution, problem = scored.candidate, scored.solution, linearized.problem
     if candidate is None:
         return 1.0
     probe = CarriedError(_probe(problem))
     unknowns = candidate.unknowns()
     try:
-        stages = linearised.scatter.at(solution.z)
+        stages = linearized.scatter.at(solution.z)
         beside = insert(stages, "sensor", probe)
         alone = problem.simulate(beside) - problem.simulate(stages)
         passed = problem.simulate(unknowns.stages(beside, solution.x)) - problem.simulate(unknowns.stages(stages, solution.x))

@@ -24,7 +24,7 @@ LEVELS = ("lower third", "middle third", "upper third")
 BRANCHES = ("rising", "falling", "resting")
 RESTING = 0.02
 """Share of the command's largest rate under which it counts as resting."""
-LEAST_EXCESS = 0.02
+MIN_EXCESS = 0.02
 """Least share of the residual's energy beyond the noise that a part of it must have to be listed."""
 
 
@@ -174,7 +174,7 @@ def _parts(rows: Sequence[tuple[str, float, float, float]], whole: float) -> tup
     return tuple(
         PartOfResidual(name, (before - noise) / whole, _ratio(before - noise, after - noise))
         for name, before, after, noise in rows
-        if whole > 0 and before - noise > LEAST_EXCESS * whole
+        if whole > 0 and before - noise > MIN_EXCESS * whole
     )
 
 

@@ -13,9 +13,9 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate
-from hyst_control.diagnose.search.fit import Linearised, is_bounded
+from hyst_control.diagnose.search.fit import Linearized, is_bounded
 from hyst_control.records.session_zero import without_zero
 
 
@@ -25,14 +25,14 @@ class CleanRecords:
     def __init__(self, problem: Problem) -> None:
         """Simulate the coefficients' columns; problem: with the noise and the spectrum of the model's own error."""
         self.problem = problem
-        self.linearised = Linearised(problem, scatter_of(problem.model))
-        columns = np.empty_like(self.linearised.columns)
-        for k, column in enumerate(self.linearised.columns.T):
+        self.linearized = Linearized(problem, scatter_of(problem.model))
+        columns = np.empty_like(self.linearized.columns)
+        for k, column in enumerate(self.linearized.columns.T):
             columns[:, k] = self._without_zero(column)
         self.columns, self.gram = columns, columns.T @ columns + np.eye(columns.shape[1])
-        self.nominal = self._misfit(self.linearised.nominal)
+        self.nominal = self._misfit(self.linearized.nominal)
 
-    def show(self, scored: Scored, least: float) -> frozenset[str]:
+    def show(self, scored: FittedHypothesis, least: float) -> frozenset[str]:
         """Find the effects of an explanation that the clean records ask for, too."""
         assert scored.candidate is not None, "no effect"
         stages, found = self.problem.model.chain.stages, set()
@@ -49,7 +49,7 @@ class CleanRecords:
 
     def _misfit(self, simulated: Array) -> float:
         """Half the squares that the coefficients leave of a residual (M,); infinite where a chain ran away."""
-        residual = self.linearised.measured - simulated
+        residual = self.linearized.measured - simulated
         if not is_bounded(residual):
             return np.inf
         residual = self._without_zero(residual)

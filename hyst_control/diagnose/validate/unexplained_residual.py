@@ -12,10 +12,10 @@ import numpy as np
 
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.diagnose.search.beam_search import Scored
+from hyst_control.diagnose.search.beam_search import FittedHypothesis
 
 
-def leftover(problem: Problem, scored: Scored, lattice: Annotated[Array, "A"]) -> Annotated[Array, "M"]:
+def leftover(problem: Problem, scored: FittedHypothesis, lattice: Annotated[Array, "A"]) -> Annotated[Array, "M"]:
     """Remove from an explanation's residual what its own effects leave by nature."""
     rows = scored.solution.residual.reshape(-1, len(problem.model.axes))
     if scored.candidate is not None:

@@ -20,7 +20,7 @@ SEGMENT = 0.25
 """Length (s) of the segments that are looked at: a step among long loops is seen in its own."""
 ABOVE_NOISE = 5.0
 """Amplitude of the motion beyond a frequency, in amplitudes of the noise there."""
-LEAST_SHARE = 0.005
+MIN_SHARE = 0.005
 """The same as a share of the segment's whole motion: what hysteresis models leave is rarely less."""
 QUIETEST = 0.05
 """Share of the spectrum that is taken for noise alone."""
@@ -68,7 +68,7 @@ def _band(window: Window, slope: float) -> float:
     for begin in _begins(len(window.command), size):
         moving = _power(window.command[begin : begin + size], taper)
         beyond = np.cumsum(moving[::-1])[::-1] * 2.0 / size * slope**2
-        told = (beyond > ABOVE_NOISE**2 * noise * share) & (beyond > LEAST_SHARE**2 * beyond[0])
+        told = (beyond > ABOVE_NOISE**2 * noise * share) & (beyond > MIN_SHARE**2 * beyond[0])
         if beyond[0] > 0.0 and np.any(told):
             highest = max(highest, float(frequencies[np.flatnonzero(told)[-1]]))
     return highest

@@ -13,7 +13,7 @@ from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_states, with_beginning
 
-ROWS, LEAST_ROWS, PARTS = 2**15, 64, 60
+ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
 CLEAR = 0.7
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken."""
@@ -23,7 +23,7 @@ def hold_errors(data: Dataset) -> tuple[float, float]:
     """Held-out errors, shares of the range, with the command of the row before (`zoh`) and of the same row (`foh`); equal if untold."""
     memory, begin = before(with_beginning(data))
     end = min(begin + ROWS, len(data.command))
-    if end - begin < LEAST_ROWS:
+    if end - begin < MIN_ROWS:
         return 1.0, 1.0
     squares = np.zeros(2)
     for axis in range(data.command.shape[1]):

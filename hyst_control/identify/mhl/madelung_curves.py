@@ -12,10 +12,10 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import ParameterRow
 
-LEAST_SLOPE = 5e-3
+MIN_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
 
-LEAST_TRAVEL = 0.02
+MIN_TRAVEL = 0.02
 """Smallest travel of a curve, of what the measurement travels: without one a search on records that no curve explains ends at no curve."""
 
 GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 257))
@@ -107,10 +107,10 @@ class Curves:
         return np.concatenate([up, down[:-1]])
 
     def constraints(self) -> tuple[Array, Array]:
-        """Constraints lhs (C, size) · vector >= rhs (C,) under which both curves rise, and go up by `LEAST_TRAVEL`."""
+        """Constraints lhs (C, size) · vector >= rhs (C,) under which both curves rise, and go up by `MIN_TRAVEL`."""
         rising = self._rising()
         travel = np.array([self.full(unit) for unit in np.eye(self.size)])
-        return np.vstack([rising, travel]), np.append(np.zeros(len(rising)), LEAST_TRAVEL)
+        return np.vstack([rising, travel]), np.append(np.zeros(len(rising)), MIN_TRAVEL)
 
     def _rising(self) -> Array:
         """Matrix (C, size) whose product with a vector is not negative where both curves rise."""
@@ -120,7 +120,7 @@ class Curves:
             up = np.eye(self.size)[: self.count]
             down = np.vstack([np.eye(self.size)[self.count :], up[-1]])
             for values in (up, down):
-                rows.append(np.diff(values, axis=0, prepend=np.zeros((1, self.size))) - LEAST_SLOPE * steps[:, None] * up[-1])
+                rows.append(np.diff(values, axis=0, prepend=np.zeros((1, self.size))) - MIN_SLOPE * steps[:, None] * up[-1])
             return np.concatenate(rows)
         powers = np.arange(self.degree, 0, -1)
         slope = powers * GRID[:, None] ** (powers - 1)
@@ -128,7 +128,7 @@ class Curves:
         up = np.hstack([slope, np.zeros((len(GRID), self.degree - 1))])
         # q_1 = Σ p - Σ q, and its slope is 1 everywhere.
         down = np.hstack([np.ones((len(GRID), self.degree)), slope[:, :-1] - 1.0])
-        return np.concatenate([up, down]) - LEAST_SLOPE * full
+        return np.concatenate([up, down]) - MIN_SLOPE * full
 
 
 def curve_errors(

@@ -31,7 +31,13 @@ from hyst_control.identify.mhl.madelung import (
 from hyst_control.identify.mhl.madelung_curves import Curves
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
 from hyst_control.identify.mhl.mhl_model import assemble, chain_model
-from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency, with_numerator
+from hyst_control.identify.mhl.pole_zero_pair import (
+    PAIR_DAMPINGS,
+    WORTHWHILE,
+    pole_zero_pair,
+    unexplained_frequency,
+    with_numerator,
+)
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import (
     Parametrization,
@@ -324,7 +330,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)
-    pairs = [parted_pair(axis.structure, dynamics, frequency, damping) for damping in PAIR_DAMPINGS]
+    pairs = [pole_zero_pair(axis.structure, dynamics, frequency, damping) for damping in PAIR_DAMPINGS]
     richer = replace(axis, structure=pairs[0][0])
     problem, before = richer.parametrization(), found.vector[: axis.curves.size + 2]
     starts_of = [np.concatenate([before, upon]) for _, upon in pairs]

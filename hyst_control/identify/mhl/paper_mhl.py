@@ -33,7 +33,7 @@ from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.mhl.madelung import curve_ends, fit_axis, fit_inverse, merged, response_sign
 from hyst_control.identify.mhl.madelung_curves import Ends
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
-from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, parted_pair, unexplained_frequency
+from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, pole_zero_pair, unexplained_frequency
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import (
     Parametrization,
@@ -104,7 +104,7 @@ def _with_pair(
         return Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
 
     for damping in PAIR_DAMPINGS:
-        richer, start = parted_pair(smaller, plain.parameters, frequency, damping)
+        richer, start = pole_zero_pair(smaller, plain.parameters, frequency, damping)
         problem = problem_of(richer, len(start))
         found = minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
         if found.held_out < (1.0 - WORTHWHILE) * best.held_out:

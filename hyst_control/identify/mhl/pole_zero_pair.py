@@ -46,7 +46,7 @@ def unexplained_frequency(
     return line / (length * sample_time) if explained[line] > 0.0 else None
 
 
-def parted_pair(smaller: Structure, dynamics: Array, frequency: float, damping: float) -> tuple[Structure, Array]:
+def pole_zero_pair(smaller: Structure, dynamics: Array, frequency: float, damping: float) -> tuple[Structure, Array]:
     """Structure with a further mode and zeros upon it, and its dynamics vector: the same response as before until the two part."""
     structure = replace(smaller, modes=smaller.modes + 1, zeros=smaller.zeros + 2)
     parts = structure.split(structure.grow(smaller, dynamics, frequency))

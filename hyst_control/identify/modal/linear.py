@@ -36,7 +36,7 @@ SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
 WHOLE_ROWS = 2**22
 """Rows of a record to which the chosen structure is fitted, from the middle of a longer one."""
-LEAST_GAIN = 0.02
+MIN_GAIN = 0.02
 """Share of the held-out mean square error by which a larger model has to be better, at least."""
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
@@ -87,8 +87,8 @@ class Candidate:
         """Share of the held-out error that is within its standard error over the blocks, which colored errors widen."""
         energies = self.solution.grams.blocks[2::3, -1, -1]
         if len(energies) < 2 or not np.mean(energies) > 0.0:
-            return LEAST_GAIN
-        return max(LEAST_GAIN, float(np.std(energies) / np.mean(energies) / np.sqrt(len(energies))))
+            return MIN_GAIN
+        return max(MIN_GAIN, float(np.std(energies) / np.mean(energies) / np.sqrt(len(energies))))
 
 
 @register

@@ -20,7 +20,7 @@ from hyst_control.identify.solve.gram_sums import Window
 
 RELOCATIONS, SETTLED = 10, 0.99
 """Most relocations of the poles; two in a row that leave more than this share of the least error end them."""
-SLOWEST, LEAST_DECAY = 0.05, 0.02
+SLOWEST, MIN_DECAY = 0.05, 0.02
 """Least rate of a real pole and least decay of a pair, in inverse record lengths."""
 
 
@@ -108,7 +108,7 @@ def _admissible(poles: np.ndarray, rows: int) -> np.ndarray:
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
     lags = -np.clip(np.abs(poles[real].real), SLOWEST / rows, 20.0)
     pairs = poles[~real & (poles.imag > 0)]
-    pairs = -np.maximum(-pairs.real, LEAST_DECAY / rows) + 1j * np.minimum(pairs.imag, np.pi)
+    pairs = -np.maximum(-pairs.real, MIN_DECAY / rows) + 1j * np.minimum(pairs.imag, np.pi)
     return np.concatenate([pairs, np.sort(lags)])
 
 

@@ -31,7 +31,7 @@ SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
 MUCH_MORE = 4.0
 """Factor of the output's power (twice its amplitude) beyond which the clean records say nothing of the model at a frequency."""
-MOST_MORE = 100.0
+MAX_MORE = 100.0
 """Largest factor by which more power of the output raises that of the error."""
 UPPER = 0.6
 """Share of the Nyquist frequency above which the median bin is the white noise's."""
@@ -79,7 +79,7 @@ class ErrorSpectrum:
         A model that leaves a share of its output at a frequency leaves that share of more output too; where the clean records' commands
         drive next to nothing, they say nothing of the model, and its error is taken to be the usual share of its output.
         """
-        more = np.minimum(new.power / np.maximum(known.power, 1e-300), MOST_MORE)
+        more = np.minimum(new.power / np.maximum(known.power, 1e-300), MAX_MORE)
         foreseen = more * self.power
         beyond = relative**2 * np.maximum(new.power - MUCH_MORE * known.power, 0.0)
         return ErrorSpectrum(self.frequencies, np.maximum(self.power, np.maximum(foreseen, beyond)), self.noise)

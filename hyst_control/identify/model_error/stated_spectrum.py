@@ -22,7 +22,7 @@ from hyst_control.records.stream.row_store import spread_parts
 
 BANDS = 6
 """Bands an octave."""
-MOST_ROWS, MOST_PARTS = 2**18, 4
+MAX_ROWS, MAX_PARTS = 2**18, 4
 """Rows of a part, and parts, that are read of a longer record."""
 DIGITS = 3
 """That are stated: a spectrum is hardly ever known to a percent."""
@@ -55,7 +55,7 @@ class StatedSpectrum:
         kept = [_parts(len(error)) for error in errors]
         counted = [command[len(command) - len(error) :] for command, error in zip(commands, errors, strict=True)]
         slowest = lowest_frequency(_cut(counted, kept), sample_time)
-        rows = min(max(map(len, errors)), MOST_ROWS)
+        rows = min(max(map(len, errors)), MAX_ROWS)
         edges = band_edges(rows)
 
         def spectrum(series: Sequence[Array]) -> tuple[Array, float]:
@@ -143,10 +143,10 @@ def spectrum_on_new_records(
 
 def _parts(rows: int) -> list[slice]:
     """The record, or parts of it where it is long."""
-    if rows <= MOST_ROWS:
+    if rows <= MAX_ROWS:
         return [slice(0, rows)]
-    count = min(MOST_PARTS, rows // MOST_ROWS)
-    return spread_parts(rows, count * MOST_ROWS, count)
+    count = min(MAX_PARTS, rows // MAX_ROWS)
+    return spread_parts(rows, count * MAX_ROWS, count)
 
 
 def _cut(series: Sequence[Array], parts: Sequence[Sequence[slice]]) -> list[Array]:

@@ -25,9 +25,9 @@ from hyst_control.identify.solve.variable_projection import Problem, Solution, s
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
-LEAST_FOR_LOADING = 6
+MIN_FOR_LOADING = 6
 """Number of operators below which the first loading gets none."""
-LEAST_IMPROVEMENT = 0.03
+MIN_IMPROVEMENT = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
 
@@ -100,7 +100,7 @@ def default_operators(
     """Choose the thresholds, where the options do not list them.
 
     They begin at 0 and are closer together where most reversals engage them, up to half the drive; two more are for the first
-    loading, unless there are fewer than `LEAST_FOR_LOADING`.
+    loading, unless there are fewer than `MIN_FOR_LOADING`.
     """
     highest = max(largest_size(window.command) for window in windows)
     span = max(float(np.ptp(window.command)) for window in windows)
@@ -109,7 +109,7 @@ def default_operators(
     else:
         reach = span if one_sided else span / 2
         loading = np.array([0.5, 0.85]) * highest if highest > 1.4 * reach else reach * np.array([0.9, 0.97])
-        inner = options.operators - len(loading) if options.operators >= LEAST_FOR_LOADING else options.operators
+        inner = options.operators - len(loading) if options.operators >= MIN_FOR_LOADING else options.operators
         thresholds = np.concatenate(
             [0.98 * reach * (np.arange(inner) / (inner - 0.5)) ** 1.4, loading[: options.operators - inner]]
         )
@@ -136,10 +136,10 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         if not trials:
             return best
         lowest = min(trial.held_out for trial in trials)
-        if not lowest < (1.0 - LEAST_IMPROVEMENT) * best.held_out:
+        if not lowest < (1.0 - MIN_IMPROVEMENT) * best.held_out:
             return best
         # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
-        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + LEAST_IMPROVEMENT))
+        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
 
 
 def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:

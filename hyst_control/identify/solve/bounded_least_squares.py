@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from hyst_control.chain.stage import Array
 
-LEAST_REST = 1e-4
+MIN_REST = 1e-4
 """Share of what a block tells of a parameter that the others tell at least: no score grows beyond it."""
 
 
@@ -63,7 +63,7 @@ def covariance(blocks: Annotated[Array, "B K + 1 K + 1"], solution: Annotated[Ar
     # In coordinates in which the Gram matrix is the identity, that of the rest is 1 - own.
     white = vectors / np.sqrt(values)
     own = white.T @ inner @ white
-    moved = np.linalg.solve(np.eye(len(gram)) * (1.0 + LEAST_REST) - own, (scores @ white)[..., None])[..., 0]
+    moved = np.linalg.solve(np.eye(len(gram)) * (1.0 + MIN_REST) - own, (scores @ white)[..., None])[..., 0]
     spread = moved.T @ moved
     for lag, weight in enumerate(_neighbor_weights(moved), 1):
         product = moved[lag:].T @ moved[:-lag]

@@ -119,7 +119,7 @@ class Rules:
         Most rejections in a row.
     highest
         A rejected step of more damping is the last.
-    least_move
+    min_move
         A rejected step whose parameters all move by less is the last.
     """
 
@@ -132,7 +132,7 @@ class Rules:
     trials: float = math.inf
     rejections: float = math.inf
     highest: float = math.inf
-    least_move: float = 0.0
+    min_move: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
         before, after = problem.cost(point), problem.cost(trial.point)
         if not after < before:
             rejected += 1
-            if rejected >= rules.rejections or damping > rules.highest or trial.moved < rules.least_move:
+            if rejected >= rules.rejections or damping > rules.highest or trial.moved < rules.min_move:
                 return Found(point, End.NO_STEP, kept, tried, linearized)
             damping = rules.raised(damping)
             continue

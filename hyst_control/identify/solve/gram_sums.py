@@ -21,7 +21,7 @@ from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.stream import row_store
 
 BLOCK = 4096
-MOST_BLOCKS = 2048
+MAX_BLOCKS = 2048
 """Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
 HELD_OUT_BLOCKS = 90
 """A record is cut into at least this many blocks."""
@@ -201,7 +201,7 @@ def gram_matrices(
         place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
         square = np.ix_(place, place)
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
-        together, chunk = -(-n // (length * MOST_BLOCKS)), length * max(BLOCK // length, 1)
+        together, chunk = -(-n // (length * MAX_BLOCKS)), length * max(BLOCK // length, 1)
         buffer = np.empty((length, len(place)))
         weight = np.zeros(0) if window.weight is None else window.weight
         used_blocks = 0

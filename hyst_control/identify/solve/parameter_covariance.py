@@ -23,7 +23,7 @@ PRIOR = 0.3
 STEP = 1e-5
 """Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
 NAMED = 0.7
-MOST_NAMED = 6
+MAX_NAMED = 6
 """Directions that a note lists."""
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
 DIGITS = 6
@@ -80,8 +80,8 @@ class Uncertainty:
         def told(name: str) -> str:
             return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < 10.0 else f"{name} (any value)"
 
-        listed = "; ".join(" with ".join(map(told, names)) for names in self.undetermined[:MOST_NAMED])
-        more = len(self.undetermined) - MOST_NAMED
+        listed = "; ".join(" with ".join(map(told, names)) for names in self.undetermined[:MAX_NAMED])
+        more = len(self.undetermined) - MAX_NAMED
         return [
             f"not identifiable from these records: {listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to "
             f"{100 * PRIOR:.0f} %: {fact}"

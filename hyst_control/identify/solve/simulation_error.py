@@ -23,7 +23,7 @@ from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.chain_batch import Bundle
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial
-from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MOST_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, NUISANCES, Grams, Window, gram_product
 from hyst_control.records.stream.row_store import blocks as row_blocks
 from hyst_control.records.stream.row_store import empty_rows
 
@@ -107,7 +107,7 @@ def minimize_simulation_error(
         confident=1e-6,
         steps=passes - 1,
         highest=1e4,
-        least_move=1e-8,
+        min_move=1e-8,
     )
     found = gauss_newton.minimize(search, search.visit(origin, derivatives=True), rules)
     solution = found.point if found.linearized or found.end is End.BUDGET else search.linearize(found.point)
@@ -169,7 +169,7 @@ def simulated(
     clocks: dict[Sampling, Bundle] = {}
     everywhere = sum(len(window.command) for window in windows)
     length = int(np.clip(everywhere // HELD_OUT_BLOCKS, 1, BLOCK))
-    together = -(-everywhere // (length * MOST_BLOCKS))
+    together = -(-everywhere // (length * MAX_BLOCKS))
     grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
     blocks: list[Array] = []
     nuisances: list[Array] = []

@@ -23,7 +23,7 @@ from hyst_control.chain.linear.linear_stages import (
 )
 from hyst_control.chain.stage import Array, Sampling, Stage
 
-LEAST_DAMPING, MOST_DAMPING = 0.002, 5.0
+MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01
 """Relative distance from a bound at which a parameter is at it."""
 TAU_UNIT = 1e-4
@@ -183,7 +183,7 @@ class Structure:
         parts = self.split(parameters)
         fastest = self._fastest(sample_time)
         parts["modes"][:, 0] = np.minimum(parts["modes"][:, 0], fastest)
-        parts["modes"][:, 1] = np.clip(parts["modes"][:, 1], np.log(LEAST_DAMPING), np.log(MOST_DAMPING))
+        parts["modes"][:, 1] = np.clip(parts["modes"][:, 1], np.log(MIN_DAMPING), np.log(MAX_DAMPING))
         parts["lags"] = np.minimum(parts["lags"], fastest)
         parts["delay"] = np.maximum(parts["delay"], 0.0)
         if self.slow_pair:
@@ -195,7 +195,7 @@ class Structure:
         parts = self.split(parameters)
         rates = np.concatenate([parts["modes"][:, 0], parts["lags"]])
         damping = parts["modes"][:, 1]
-        bounded = (damping <= np.log(LEAST_DAMPING) + NEAR) | (damping >= np.log(MOST_DAMPING) - NEAR)
+        bounded = (damping <= np.log(MIN_DAMPING) + NEAR) | (damping >= np.log(MAX_DAMPING) - NEAR)
         return bool(np.any(rates >= self._fastest(sample_time) - NEAR) or np.any(bounded))
 
     def _fastest(self, sample_time: float) -> float:

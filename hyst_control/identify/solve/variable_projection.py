@@ -19,7 +19,7 @@ from hyst_control.identify.solve.stable_dynamics import Structure
 
 PRIOR = 1e-7
 """Least weight of the prior on the slopes, relative to the strongest regressor."""
-LEAST_SLOPE = 1e-3
+MIN_SLOPE = 1e-3
 """Smallest slope of a branch, relative to the mean slope."""
 
 
@@ -50,7 +50,7 @@ class Problem:
     def bounds(self, free: int) -> tuple[Array, Array]:
         """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded."""
         n, dynamic = len(self.operators.thresholds), self.operators.dynamic
-        lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
+        lower = np.concatenate([np.full(n, MIN_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
         upper = np.full(len(lower), np.inf)
         if self.nuisance == "linear" and len(self.drift) and free:
             lower[self.operators.columns + 1 :: 2], upper[self.operators.columns + 1 :: 2] = np.negative(self.drift), self.drift
@@ -127,7 +127,7 @@ def solve(
         eased=lambda damping: max(0.2 * damping, 1e-9),
         small=lambda before, after: 1.0 - after / before < tolerance,
         trials=passes - passed,
-        least_move=1e-6,
+        min_move=1e-6,
     )
     found = gauss_newton.minimize(search, best, rules)
     return replace(found.point, passes=passed + found.trials)

@@ -11,7 +11,7 @@ from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import CallbackSubscription, LocalReceiver
 
-MOST_AT_ONCE = 64
+MAX_AT_ONCE = 64
 """Most messages delivered before the executor serves timers, services and subscriptions again."""
 
 
@@ -49,7 +49,7 @@ class _Exchange:
     def _take(self) -> None:
         posted = self._posted
         try:
-            for _ in range(MOST_AT_ONCE):
+            for _ in range(MAX_AT_ONCE):
                 if not posted:
                     self._scheduled = False
                     return

@@ -20,8 +20,8 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE
 
 CHUNK_SIZE = 16 * 1024  # bytes, at least
-MOST_CHUNKS = 4096
-"""Chunks of CHUNK_SIZE; behind them each is a share of 1 / MOST_CHUNKS of the file, since the writer keeps an index entry of every chunk
+MAX_CHUNKS = 4096
+"""Chunks of CHUNK_SIZE; behind them each is a share of 1 / MAX_CHUNKS of the file, since the writer keeps an index entry of every chunk
 in memory until the bag is closed."""
 TYPE_HASH = "RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f"
 DEFINITION = f"""std_msgs/MultiArrayLayout layout
@@ -98,7 +98,7 @@ class BagWriter:
         if time > self._last:
             self._last = time
         self._unwritten += len(message)
-        if self._unwritten >= max(CHUNK_SIZE, self._written // MOST_CHUNKS):
+        if self._unwritten >= max(CHUNK_SIZE, self._written // MAX_CHUNKS):
             self.flush()
 
     def flush(self) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 if TYPE_CHECKING:
     import zstandard
 
-MOST_RATIO = 200
+MAX_RATIO = 200
 """Bytes that may come out of a byte of the file; messages of zeros alone, one sample each, reach about 40."""
 
 ALWAYS = 64 * 2**20
@@ -30,13 +30,13 @@ class Budget:
 
     def __init__(self, size: int) -> None:
         """size: of the file, in bytes."""
-        self.left = max(ALWAYS, MOST_RATIO * size)
+        self.left = max(ALWAYS, MAX_RATIO * size)
 
     def take(self, count: int) -> None:
         """Count further decompressed bytes, `count` of them. Raises `Damage` when the total is too large for the file."""
         self.left -= count
         if self.left < 0:
-            raise Damage(f"expands to more than {MOST_RATIO} times its size")
+            raise Damage(f"expands to more than {MAX_RATIO} times its size")
 
 
 def decompress(data: bytes, compression: str, size: int | None, budget: Budget) -> bytes:

@@ -22,7 +22,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.broadband_signals import multisine, multisine_lines, sweep
 from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, mhl_identification
 from hyst_control.records.excitation.scan_patterns import raster, spiral
-from hyst_control.records.excitation.signal_size import check_size, most_samples, number
+from hyst_control.records.excitation.signal_size import check_size, max_samples, number
 from hyst_control.records.excitation.waveforms import (
     cosine_ramp,
     decaying_sine,
@@ -106,7 +106,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     for key, parameter in known.items():
         if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
             raise InputError(f"{kind}: {key}: is missing")
-    if "duration" in given and number(given["duration"], "duration") / sample_time > most_samples():
+    if "duration" in given and number(given["duration"], "duration") / sample_time > max_samples():
         raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
     extra = {"axes": axes} if "axes" in known else {}
     try:
@@ -116,7 +116,7 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     except (TypeError, ValueError, OverflowError, ZeroDivisionError, IndexError, MemoryError) as error:
         raise InputError(f"{kind}: its parameters are not the numbers and lists it needs ({error})") from None
     if rows.ndim == 1:
-        if rows.size * axes > most_samples():
+        if rows.size * axes > max_samples():
             raise InputError(f"{kind}: {len(rows)} samples of {axes} axes do not fit in memory: shorten it")
         rows = np.repeat(rows[:, None], axes, axis=1)
         if axis is not None:

@@ -12,7 +12,7 @@ from hyst_control.records.excitation.waveforms import smooth_step
 
 Array = NDArray[np.float64]
 
-MOST_STRETCHES = 32
+MAX_STRETCHES = 32
 """Replacements that are remembered, for rows that are sent again."""
 REST = 0.1
 """Share of a signal's greatest step: one that begins or ends with less is at rest there."""
@@ -40,7 +40,7 @@ class ChangingSignal:
     def __init__(self, signal: Annotated[Array, "N A"], repeat: bool, ramp: int = 0, end_ramp: int = 0) -> None:
         self._repeat, self._ramp, self._end_ramp = repeat, ramp, end_ramp
         self._newest = signal
-        self._stretches: deque[_Stretch] = deque(maxlen=MOST_STRETCHES)
+        self._stretches: deque[_Stretch] = deque(maxlen=MAX_STRETCHES)
         self.replace(signal, 0, 0)
 
     def begin_at(self, position: Array) -> None:

@@ -21,7 +21,7 @@ LONGEST = 500_000_000
 
 
 @cache
-def most_samples() -> float:
+def max_samples() -> float:
     """Samples of all axes that this machine's memory holds, with the copies that are made of them."""
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -39,14 +39,14 @@ def number(value: Any, name: str) -> float:
 
 def check_size(samples: float) -> None:
     """Refuse what does not fit in memory before any of it is made."""
-    if not samples <= most_samples():
+    if not samples <= max_samples():
         raise InputError(f"{samples:.3g} samples do not fit in memory: shorten it, or lower the rate")
 
 
 def sample_count(duration: float, sample_time: float) -> int:
     """Samples of a signal of this length, at least one; an InputError where there is none or they do not fit in memory."""
     count = int(round(number(duration, "duration") / sample_time))
-    if count > most_samples():
+    if count > max_samples():
         raise InputError(f"duration: {duration:g} s at {sample_time:g} s a sample is too long for memory")
     if count < 1:
         raise InputError(f"duration: {duration:g} s is shorter than a sample of {sample_time:g} s")

@@ -26,7 +26,7 @@ TIME_COLUMN = "t[s]"
 
 MANY_AXES = 16
 """Number of axes in a row with consecutively numbered names from which the label names only the first and the last."""
-MOST_AXES = 100_000
+MAX_AXES = 100_000
 
 _NUMBERED = re.compile(r"(.*?)(0|[1-9][0-9]{0,8})")
 _RANGE = re.compile(r"(.*?)(0|[1-9][0-9]{0,8})\.\.(.*?)(0|[1-9][0-9]{0,8})")
@@ -72,7 +72,7 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     Raises
     ------
     InputError
-        The label has another form, names a column twice, or more than `MOST_AXES`.
+        The label has another form, names a column twice, or more than `MAX_AXES`.
     """
     columns = label.split(",")
     matches = [_COLUMN.fullmatch(column.strip()) for column in columns]
@@ -82,9 +82,9 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     units: list[str] = []
     for match in matches[1:]:
         assert match is not None
-        names = _names(match[1], MOST_AXES - len(axes))
+        names = _names(match[1], MAX_AXES - len(axes))
         if names is None:
-            raise InputError(f"label: names more than {MOST_AXES} columns, got {_shortened(label)}")
+            raise InputError(f"label: names more than {MAX_AXES} columns, got {_shortened(label)}")
         axes += names
         units += [match[2]] * len(names)
     if len(set(axes)) != len(axes):

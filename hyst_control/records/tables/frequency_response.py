@@ -21,11 +21,11 @@ OVERSAMPLING = 10
 PERIODS = 10
 """Periods of the lowest frequency in the record, fewer where it would be very long."""
 
-MOST_SAMPLES = 2**21
-MOST_COSINES = 2e8
+MAX_SAMPLES = 2**21
+MAX_COSINES = 2e8
 """Samples times frequencies: of more frequencies some evenly spread ones are taken."""
 
-LEAST_COHERENCE = 0.5
+MIN_COHERENCE = 0.5
 COMMAND_RANGE = 10.0
 
 _DECIBEL = re.compile(r"dB\s*\(?\s*(?:re\.?)?\s*(?P<ratio>[^()]*?)\s*\)?")
@@ -53,24 +53,22 @@ def response_record(source: str, columns: Sequence[Column], held: dict[str, Arra
         notes.append(f"{source}: the magnitude in dB is taken as that of um/V: write another as [dB mrad/V]")
     usable = np.isfinite(frequency) & (frequency > 0.0) & np.isfinite(response) & (response != 0.0)
     if "coherence" in known:
-        usable &= known["coherence"] >= LEAST_COHERENCE
+        usable &= known["coherence"] >= MIN_COHERENCE
     if usable.sum() < 8:
         raise InputError(
             f"{source}: only {int(usable.sum())} frequencies have a finite response: a frequency response needs 8 at least"
         )
     if left := int(np.sum(~usable)):
-        notes.append(
-            f"{source}: {left} frequencies were left out: 0 Hz, no finite response, or a coherence below {LEAST_COHERENCE}"
-        )
+        notes.append(f"{source}: {left} frequencies were left out: 0 Hz, no finite response, or a coherence below {MIN_COHERENCE}")
     frequency, first = np.unique(frequency[usable], return_index=True)
     response = response[usable][first]
     rate = OVERSAMPLING * float(frequency[-1])
-    count = int(min(rate * PERIODS / float(frequency[0]), MOST_SAMPLES))
+    count = int(min(rate * PERIODS / float(frequency[0]), MAX_SAMPLES))
     if count < rate / float(frequency[0]):
         raise InputError(
             f"{source}: {frequency[0]:.4g} to {frequency[-1]:.4g} Hz are too many decades for one record: choose rows of fewer (--rows)"
         )
-    most = max(int(MOST_COSINES / count), 8)
+    most = max(int(MAX_COSINES / count), 8)
     if len(frequency) > most:
         chosen = np.unique(np.linspace(0, len(frequency) - 1, most).astype(int))
         notes.append(f"{source}: {len(chosen)} of {len(frequency)} frequencies were taken")

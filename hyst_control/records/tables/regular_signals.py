@@ -22,7 +22,7 @@ SHORTEST_RUN = 10
 LATEST = 20.0
 """Steps by which messages may be received beside their ticks: they come in bursts, but none is thought to be lost."""
 
-MOST_RUNS = 100
+MAX_RUNS = 100
 RATES_DIFFER = 0.01
 TOLD_DEVIATION = 0.01
 """Steps by which times may lie beside their ticks without a note."""
@@ -36,7 +36,7 @@ def runs_of(where: str, time: Array, begin: int, gaps: bool) -> list[slice]:
         steps = np.diff(time[part.start : part.stop + 1])
         edges += (part.start + 1 + np.flatnonzero((steps < 0.0) | (steps > max(longest, 0.0)))).tolist()
     bounds = [0, *edges, len(time)]
-    if len(bounds) > 2 and (len(bounds) - 1 > MOST_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
+    if len(bounds) > 2 and (len(bounds) - 1 > MAX_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
         more = f" and {len(edges) - 1} more" if len(edges) > 1 else ""
         raise InputError(
             f"{where}: time: does not increase in row {begin + bounds[1]}{more}: choose rows in which it does, or leave the time out and "

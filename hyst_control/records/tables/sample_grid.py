@@ -20,7 +20,7 @@ NEAREST = 0.45
 COARSE = 0.6
 """The same for times that repeat, in units of their resolution: all rows between two readings of the clock have one time."""
 
-MOST_MISSING = 0.5
+MAX_MISSING = 0.5
 """Ticks without a row, per row, up to which rows are missing: more are bursts, or rows at no regular times."""
 
 ENDS = 2**16
@@ -57,7 +57,7 @@ def find_grid(time: Array, nearest: float = NEAREST) -> Grid | None:
         return whole
     grids = [_grid(time, ticks, NEAREST) for ticks in _ticks_with_gaps(time)]
     return min(
-        (grid for grid in grids if grid is not None and grid.missing <= MOST_MISSING * len(time)),
+        (grid for grid in grids if grid is not None and grid.missing <= MAX_MISSING * len(time)),
         key=lambda grid: grid.missing,
         default=None,
     )
@@ -70,7 +70,7 @@ def _grid(time: Array, ticks: NDArray[np.int64] | None, nearest: float) -> Grid 
     first_tick, last_tick = (float(_ticks(ticks, slice(begin, begin + part)).mean()) for begin in (0, last))
     step = float((time[last : last + part].mean() - time[:part].mean()) / max(last_tick - first_tick, 1e-300))
     if len(time) <= 4 * WINDOW:
-        step = _least_spread(time, _ticks(ticks, slice(0, len(time))), step)
+        step = _min_spread(time, _ticks(ticks, slice(0, len(time))), step)
     coarse, shortest = _resolution(time)
     most = max(nearest * step, COARSE * shortest if coarse else 0.0)
     deviation, before = 0.0, None
@@ -87,7 +87,7 @@ def _grid(time: Array, ticks: NDArray[np.int64] | None, nearest: float) -> Grid 
     return Grid(step, float((time[head] - _ticks(ticks, head) * step).mean()), ticks, deviation)
 
 
-def _least_spread(time: Array, ticks: NDArray[np.int64], step: float) -> float:
+def _min_spread(time: Array, ticks: NDArray[np.int64], step: float) -> float:
     """The step near a first one for which all times lie nearest to their ticks: few rounded times mislead a mean."""
 
     def spread(share: float) -> float:

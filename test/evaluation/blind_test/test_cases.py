@@ -15,7 +15,7 @@ from evaluation.blind_test.case_records import commands, run_case
 from evaluation.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUNED
 from evaluation.blind_test.plant_setups import PLANTS, SETUPS
 from evaluation.blind_test.scores import conformal, metrics, score, wilson
-from evaluation.blind_test.simulated import LEAST_VISIBILITY, label_of
+from evaluation.blind_test.simulated import MIN_VISIBILITY, label_of
 from hyst_control.cli import main
 from hyst_plant_sim.physics import EFFECTS
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
@@ -70,7 +70,7 @@ def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():
     label = label_of(case)
     difference = run_case(case, noisy=False)["measurement"] - run_case(case, effects=False, noisy=False)["measurement"]
     assert label.gap_rms == pytest.approx(np.sqrt(np.mean(difference**2))) and label.distance is not None
-    assert label.kind == ("single" if label.distance >= LEAST_VISIBILITY else "none")
+    assert label.kind == ("single" if label.distance >= MIN_VISIBILITY else "none")
 
 
 def test_effects_begin_within_the_record_where_asked_for():
