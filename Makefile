@@ -72,7 +72,7 @@ lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m mypy
 	$(VENV)/bin/python .ci/package.py
 	$(VENV)/bin/python .ci/prose.py
-# To check copyright and license too, give this line a tab:	$(VENV)/bin/python .ci/headers.py
+	$(VENV)/bin/python .ci/headers.py
 
 # What is installed, as a CycloneDX document, and whether its licenses fit.
 sbom: $(CHECKS_READY) env

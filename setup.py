@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One description for pip (`.venv/bin/hyst` and the nodes) and for colcon (`ros2 run hyst_control <node>`)."""
 
 import runpy

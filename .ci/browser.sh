@@ -1,4 +1,6 @@
 #!/usr/bin/env bash
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 # The browser that the tests of pages use: installed where this is Debian and we may, named where not. Those tests are then skipped.
 set -uo pipefail
 command -v chromium > /dev/null && { echo "browser: there"; exit 0; }

@@ -1,4 +1,6 @@
 #!/usr/bin/env bash
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 # The tree in a colcon workspace, as on a machine with ROS 2: it builds, its executables are where `ros2 run` looks, and the loop runs.
 set -euo pipefail
 cd "$(dirname "$0")/.."

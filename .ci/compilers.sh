@@ -1,4 +1,6 @@
 #!/usr/bin/env bash
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 # Compilers and checkers that the tests of the exported C use: installed where this is Debian and we may, named where not. The tests of what
 # is missing are skipped.
 set -uo pipefail

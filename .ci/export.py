@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exported C: ten million samples of both papers' plants and feedforwards have Python's bits, a million odd ones do no harm.
 
 The odd steps, with NaN, infinities and numbers of any size, are `make fuzz` of the exported folders, of a controller too.

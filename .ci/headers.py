@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Copyright and license in the first lines of every source file: checks them, or adds them with `--write`."""
 
 from __future__ import annotations

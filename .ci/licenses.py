@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Licenses of what `make` installs, as each package states them: checks that Apache-2.0 may be built on them; `--write` makes the table.
 
 A package is taken as stated in its metadata, a ROS package in its package.xml. What neither says is in `STATED`, with its source.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """package.xml as ROS tools read it: format 3's rules, one version everywhere, and a rosdep key for everything that is imported."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Write the hashes of pinned lines that have none into the requirement files: `python .ci/pins.py python3.10 python3.11 ...`.
 
 Each interpreter's pip names, without installing anything, the file that it would take for each version. The platform is this machine's,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Prose of documents and docstring titles: sentence length, words of another vocabulary, American spelling. `make lint` runs it.
 
 `BUDGET` bounds the faults of what is not rewritten yet. Lower a number when a page has fewer; everything else has none.

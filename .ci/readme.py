@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Run what the README shows: every line of its `console` blocks that begins with `$ `, in order, in one empty folder.
 
 Lines that start with `$ hyst` and `$ pipeline` are run; `make`, `colcon` and `ros2` have checks of their own. The folder is one

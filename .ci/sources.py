@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A copy of the tree as a user gets it: without environments, builds and caches."""
 
 from __future__ import annotations

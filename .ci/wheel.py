@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Build the wheel twice, compare its content with the tree, and use it in a fresh environment that has no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Hook of the site's build: adds the reference pages, prints the time of each tutorial page, converts equations to MathML.
 
 A tutorial page whose commands fail ends the build.

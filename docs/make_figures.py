@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Draw the figures of README and documents: `make figures`.
 
 Without a folder the chain and, where Chromium is, the live page of a loop that runs meanwhile. With FOLDER=the tour's folder also the

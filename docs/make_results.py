@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Tables and figures of docs/results.md from the result files in docs/data: `python docs/make_results.py`, from the repository's root.
 
 Prints the tables, which the page contains verbatim (`test/test_results.py`), and draws `docs/figures/results_*.svg`.

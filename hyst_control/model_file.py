@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The model file: one YAML that describes a simulator, its range, noise and tolerances; and the simulator that runs it."""
 
 from __future__ import annotations

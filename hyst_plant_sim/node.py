@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Plant node: runs a reference simulation or a model file, and is the clock of the loop in lockstep."""
 
 from __future__ import annotations

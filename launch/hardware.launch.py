@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The loop around a stage on hardware: reference, feedforward, feedback, stage, and a recorder if there is a bag to write.
 
 ros2 launch hyst_control hardware.launch.py stage:=pi_stage params:=bench.yaml bag:=run

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The loop around a simulated plant: reference, feedforward, feedback, plant, and a recorder if there is a bag to write.
 
 ros2 launch hyst_control simulation.launch.py namespace:=left model:=stage.yaml bag:=run

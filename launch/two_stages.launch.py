@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Two stages side by side, each with the loop of hardware.launch.py in a namespace of its own.
 
 ros2 launch hyst_control two_stages.launch.py left_stage:=pi_stage left_params:=left.yaml right_model:=right.yaml

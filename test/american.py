@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """British spellings in prose, of which this project uses the American ones: in documents, comments, docstrings and messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A real browser for tests of pages: Debian's Chromium, driven by Playwright; what it sees of a page comes back as plain data."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures that tests share: a ROS domain and context of their own, and the measured data where it is there."""
 
 from __future__ import annotations

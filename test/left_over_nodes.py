@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that a test leaves over, one whose constructor refused its parameters, say, are destroyed with it.
 
 The garbage collector would do it at any later time, beside the nodes of another test, where Fast DDS may wait for itself for ever.

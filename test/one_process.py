@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Workers of a study in the process of the test: what they compute is asked, not that they are processes."""
 
 from __future__ import annotations

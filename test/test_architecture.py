@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The ways through the code in docs/architecture.md: their functions exist, and there are no more of them than allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The conformance records: noise-free, of the two published models, from an independent implementation at a 200 kHz step."""
 
 from __future__ import annotations

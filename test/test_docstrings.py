@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rules for docstrings, over all modules of both packages.
 
 Every public module, class, function and method has one, whose title is no question. What `docs/api.md` promises names every parameter

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Documents: no broken link, every command explained, every page in the site's navigation."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Outputs: whole or not at all, through links and devices, and never over what is read."""
 
 import json

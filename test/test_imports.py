@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The import rules of the architecture, read from the sources."""
 
 from __future__ import annotations

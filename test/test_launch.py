@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Launch files: their nodes exist, their arguments reach the nodes, and the parameters they set are declared. Without `launch`.
 
 Stand-ins for the few classes of `launch` and `launch_ros` that the files use record what they are given.

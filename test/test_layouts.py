@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The layouts for PlotJuggler and Foxglove show topics that the nodes publish, and columns that these have."""
 
 from __future__ import annotations

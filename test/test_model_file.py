@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The model file: what is written is read back the same, and everything else is refused with one line that helps."""
 
 from __future__ import annotations

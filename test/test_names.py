@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """No list of stages or effects outside the things themselves: a name stands in its own file, and nowhere else in the sources."""
 
 from __future__ import annotations

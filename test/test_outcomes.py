@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Many independent jobs: on processes of this computer and on Dask, with jobs that fail and workers that are killed."""
 
 from __future__ import annotations

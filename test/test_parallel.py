@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pieces of a computation on all cores, as the command line runs them."""
 
 from __future__ import annotations

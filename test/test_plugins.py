@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A distribution that adds a stage, an effect, an estimator and a controller, and two that are broken, installed beside this package."""
 
 from __future__ import annotations

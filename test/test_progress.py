@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Progress on a terminal: the time moves while a step lasts, and nothing of the line is left when the result is printed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The check of prose: what it finds, and what it leaves alone."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A real-time priority keeps the processors awake, where the system has a way to ask for it."""
 
 from __future__ import annotations

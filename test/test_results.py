@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page of results: its tables are those of the result files, and so are the figures in its sentences."""
 
 from __future__ import annotations

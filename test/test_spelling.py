@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One spelling: American, in documents, comments, docstrings and messages."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The worked example of docs/extending.md: its files are put into a copy of the package, tested there, and used from the command line."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """YAML from outside: what stands for gigabytes, nests without an end or wears a wrong tag is refused at once, in one line."""
 
 import time

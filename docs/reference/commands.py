@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference of the commands: a page for each, written from its parser."""
 
 from __future__ import annotations

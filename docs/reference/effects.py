@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference of the effects: a page for each with its parameters, the range of the diagnosis, and its figure."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference of the nodes: a page for each with its parameters, written from their declarations."""
 
 from __future__ import annotations

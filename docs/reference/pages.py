@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference pages of the site, one for each command, node, stage and effect; written when the site is built, and not tracked."""
 
 from __future__ import annotations

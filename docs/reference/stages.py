@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference of the stages: a page for each with its equation and parameters, written from their declarations."""
 
 from __future__ import annotations

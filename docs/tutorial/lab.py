@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The tutorial's laboratory: plays a drive on a simulated stage and writes a CSV file as a data logger would.
 
 `python lab.py DRIVE.npy RECORDING.csv [effect=… parameter=…]`: columns drive (V) and position (nm), one row per sample at 20 kHz.

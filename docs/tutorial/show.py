@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Print a picture as HTML, for the tutorial's pages: `python show.py PICTURE.png "what it shows"`."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ticks that a computer misses by itself: a loop that does nothing but wait for the next one, in a process of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Coverage of an identification's intervals: how often the truth lies within the 90 % interval of an identified model.
 
 Each case is a plant of the family that is fitted, with parameters that are drawn anew for every run, a short record of its own noise,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Speed, size and bit equality of the exported C on this machine, alone and as the nodes call it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Cost of a fleet's records: of handing them out, of one record, what a second worker brings, and the memory of the caller."""
 
 from __future__ import annotations

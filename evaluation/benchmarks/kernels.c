@@ -1,3 +1,5 @@
+/* Copyright 2026 The hyst_control authors */
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The chain's inner loops in C, for `hyst bench` to time beside the compiled Python ones: same algorithm, same memory layout. */
 
 #include <math.h>

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Speed of the chain's compiled kernels beside the same loops in C (gcc -O3)."""
 
 from __future__ import annotations

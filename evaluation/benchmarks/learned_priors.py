@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Worth of a population's model: verdicts on new units with the fleet's usual scatter, and with the tolerance of a single unit."""
 
 from __future__ import annotations

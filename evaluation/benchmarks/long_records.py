@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory of import, simulate, validate and identify by the length of the record, each in a process of its own.
 
 Memory is what a process has taken for itself (RssAnon), at its largest: pages of temporary files, which the system takes back as it

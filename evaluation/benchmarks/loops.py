@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Speed, latency, loss and load of the loop through the real nodes, beside the same loop in plain rclpy.
 
 The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case runs in

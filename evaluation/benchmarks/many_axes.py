@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The plant node with the 5,000 axes of a deformable mirror at 1 kHz: processor time of a tick, its messages through the middleware."""
 
 from __future__ import annotations

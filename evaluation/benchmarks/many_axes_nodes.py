@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A plant node of many axes under the timer, with a sender of commands and a receiver of measurements: processor time of a tick.
 
 Run as a process of its own by `hyst bench --only many_axes`.

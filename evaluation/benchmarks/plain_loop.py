@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Baseline of `hyst bench`: the same loop in plain rclpy (SingleThreadedExecutor, message objects, one callback per message).
 
 Reference, feedforward, feedback and plant as four small nodes with the computations of the package's nodes and nothing else: no checks

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Round trip of every family: a known plant of it, records as laboratories have them, its identification, and another session.
 
 Records of a bipolar drive begin amid a motion, with a sensor's zero of 5 % of the range, a drift of 2 % and 12-bit rounding; each

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them in some run.
 
 A unit's coefficients scatter about the nominal plant's, those of its nights a little about its own; the temperature of a night, which

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst bench`: speed of kernels, bags and the running loop on this machine, and what intervals hold, as a result table."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the reference simulations."""
 
 from __future__ import annotations

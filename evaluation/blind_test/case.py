@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The table of cases: a row says what is in a record, how the record is made, and what a diagnosis should say of it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Cases of the blind test, drawn by a seed and balanced: kinds, plants, excitations, noise, and effects of drawn size.
 
 A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of the blind test's cases: the reference simulation of a case under its excitation."""
 
 from __future__ import annotations

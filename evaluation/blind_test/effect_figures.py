@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Figures of the effects: a record with each and without it.
 
 `hyst cases figures --output docs/figures/effects` draws them. The records are of the reference simulation of the PEA (effects that need

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the blind test, and the ranges of their sizes: each is visible, and none dominates the signal."""
 
 from __future__ import annotations

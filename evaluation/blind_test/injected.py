@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Injected cases: known effects put into records of machines, so that the physics is real and the truth exact.
 
 Every size is a multiple of what the identified model leaves on clean records that it was not identified from. `injections` has the effects,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Machines into whose records effects are put, measured and simulated: their records for models and for cases.
 
 - stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file

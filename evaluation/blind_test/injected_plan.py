@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Plan of the injected cases: which effect goes into which record, beside which clean records.
 
 The plan is a round that repeats, so that any number of cases, and what an interrupted run has diagnosed, has every row of the table in

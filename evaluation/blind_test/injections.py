@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects that are put into measured records, single and outside the catalogue, and their strength for a given size.
 
 Effects of the sensor act on the measurement; effects of the drive that can be inverted act backwards on the command: the recorded command

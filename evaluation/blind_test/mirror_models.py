@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear models of the measured mirror: fitted by level, their error, and the models that lose one element."""
 
 from __future__ import annotations

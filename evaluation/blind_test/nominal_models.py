@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Models against which the cases of the blind test are diagnosed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Page of a blind test: the published table as measured, the confusion matrix, the worst cases, and what was put in or withheld."""
 
 from __future__ import annotations

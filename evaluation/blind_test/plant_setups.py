@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Setups of the blind test's plants: drive and scatter of the coefficients of each."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The blind test: cases are made, diagnosed by processes that never see their labels, then scored.
 
 Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (baseline records beside the new

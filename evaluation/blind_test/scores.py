@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Scores of a blind test: each diagnosed case becomes a row of results, and a grouping of the rows becomes the published table.
 
 A published row is a filter and a measure in `ROWS`; its name may hold columns in braces, of which each value has a row by itself.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Simulated cases: record, model and label of each, with its true gap and visibility, and the reduction on a later session."""
 
 from __future__ import annotations

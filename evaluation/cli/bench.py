@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Measure the speed of kernels, bags, the running loop, and workflows.
 
 Kernels are compared with the same loops in C (needs gcc), exported controllers are timed and compared with Python bit by bit, the

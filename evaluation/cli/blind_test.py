@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Test the diagnosis blind: draw cases, diagnose each in a process that never sees its label, score, and write the page.
 
 Seeds 0 to 999 are for tuning; scoring seeds begin at 100000, and each is used for one version. An interrupted run continues when it is

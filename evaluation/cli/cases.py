@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Draw cases from the reference simulations: recorded bags with a model each and their labels in a separate file; or draw all effects.
 
 examples:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Run the experiments of the papers and of public measurements, and print their tables beside the published figures.
 
 examples:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The hysteresis benchmark of the identification community: Noël & Schoukens, "Hysteretic benchmark with a dynamic nonlinearity".
 
 A simulated oscillator of one degree of freedom whose restoring force has hysteresis, 750 Hz, five periods of a multisine with sensor

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every table, figure and numbered claim of the two papers: scored against a target, or the reason why nothing can be.
 
 A target of `hampi_targets` or `mhl_targets` names the claim that it belongs to; where a claim has none its reason stands here, and

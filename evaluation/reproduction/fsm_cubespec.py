@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A measured fast steering mirror: the CubeSpec benchmark.
 
 Floren, Peri, De Maeyer, De Munter, Vandepitte, Noel, "Data-driven state-space identification and nonlinearity assessment of the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Regression of a linear model's error on candidate nonlinear forces of the measured mirror, per force law and level.
 
 The linear model's error is regressed, in windows of neighboring lines, on the command and on candidate forces computed from the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of the measured mirror (`fsm_cubespec`) and the error of a model on them."""
 
 from __future__ import annotations

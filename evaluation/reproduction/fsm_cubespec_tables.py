@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Tables and the figure of the measured mirror (`fsm_cubespec`)."""
 
 from __future__ import annotations

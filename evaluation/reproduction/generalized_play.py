@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Generalized play operators (Al Janaideh, Su & Rakheja, Smart Materials and Structures 17, 2008): play between two curves of the input.
 
     w = max(γ_a(v) - r, min(γ_d(v) + r, w before)),   y = Σ p_k w_k + constant

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst reproduce hampi`: the HAMPI paper's experiments on a simulated actuator, everything through the real nodes in lockstep.
 
 Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The published figures of the HAMPI paper, one place for all of them, by table and figure."""
 
 from __future__ import annotations

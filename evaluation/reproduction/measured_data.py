@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Location of the public measurements: the folder named by `HYST_DATA`, or `../shared/data` beside the repository."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst reproduce mhl`: the MHL paper's experiments on a simulated mirror of two axes, everything through the real nodes in lockstep.
 
 Excite at the loop's rate, record, identify in the paper's sequence and jointly, tune the PI feedback, track. The published

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The MHL paper's figures as one zoomable page: models on held-out records, tracking, closed-loop response."""
 
 from __future__ import annotations

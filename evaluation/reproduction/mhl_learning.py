@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning on the simulated mirror through the real nodes: from trial to trial, and of gain and lag from the feedback. Past the papers."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Frequency responses, spectra and settling times of the MHL paper's signals."""
 
 from __future__ import annotations

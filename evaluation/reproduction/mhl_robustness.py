@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Margins of a tuned feedback on the reference simulation, beside those of its model."""
 
 from __future__ import annotations

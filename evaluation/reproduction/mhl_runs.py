@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Runs of the MHL experiments through the real nodes: records in open loop, and tracking, on the simulated mirror."""
 
 from __future__ import annotations

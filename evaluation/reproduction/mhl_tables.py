@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The MHL paper's tables, and the figures' numbers, as rows beside the published values."""
 
 from __future__ import annotations

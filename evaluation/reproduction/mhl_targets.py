@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The targets of the MHL experiments, by claim of the paper."""
 
 from __future__ import annotations

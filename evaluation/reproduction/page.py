@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Page of the papers' experiments from the results of `hyst reproduce hampi|mhl`: targets met and missed, then every row."""
 
 from __future__ import annotations

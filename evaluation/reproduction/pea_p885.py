@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A measured piezo stack: PI PICMA P-885.91 on a flexure stage (Aye & Ang, "A Discrete Backlash Operator …", ICSTSD 2018).
 
 Nested quasi-static loops at 1 Hz, 200 Hz sampling. Models are fitted on one full cycle of the first file and predict the

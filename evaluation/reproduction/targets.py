@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A target: one figure of a result against its bound; and the rows of a result, looked up by what they say."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Models for scripts and notebooks: identified from records, scored, drawn, inverted, and handed to other programs."""
 
 from __future__ import annotations

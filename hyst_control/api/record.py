@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records for scripts and notebooks: read from files or arrays, cut, drawn, and handed to pandas and xarray."""
 
 from __future__ import annotations

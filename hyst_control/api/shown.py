@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parts of every result: a summary in words, a table, drawings, and a look in notebooks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Dask clusters as executors: one that runs somewhere, or one on this computer for as long as the work takes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Location of the files of `config/`: in the source tree, or in the share folder of an installed package."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Opening files to write: a reader never meets half of one, and what is no plain file is written through.
 
 A plain file is written under a temporary name beside it and renamed. A device, a FIFO or a socket cannot be replaced without destroying

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One wrapper for readers of foreign formats: whatever they raise on damaged input ends in one line."""
 
 from __future__ import annotations

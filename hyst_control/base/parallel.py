@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Worker processes for computations, started here only.
 
 Workers compute serially inside, end with their parent, also when that

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Plugins: stages, effects, estimators, controllers and subcommands of other distributions, found through their entry points.
 
 A distribution names them in its metadata, under `hyst_control.stages`, `.effects`, `.estimators`, `.controllers` or `.commands`; the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal.
 
 The elapsed time moves while a step takes long: a timer's signal draws the line again every second. It is no thread, because the process

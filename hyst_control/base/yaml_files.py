@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reading YAML: the one loader for every text that comes from outside, with limits that no honest file meets.
 
 YAML lets a few hundred bytes stand for gigabytes (aliases of aliases), and a loader that follows the nesting with its own stack ends the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages and chains. Every module of this package and its sub-packages is imported, so that a new stage is one new file."""
 
 from importlib import import_module

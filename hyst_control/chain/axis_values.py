@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parameter values of stages: frozen and thawed, and spread over the axes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Cache of results: a fit builds hundreds of chains that differ in one number, and most of their parts are the same."""
 
 from __future__ import annotations

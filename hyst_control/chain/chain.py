@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Chains: stages in signal order, and stages in parallel.
 
 Starting a chain first *arranges* it, with three identities that change nothing in continuous time and make the sampled

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Features of a command, by which a model's error is predicted: level, rate, memory and lag, with scales that are fixed once.
 
 A model of a piezo actuator errs with the level, with the direction and the distance since the last reversal (its memory is not the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Uncertain numbers of a chain by name, as `uncertainty` of a model file lists them.
 
 A name is `stage.parameter`, with an index where the parameter is a list and the axis where there are several: `delay.tau (x)`,

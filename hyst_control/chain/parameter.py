@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Declarations of a stage's parameters: kind, unit, bounds, way of scattering, and one sentence each.
 
 A stage is a frozen dataclass whose fields say what they are:

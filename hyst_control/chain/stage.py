@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages: a frozen description with the model file's parameters, and the streaming filter it starts.
 
 Every signal between stages is known by one value per sample interval and axis, and by its *hold*:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The declared parameters of a stage as single numbers, by name and axis, and back."""
 
 from __future__ import annotations

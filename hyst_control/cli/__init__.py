@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Command line `hyst`: every module of this package is a subcommand, which only parses arguments and calls the library.
 
 Other distributions add theirs by the entry points `hyst_control.commands`, as `evaluation` does in a checkout.

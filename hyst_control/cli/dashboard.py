@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Show a running loop on a live page in the browser: signals, error, loop, gap, diagnostics, and buttons for enable, stop, reset, record.
 
 The page is served on this computer only, at the printed address, which holds a token: whoever has the address can stop the loop and

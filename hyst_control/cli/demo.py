@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Excite, record, identify and track a simulated actuator through five ROS 2 nodes; ends with Table 5 of the HAMPI paper.
 
 A last record has an effect in the actuator that the model does not know, and is diagnosed.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Locate the gap between a model and recorded bags, name the effect that causes it, and compute how far it shrinks with it.
 
 The bags need command and measurement; reference, feedforward and feedback are replayed if they were recorded. The first run for a

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Look whether this computer has what the nodes and the commands need, and say what to do where it has not.
 
 Checks Python and the packages, ROS, who can hear the nodes, messages on this computer, the clock, the real-time priority, the

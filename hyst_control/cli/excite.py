@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Build an excitation or a reference and write it as a table, an array, a bag, or a description for the reference generator.
 
 The signal is a kind (see --list) or a .yaml file with its description, followed by parameter=value.

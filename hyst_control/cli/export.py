@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Write a model or a controller as C, with a harness that holds it against Python; or a bag as a file of other tools.
 
 MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identify, validate or diagnose the records of many units, on all cores or on a Dask cluster, into one Parquet table.
 
 `population` makes one model file of a study of identifications: the fleet's coefficients with their usual scatter. `score` compares the

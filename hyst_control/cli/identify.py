@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identify a model from all records of bags with `command` and `measurement` together.
 
 examples:

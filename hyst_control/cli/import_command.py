@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Convert recordings of other tools to bags: text tables (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms, other bags.
 
 Without --columns the columns of the file are listed with a description of them that can be pasted. A bag of this package's signals needs

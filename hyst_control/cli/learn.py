@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learn the feedforward of a reference that repeats, from trial to trial, on a simulated plant or from bags of trials.
 
 With --feedback-error, gain and lag are learned from the feedback instead, as for any reference.

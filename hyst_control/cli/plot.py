@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Draw what a bag or a model holds: signals, loops, spectra or frequency responses, as a picture or a zoomable page.
 
 examples:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Record signal topics to a bag with the recorder node until Ctrl-C, for a time, or for a number of ticks.
 
 The bag is readable at any moment, even if the recorder is killed. Use `--schedule timer` for signals on the wall clock and `lockstep`

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Run a model file over a recorded command or an excitation, and write a bag with `command` and `measurement`.
 
 examples:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Tune the PI feedback from a model to given stability margins, and report the properties of the loop.
 
 examples:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Score a model on recorded bags that it was not fitted to: NRMSE, NME and RMSE, in total and by frequency and amplitude.
 
 example:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A model with its hysteresis replaced by a slope, and its sampled frequency response."""
 
 from __future__ import annotations

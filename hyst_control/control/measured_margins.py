@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stability margins of a loop as measured on a running plant: a multisine on the reference, the loop closed all the while."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Drawings of a model: beside a record, its frequency response, and the loop that a tuning gives it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The linear part of a model as one discrete state space, for other programs."""
 
 from __future__ import annotations

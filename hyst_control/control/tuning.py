@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it.
 
 The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1)): P exact for the held command, delays included, d further ticks where the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """State of a running loop as a page shows it: written by one thread, read by others."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page of a running loop: curves, the loop as it turns, the gap and its alarm, diagnostics, and the buttons."""
 
 from __future__ import annotations

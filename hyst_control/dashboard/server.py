@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Web server of a live page: on this machine's loopback address only, behind a token in the page's address."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The demo's figures, as SVG files and in its report: loops at several rates, tracking, errors."""
 
 from __future__ import annotations

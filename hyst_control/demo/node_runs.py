@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One run of the loop through the real nodes, each a process of its own, from a reference array to a recorded bag."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst demo`: excite, record, identify, track and diagnose, through five real nodes, and the HAMPI paper's Table 5 beside the result.
 
 The plant is a truth PEA that shares no code with the models. Open-loop runs stream blocks; the closed loop goes sample by sample.

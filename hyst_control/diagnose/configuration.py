@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Configuration of the diagnosis: every number that was tuned, by group, with its unit and its meaning.
 
 The values stand in `configuration.yaml`, whose comments are made from the meanings here. What is no matter of tuning stays where it is

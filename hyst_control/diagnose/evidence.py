@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Evidence of a diagnosis: numbers only, on which the policy decides.
 
 A further kind of evidence is a further number here, measured by code that decides nothing, and a further rule in the policy.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Verdicts of a diagnosis, their machine-readable reasons, and the decisions that carry both."""
 
 from __future__ import annotations

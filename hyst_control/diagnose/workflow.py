@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """From bags and a model file to the report, its page and the augmented model: what the command and the node call."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The catalogue of effects: every module of this package with an `EFFECT` is one. Importing it makes their stages known."""
 
 from importlib import import_module

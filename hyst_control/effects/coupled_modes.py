@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Further responses of coupled mechanics, from every input to every sensor, in modes that they share."""
 
 from __future__ import annotations

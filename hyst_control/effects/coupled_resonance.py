@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A further mode that all axes of a plant take part in: driven by every input, seen by every sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Motion of the other axis in the measurement."""
 
 from __future__ import annotations

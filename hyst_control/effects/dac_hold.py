@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A converter that holds, or that has few steps."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects as a simulator knows them: a stage, the place in the chain where it goes, and what its parameters usually are.
 
 One file in this package is one effect. It defines the effect's stage where the chain has none yet, and `EFFECT`.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A gain other than the model's, in amplifier, piezo or sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The rate part of the hysteresis: scaled, or added where there is none."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The width of the hysteresis: its memory part scaled, its single-valued mean curve kept."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learned residual: the part of a model's error that follows the command, added to its output."""
 
 from __future__ import annotations

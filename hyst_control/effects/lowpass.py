@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Low-passes of an amplifier or a sensor: equal first-order ones in a row, or one of second order with a damping of its own."""
 
 from __future__ import annotations

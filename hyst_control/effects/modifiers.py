@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parts that modifiers share: linear stages whose systems they change, and stages beside each other."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Places in a chain: its hysteresis, its mechanics, and the index at which an effect goes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The sensor's bandwidth, behind the mechanics."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A bent characteristic of the sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages that depend on the time since the start of the record."""
 
 from __future__ import annotations

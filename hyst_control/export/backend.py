@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exported C in the place of the Python filters: compiled where a node starts, the same bits in every row."""
 
 from __future__ import annotations

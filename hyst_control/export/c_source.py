@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """C99 source of a program: one header and one source file, from the C that its filters bring (`chain.c_code`).
 
 Everything is static and constant but what `NAME_init`, `NAME_settle`, `NAME_step` and `NAME_block` are given: no heap, no recursion,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Foreign text in C: as a name, or within a comment. Names of models, axes and files may be anything, and no sign of them becomes code."""
 
 from __future__ import annotations

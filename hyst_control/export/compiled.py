@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A program compiled on this machine into a shared library and called from Python: the exported C itself, cached by its hash."""
 
 from __future__ import annotations

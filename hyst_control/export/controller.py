@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A whole controller: feedforward, learned rows, PI feedback, and what the feedback node does about faults; in Python and as C.
 
 Every tick takes the newest reference and measurement. A row that is not finite is left out: the one before stands for it, and after

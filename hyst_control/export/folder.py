@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The exported folder: header and source, golden vectors made by Python, a test program, and a Makefile that runs it."""
 
 from __future__ import annotations

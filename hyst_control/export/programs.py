@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Programs to be exported: of a model its simulator, a feedforward, its twin or its stated error; of nodes' parameters the controller."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Error that a model states of itself (`discrepancy` in its file), tick by tick: the mean and the standard deviation, in Python and as C.
 
 The features of `chain.command_features` are those of the past but one: the rate is a difference about its tick and needs the command a

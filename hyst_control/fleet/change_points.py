@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Changes in a fleet: which unit's quantity shifted, in which night, or drifts, with the number of false claims under control.
 
 A quantity x of a unit over T nights is its level, a random walk, white noise and, perhaps, a shift from one night on or a steady trend:

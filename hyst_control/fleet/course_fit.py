@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A quantity of one unit over nights, and what a shape added to it explains: generalized least squares under noise and a random walk.
 
     x = mu + walk + noise + delta c(t),   cov(walk + noise) = sigma^2 I + q^2 min(s, t)

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Influence of a covariate such as temperature on a quantity of every unit, taken out before changes are looked for.
 
 Successive nights of a unit are compared: levels, shifts and slow drifts leave their differences nearly untouched. The fleet's slope is

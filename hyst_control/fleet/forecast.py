@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Forecast of the time at which a drifting quantity reaches its limit, with the interval that slope and random walk leave open."""
 
 from __future__ import annotations

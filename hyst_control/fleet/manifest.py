@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Manifests: lists of a fleet's records, one row a record, from a CSV or Parquet file or from the names of bags.
 
 Columns: `bag` (path, relative to the manifest's folder), `unit` (which actuator), `time` (a number, such as a night's, or a date and

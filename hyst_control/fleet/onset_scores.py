@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Scores of a study of a simulated fleet: which changes were found, against the fleet's labels."""
 
 from __future__ import annotations

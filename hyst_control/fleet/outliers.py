@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Outlying units: those whose quantities, taken together, do not fit to the fleet's scatter."""
 
 from __future__ import annotations

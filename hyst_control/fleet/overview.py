@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A fleet seen as a whole: changes, drifts, common causes, outlying units, and how verdicts run over units and nights; as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page of a fleet: verdicts, changes, drifts, common causes and outlying units; a click leads to a record's own page."""
 
 from __future__ import annotations

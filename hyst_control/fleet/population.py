@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Usual coefficients of a fleet: their center and scatter over its units, and those of one unit as far as all of them tell.
 
 The coefficients of a unit, identified in several nights, are taken for its level, which differs from unit to unit and walks from night

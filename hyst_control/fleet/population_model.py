@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A model file whose coefficients are a fleet's, from the models of its healthy units: `hyst diagnose` then knows what is usual."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Computation of one record of a fleet: a row of results from a bag, its model and its clean records, without anything else."""
 
 from __future__ import annotations

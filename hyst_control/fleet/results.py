@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A study's results: Parquet files with one row a record, which pandas, polars and DuckDB read as they are.
 
 Rows are appended in parts while a study runs, each part written under a temporary name and renamed, so that nothing that was computed

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of many axes as records of one axis each, so that a mirror of 5,000 actuators is a fleet of 5,000 units."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Studies: every record of a manifest identified, validated or diagnosed, on as many workers as there are, and taken up again.
 
 What a record's result depends on is in its mark (`record_jobs.mark`): a record whose mark is in the results already is not computed

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages on real converters: a base class of which a node for any hardware is made, and three complete nodes (docs/hardware.md)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Thread in which a device's driver runs: its calls go there one after another, and one that hangs keeps nothing else waiting."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stage on converters of Linux' Industrial I/O (IIO): any DAC and ADC that has a kernel driver, through its files in sysfs.
 
 The kernel gives raw counts, and for each channel an offset and a scale: millivolts = (raw + offset) * scale. The amplifier between DAC

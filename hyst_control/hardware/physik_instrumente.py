@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stage on a controller of Physik Instrumente (PI) over TCP/IP, through PI's own package `pipython` and its General Command Set (GCS).
 
 The controller's servo is switched off: the loop is closed here. `SVA` sets an axis' piezo voltage, `POS?` reads its sensor. One tick

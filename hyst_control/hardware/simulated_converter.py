@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stage on a simulated converter: a model file in real time, rounded to the steps of its converters, for trying a bench out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Base class of nodes that drive a stage: reads the sensor and writes the command at every tick, and keeps what safety asks for."""
 
 from __future__ import annotations

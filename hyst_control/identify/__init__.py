@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification: models from records. `identify` is the one entry the command line, the node and scripts use."""
 
 from __future__ import annotations

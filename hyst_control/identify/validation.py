@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Errors of models on records: the same table for one model or several, as a whole and by frequency and amplitude."""
 
 from __future__ import annotations

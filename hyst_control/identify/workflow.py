@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification from bags to a model file and a fit report, as used by the command line, the identification node and scripts."""
 
 from __future__ import annotations

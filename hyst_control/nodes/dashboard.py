@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Dashboard node: what a live page shows of the loop, and the requests of its buttons; `hyst dashboard` runs it beside the web server."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis node: runs the model beside the system, raises an alarm for the gap, and starts the full diagnosis on request."""
 
 from __future__ import annotations

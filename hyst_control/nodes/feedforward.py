@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Base of the feedforward nodes: reference rows in, compensator rows out, each labeled with its own tick."""
 
 from __future__ import annotations

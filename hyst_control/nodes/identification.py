@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification node: fits a model to recorded bags, on request or once."""
 
 from __future__ import annotations

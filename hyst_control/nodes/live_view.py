@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Live view node: the loop's signals, decimated for a page that shows them while it runs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Feedback node: adds PI feedback to the feedforward and keeps the command within its limits."""
 
 from __future__ import annotations

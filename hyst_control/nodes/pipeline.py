@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pipeline: the nodes of the loop composed in one process on one executor, which hand messages directly to each other."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Recorder node: writes the signal topics to a rosbag2 MCAP bag that stays readable at any moment, even if the node is killed."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference generator node: streams a signal of `records.excitation`, or an array from a file, at the pace of the plant."""
 
 from __future__ import annotations

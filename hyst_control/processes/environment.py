@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Environment variables that rclpy needs before it is initialized; those set by the user are kept."""
 
 from __future__ import annotations

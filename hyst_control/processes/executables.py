@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Executables: `executables:NAME` is the function that runs the node NAME of `NODES`, `executables:hyst` the command line.
 
 Loading takes a second or more, in which a Ctrl-C would print a traceback of whatever is being loaded. Until node or command listens for

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Checks of a computer on which loops are to run in real time, with what to do where it is not enough."""
 
 from __future__ import annotations

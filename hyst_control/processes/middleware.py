@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Differences between the middlewares below ROS 2, chosen by RMW_IMPLEMENTATION; docs/middleware.md says what was tried."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """List of all nodes: executables, modules and classes.
 
 Data only and without imports of this package, so that `setup.py` can run it before anything is installed.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Starting and ending of nodes as processes, without ROS in the calling process."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Real-time priority and processor core of the process."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """ROS domain of a run, because runs side by side on one machine must not receive each other's messages."""
 
 from __future__ import annotations

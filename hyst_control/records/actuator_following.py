@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ticks at which an actuator does not follow its command, by what the plant says on `applied` meanwhile.
 
 A stage that starts, or comes back from a fault, approaches its command at a safe rate. What is measured until it is met is no answer to

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Averaged spectra of a record, and what they tell of every axis: explained power, phase lag and frequency response."""
 
 from __future__ import annotations

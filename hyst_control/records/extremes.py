@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Min/max decimation of a table: every row that is kept is one of the record, and no peak of any column is lost."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Step of the lattice that a signal's values lie on, and the weight of a rounded sample."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records: signals with units and sample times, aligned on the control clock."""
 
 from __future__ import annotations

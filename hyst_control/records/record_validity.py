@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Checks of records before anything is fitted to them: is this a measurement of that command, and are these records of one plant.
 
 A fit to a shuffled command, to a sensor that was not plugged in, or to the records of two plants ends without an error and means nothing.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Period of a command that repeats, and what a record differs by from period to period."""
 
 from __future__ import annotations

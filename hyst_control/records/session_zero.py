@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Zero of a session: what differs between records of one machine that nothing was done to.
 
 The sensor's zero and the piezo's remanence differ from session to session, and creep goes on through each; a straight line and a

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Artifacts of a command: its files with their sizes and hashes, and facts on their content, as JSON and as lines."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bode plots: magnitude, phase and coherence of measured and of computed frequency responses."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One self-contained HTML page: a verdict first, where it comes from, then figures and tables; no network needed.
 
 Figures are stored as data and drawn by the page itself, in its light or dark colors. The plotting library is stored compressed, which

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Provenance of a page or file: version, date, command, and the files it was made from."""
 
 from __future__ import annotations

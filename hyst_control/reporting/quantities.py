@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Quantities for people: a few digits, a prefix where the unit takes one, shares in per cent."""
 
 from __future__ import annotations

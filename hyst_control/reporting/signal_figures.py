@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Drawings of recorded signals: over time, one over another, and as spectra; as a picture or as a zoomable page.
 
 A drawing is described once, as `Panel`s of `Line`s, and drawn by matplotlib for pictures or by Plotly for pages.

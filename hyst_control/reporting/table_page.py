@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A result table in a report page and as Markdown: every row with the published value beside it."""
 
 from __future__ import annotations

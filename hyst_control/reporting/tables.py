@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Result tables: the one JSON form of every command that prints figures, and the same rows as aligned text."""
 
 from __future__ import annotations

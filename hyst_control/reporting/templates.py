@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pages and drawings from templates, so that Python code has no markup.
 
 A template lies in the folder `templates` of its room: `reporting/templates/page.html`; those of `evaluation` are found likewise. In

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference simulations, by which simulators are judged; they import nothing of the package under test and share no code with it."""
 
 from hyst_plant_sim.physics.effects import EFFECTS

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A stage whose hysteresis lies inside the feedback of its mechanics, with creep by a power law: for scoring alone.
 
 Oscillator of unit stiffness with a Bouc-Wen force h that the displacement y itself makes, driven by both signs of the voltage u,

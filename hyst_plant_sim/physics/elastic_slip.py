@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """An ensemble of elastic-slip elements on an elastic slope: the rate-independent hysteresis of a piezo stack.
 
 Element i follows the voltage with a slack of half-width r_i and adds w_i times its position; r_i fill (0, slip_range] evenly,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exact steps of linear parts whose input is held, or runs straight from one value to another."""
 
 from __future__ import annotations

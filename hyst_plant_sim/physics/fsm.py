@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The truth FSM: a fast steering mirror of two axes, each tilted by a push-pull pair of stacks (MHL paper §4).
 
 The path of each axis, stepped at 500 kHz or finer:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The mechanics of a plant: a linear system, and its possible faults (mass, spring, friction, a moving mode).
 
 A plant gives its mechanics as a function `system(mass_ratio, frequency_ratio)`: the main mode with its mass times

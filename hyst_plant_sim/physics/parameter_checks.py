@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Checks of physical parameters that every plant shares."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parts of every plant: exact linear dynamics, delay, clipping, white noise."""
 
 from __future__ import annotations

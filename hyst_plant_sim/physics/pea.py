@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The truth PEA: amplifier, polarization with hysteresis and drag, flexure mechanics, capacitive sensor.
 
 The path of a command, each part in continuous time, stepped at 400 kHz or finer:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Running plants from a plant file, a name in config/plants, or a case."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reading a plant's YAML text, with limits: a text of a few hundred bytes can stand for gigabytes, or nest until the process ends."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The published MHL model (fast steering mirror, two axes) as a plant, independent of the simulator's code.
 
 Delay, Madelung hysteresis between the published major branches (MHL paper Eq. 2, Table 1), rate part

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The published HAMPI model as a plant, independent of the simulator's code, with which the simulator's chain is compared.
 
 Play operators in the form of HAMPI paper Eq. 3, dynamic weights of Eq. 4-6, the dynamics G(s) of Eq. 7 with the slow

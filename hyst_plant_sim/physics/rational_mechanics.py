@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A published transfer function as mechanics: its only pair of complex poles is the main mode, which may be altered."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signal path of a plant from the command to the measurement, place by place, and the plant that runs it.
 
 A part is one axis' element at one place: `settle(value)` brings it to rest at a constant input and returns its first output,

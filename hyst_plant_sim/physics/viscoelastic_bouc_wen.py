@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A third physics that no simulator of this project matches: Bouc-Wen hysteresis and a viscoelastic ladder.
 
 The path of a command, stepped at 200 kHz or finer: amplifier (second order); free stroke Y = d u - z with

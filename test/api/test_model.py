@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Models of the front door: scores computed by hand, an inverse for every model, a linear system, and a record that is none."""
 
 from __future__ import annotations

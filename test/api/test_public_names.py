@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`import hyst_control as hc`: which names there are, and that the example of each runs, as do the lines on the page of the API."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of the front door: cut without losing a sample, in and out of arrays, tables and frames, and shown."""
 
 from __future__ import annotations

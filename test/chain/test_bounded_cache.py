@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Results that are kept must be those of the same arguments, whatever comes in between."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Numbers in which a chain's uncertainty is stated: names, values there and back, and stability however they scatter."""
 
 from __future__ import annotations

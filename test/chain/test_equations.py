@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Equations of the stages: of parameters that they declare, and drawn by a browser without help from outside."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Properties that every registered stage has: blocks do not matter, and rest is rest."""
 
 from __future__ import annotations

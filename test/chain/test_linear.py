@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear stages and delays against brute force: scipy on a fine grid, and the identities of an arranged chain."""
 
 from __future__ import annotations

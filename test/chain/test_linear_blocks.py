@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Long blocks give what the same rows give one by one."""
 
 import numpy as np

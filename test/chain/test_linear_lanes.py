@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear systems side by side against their own difference equation, row by row."""
 
 import warnings

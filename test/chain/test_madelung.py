@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Madelung hysteresis: the rules, the published curves (MHL paper Table 1), the inverse, and what is refused."""
 
 from __future__ import annotations

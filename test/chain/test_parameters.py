@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Declared parameters: every stage's declarations hold together, and the split by axis is the whole, axis by axis."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Play operators and Prandtl-Ishlinskii models against the equations written out, and closed forms."""
 
 from __future__ import annotations

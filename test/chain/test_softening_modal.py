@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Modes that soften with amplitude: against the linear chain where they do not, against what softening means where they do."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The script that keeps copyright and license in every source file."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The scripts of the supply chain: hashes in requirement files, and constraints without them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`--json` and the help, the same for every subcommand; what the documents hold is held against the files themselves."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst excite` and `hyst simulate`: what they write, and that bad input costs one line and leaves nothing."""
 
 from __future__ import annotations

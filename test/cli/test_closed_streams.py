@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A command whose standard streams were closed by what started it ends as it does with them."""
 
 from __future__ import annotations

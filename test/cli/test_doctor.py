@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst doctor`, `hyst --version` and `hyst` alone."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst export BAG --to …`: what other tools read back, and what is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ctrl-C at any time of a command, also while it is still being loaded: one line or none, never a traceback."""
 
 from __future__ import annotations

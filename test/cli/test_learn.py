@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst learn`: trials that are run here, and trials from bags, give the same."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Commands on every measured record: each ends as it should, and no warning of numpy reaches the terminal.
 
 The suite's warnings are errors (`pyproject.toml`).

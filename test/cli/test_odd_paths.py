@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Paths that are none: a link to itself, a file in place of a folder. One line, status 2, nothing written."""
 
 from __future__ import annotations

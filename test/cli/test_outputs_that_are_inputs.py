@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """An output that is an input is refused before anything is read, whatever command and argument name it."""
 
 from __future__ import annotations

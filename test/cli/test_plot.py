@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst plot`: what is drawn, and how it is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every shipped model through the commands that take one: each works, or is refused in one line that says why."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Feedback-error learning: what it converges to in closed form, that it stands still at rest, and that its bounds hold."""
 
 from __future__ import annotations

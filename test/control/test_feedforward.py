@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Feedforward compensators on the models they are built from, against closed forms and the papers' figures."""
 
 from dataclasses import replace

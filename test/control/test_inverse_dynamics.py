@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Approximate inverses of linear dynamics against the HAMPI paper's equations and their defining properties."""
 
 import numpy as np

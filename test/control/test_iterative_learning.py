@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning from trial to trial: convergence on truth plants, the stops, and one result however the rows are cut."""
 
 from __future__ import annotations

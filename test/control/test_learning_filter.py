@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The learning filter: what a trial leaves of an error, in theory and in the loop, and where the filter ends."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Gains, limits and signals that change while the loop runs: the step of the command at the change, against a closed form."""
 
 from __future__ import annotations

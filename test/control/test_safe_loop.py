@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The fault state machine and the watchdog of the actuator, driven with anything: what comes out is finite, bounded and smooth."""
 
 from __future__ import annotations

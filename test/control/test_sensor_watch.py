@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Watch over a sensor: samples that are counted by hand, loops that are well, and loops whose sensor dies or turns."""
 
 from __future__ import annotations

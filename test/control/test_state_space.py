@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A model's linear part as one state space: it does what the streaming filters do, delays, coupling and branches included."""
 
 from __future__ import annotations

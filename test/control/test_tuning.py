@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Tuning against closed-form loops, simulated responses, and the nonlinear models with their spread."""
 
 import time

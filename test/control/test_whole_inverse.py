@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The whole-model inverse over a known reference: it must beat every streaming compensator on the model it inverts."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """State of a loop that a page shows: readers get every row once, and a loop that was started anew begins a new table."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A page of a loop that exists only here: its status and events come from the diagnostics, and nothing is wider than a telephone."""
 
 from __future__ import annotations

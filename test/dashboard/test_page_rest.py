@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A page leaves the loop's cores to the loop: after a drawing it rests for some times as long as the drawing took."""
 
 from __future__ import annotations

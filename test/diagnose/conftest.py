@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of truth plants, which share no code with the models, and their diagnoses: each made once for all tests."""
 
 from __future__ import annotations

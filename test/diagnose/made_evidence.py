@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Evidence made up for tests of the policy: a plain record, and what one row of the table changes in it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the policy's table: each states a rule, evidence, and the decision that is expected."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rules of the policy on what was fitted: effects, coefficients, a session's zero, changes of an effect, and what is left."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rules of the policy on what no fit tells: held samples, lattices, noise beyond what is stated, single samples that stand out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A load heavier than the stage itself: scipy's oscillator of more mass against a model of the empty stage."""
 
 from __future__ import annotations

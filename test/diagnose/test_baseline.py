@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Clean records beside the new one, on a machine that the model is not: other hysteresis, creep, a mode of another frequency."""
 
 from __future__ import annotations

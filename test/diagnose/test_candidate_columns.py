@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The columns of effects that only add to the output, against difference quotients of what they add."""
 
 from __future__ import annotations

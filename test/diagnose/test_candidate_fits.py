@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fits of single effects end at their minimum: records of truth plants, which share no code with the models."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Steps of a rounded command, read from what a record has beyond the model, against the step that rounded it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Commands that are rougher in the record than the plant received, against a plant of relays and a recursion of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The configuration of the diagnosis: one file, typed, with the unit and the meaning of every value."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A mode that a model of coupled axes lacks: every input drives it, every sensor sees it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A diagnosis knows a parameter by its stage's declaration: two stages may have one name for different things."""
 
 from __future__ import annotations

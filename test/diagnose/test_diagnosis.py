@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What a diagnosis says of truth plants whose gap is known."""
 
 from __future__ import annotations

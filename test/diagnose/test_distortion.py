@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Distortion tests: an effect whose size would have to change with something else."""
 
 from __future__ import annotations

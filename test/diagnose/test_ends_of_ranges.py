@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A size at the end of the catalogue's range is not known, whichever of an effect's sizes it is."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Sines that fade away, a usual command of bipolar stages: what an effect does to them is no line of its own."""
 
 from __future__ import annotations

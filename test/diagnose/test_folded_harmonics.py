@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The mains' harmonics on a record whose sampling folds them onto the mains themselves: sums of sines with added noise."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What is foreseen on a command that was not played yet, against the record of it that is then made."""
 
 from __future__ import annotations

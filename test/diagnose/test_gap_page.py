@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page for people: what is on it, that it needs no network, and that a browser draws it as a reader wants it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Initial memory of a session: a machine that comes from elsewhere differs until the command has met both its extremes."""
 
 from __future__ import annotations

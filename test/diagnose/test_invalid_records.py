@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis of records that are no measurement of their command: verdict unknown, the reason named, nothing fitted."""
 
 import json

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One value for an effect that several axes have, from each axis' own and its interval."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pairs of effects found side by side, the tails of a size's prior, and what effects make of the model's own error."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Simulations that go on from what is known equal those from the beginning."""
 
 import pickle

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fits beside linear coefficients, against scipy's, and how they lead to those of the chain as it is."""
 
 from __future__ import annotations

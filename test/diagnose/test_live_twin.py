@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The live twin and its alarm: thresholds against exact and simulated quantiles, the rate of false alarms against its promise."""
 
 from __future__ import annotations

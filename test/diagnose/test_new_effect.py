@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The documentation's new effect, taken from its page and put into the catalogue: one file is all that it takes."""
 
 from __future__ import annotations

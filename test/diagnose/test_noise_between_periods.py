@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Noise of a periodic record: what its periods differ by, whatever the model leaves."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The null's threshold is kept under a key that has all that it depends on, and no more."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parts of the diagnosis against closed forms: shrink, scattered coefficients, replay."""
 
 from __future__ import annotations

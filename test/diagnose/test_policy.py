@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The policy as a table: numbers in, verdict and reasons out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A drift beside an effect that would have to change with time without it."""
 
 from __future__ import annotations

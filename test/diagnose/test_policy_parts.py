@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parts of the policy by themselves: the verdict of several axes, what is detected before a fit, practical size and strain."""
 
 from __future__ import annotations

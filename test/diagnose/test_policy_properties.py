@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The policy on any numbers: what a decision is consistent with, and what it does not depend on."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A vibration whose phase wanders, against noise of known variance, top and width, and against what is no vibration."""
 
 from __future__ import annotations

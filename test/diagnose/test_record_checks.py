@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Checks without a fit, each beside what it must not take for its finding."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Input that cannot be diagnosed ends with one line and exit status 2, and nothing is written."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A mode that the model lacks is in the clean records too, so it is not named as a change."""
 
 from __future__ import annotations

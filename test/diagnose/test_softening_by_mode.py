@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A model of coupled axes beside a record of a greater amplitude, at which every mode has moved by another share."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Lines of a residual that are a vibration, and those that are not."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Converters that round down, of few steps or many, on plants whose coefficients are off within their tolerance."""
 
 from __future__ import annotations

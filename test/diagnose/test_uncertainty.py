@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The diagnosis draws its coefficients from `uncertainty` of the model file, where it has one."""
 
 from __future__ import annotations

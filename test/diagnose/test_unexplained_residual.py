@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What an explanation's own effects leave by nature is no sign of another effect."""
 
 from __future__ import annotations

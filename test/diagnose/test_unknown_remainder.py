@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Remainder of a gap that no known effect explains: its share that follows the command, where, and the stage that adds it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects that make the gap larger as given: the coefficients make up for them, and they are no explanation."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What an effect changes in a simulation is what it changes in a truth plant, which shares no code with it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What every effect of the catalogue promises: nothing where it is absent, its place in any chain, and a model file that holds it."""
 
 from __future__ import annotations

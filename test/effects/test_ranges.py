@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ranges of the catalogue's effects: as large as physics allows, on a record of any size."""
 
 from __future__ import annotations

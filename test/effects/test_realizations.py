@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Realizations of the catalogue's effects: place, phase, rounding, law and shape, each against a closed form or another implementation."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Modes that soften with amplitude: against a mode of another frequency at steady amplitude, on a measured mirror, and backwards."""
 
 from pathlib import Path

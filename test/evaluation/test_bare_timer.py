@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ticks that a bare loop misses, with a clock whose halts are known."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Duhem hysteresis on the plant `third`, whose truth is integrated by another program: loops that no play operator closes."""
 
 from __future__ import annotations

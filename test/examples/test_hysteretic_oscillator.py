@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Oscillators with a hysteretic force: against another integration of the equations, closed forms, and each other."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Compilers and a cache of their own for the tests of the exported C."""
 
 from __future__ import annotations

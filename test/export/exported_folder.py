@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Export a folder and run its harness, as the tests of several files do."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Branch coverage of the exported controller by gcov: both outcomes of every condition, those joined by && and || each for itself."""
 
 from __future__ import annotations

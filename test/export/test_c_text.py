@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Foreign text in exported folders: names of models, axes, units and files, of which nothing may become code of C, make or a shell."""
 
 from __future__ import annotations

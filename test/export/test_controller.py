@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The exported controller: to the bit what the nodes' own parts do tick by tick, over faults, limits, learned rows and preview."""
 
 from __future__ import annotations

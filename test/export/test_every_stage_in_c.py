@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every registered stage in C, compiled here: the same bits as in Python in double, within 1e-5 of the range in float."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exported folders: every published model and every compensator of both papers compiles without a warning and equals Python."""
 
 from __future__ import annotations

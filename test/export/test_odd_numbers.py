@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The exported C given numbers that nobody should send: NaN, infinities, denormals and absurd magnitudes, alone and among sound ones."""
 
 from __future__ import annotations

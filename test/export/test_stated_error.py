@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The error that a model states of itself in C: that of `identify.learned_discrepancy`, late by what its rate needs."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Onsets and outliers in fleets drawn by numpy from known laws: what is named is right, and how often it is not is as stated."""
 
 from __future__ import annotations

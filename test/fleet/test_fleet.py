@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Manifests and studies of many records, with real bags; the results are read by pyarrow alone."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A study on Dask of which a worker and then the scheduler are killed: every record is there, as one process computes it."""
 
 from __future__ import annotations

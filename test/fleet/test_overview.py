@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of a fleet's diagnoses, drawn from a known law: what the page and the document say of them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Center and scatter of a fleet: recovered from drawn fleets whose scatter is known, and used by a diagnosis."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Screening of records before a diagnosis: the same verdict and the same gap, to rounding, as the whole diagnosis gives."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A small simulated fleet: the same for the same seed, effects from their night on only, and scores against hand-made studies."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A record of many axes as a fleet: every axis gives what a record of it alone gives."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Drifts, forecasts, covariates and common causes in fleets drawn by numpy from known laws."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`make fuzz`: many random inputs to everything that reads files or messages. An argument says how many (default 100000).
 
 A part of them is guided: of what came in, that is changed further which reached lines of the package that others did not reach.

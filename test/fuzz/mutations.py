@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`make mutate`: mutation tests of the checks at every entry.
 
 Does a test notice when a check is missing?

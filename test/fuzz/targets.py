@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fuzzed inputs: model files, bags and messages that are nearly right. Whatever comes in, it is read or refused in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The mutation tester itself: which checks it finds, and that a mutant is what runs."""
 
 from __future__ import annotations

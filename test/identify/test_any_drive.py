@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Any drive, any beginning, any zero: what every family promises on records as laboratories have them (`benchmarks.round_trips`)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Chains run side by side against each chain by itself."""
 
 import numpy as np

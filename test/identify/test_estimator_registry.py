@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One file is one new family: what `register` asks of it, and where it then appears."""
 
 from __future__ import annotations

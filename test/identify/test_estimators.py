@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Promises of every estimator, held by each of them alike: a family that is added needs an example here, and no test of its own for these.
 
 Truth is a chain of the family's own stages; only the noise and the records' commands are not the estimator's.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A fit is held against a constant and a gain; one that explains less says so, and writes no model unless it is told to."""
 
 import json

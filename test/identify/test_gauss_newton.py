@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The one iteration of every fit: which steps it keeps, when it ends, and that a search that shortens its steps needs no other."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of the Prandtl-Ishlinskii family, against parameters that are known and records that are measured."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Hold of a record that states none, and the sensor's offset as a stage of a model of play operators."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst identify` and `identify_bags`: options come from the families, as texts or values, and none is dropped without a word."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification refuses records that are no measurement of their command, by name and before it fits; --force fits them all the same."""
 
 import numpy as np

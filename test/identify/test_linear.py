@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The family "linear": known systems, simulated by scipy's own discretisation, are found again from any excitation."""
 
 import json

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Frequency responses against the system's own, and their variances against the scatter of repeated experiments."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear plants from records in time: the plants are simulated by scipy, the fits are held against their true poles, gain and noise."""
 
 from __future__ import annotations

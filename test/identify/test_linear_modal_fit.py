@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The fit's own formulas against the chain's discretisation and against finite differences."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Long records: what is found block by block is what the whole has, in the memory of some blocks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of the MHL model on records of the published one, with noise."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Choice between families: slow ones are tried only where the usual ones do badly, and win only by their held-out error."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of two plants of one gain are told apart by what is left between their common model and each of them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The search that fits chains to records: its steps, its constraints, and what it must never do."""
 
 from __future__ import annotations

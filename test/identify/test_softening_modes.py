@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A softening oscillator, integrated finely, at three levels: one model for all of them, tested on unseen excitation."""
 
 import numpy as np

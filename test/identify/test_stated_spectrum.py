@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Spectrum of the own error in a model file: the power of known lines and noise, and what a reader makes of it on another record."""
 
 from __future__ import annotations

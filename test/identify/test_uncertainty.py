@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainty of identified models: standard errors against closed forms, its size, its names, and how often intervals hold the truth."""
 
 from __future__ import annotations

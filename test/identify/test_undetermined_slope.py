@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A slope that a record hardly shows stays near the mean slope, however much a machine of another kind leaves over."""
 
 import numpy as np

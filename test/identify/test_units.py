@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Units: a model is in those of its records, whatever they are, and tells its parameters in them."""
 
 import json

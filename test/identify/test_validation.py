@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Errors by frequency and amplitude, from motions that are given."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The search for G's parameters, and what a record's drift may be."""
 
 import numpy as np

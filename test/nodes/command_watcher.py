@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """An independent watcher of `command`: plain rclpy and nothing of the package, in a thread of its own."""
 
 from __future__ import annotations

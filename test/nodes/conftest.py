@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A bench of nodes for every test here that asks for it."""
 
 from __future__ import annotations

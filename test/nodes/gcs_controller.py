@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A small controller that speaks the General Command Set over TCP: two axes of 0.1 um/V, the servo, and an error memory."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What the tests of the nodes share: the five nodes with a real model, and reading what was recorded."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A bench for the tests of nodes: nodes under test on one executor, and a node that talks to them and hears them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Composed nodes on a thread of the test's process, beside nodes that are processes: less is to be started."""
 
 from __future__ import annotations

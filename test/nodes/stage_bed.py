@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A stage that remembers what was written, and a source of commands for it, for the tests of nodes on hardware."""
 
 from __future__ import annotations

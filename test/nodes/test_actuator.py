@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The actuator's side of a command, driven with anything: what is to be written is finite, in range, and follows on what was written."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nothing that waits grows without end: rows nobody can use, two loops on one domain, a long run."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`backend: c`: feedforward and feedback run the exported C, and a run equals the offline computation bit for bit."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The command, whatever happens: an independent watcher sees every row, on the wall clock and in lockstep, to the last one."""
 
 from __future__ import annotations

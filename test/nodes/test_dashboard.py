@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst dashboard` beside a real loop, in a real browser: curves move, buttons act on the nodes, and nobody gets in without the token."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The diagnosis node beside a closed loop: silent while the plant is the model within its tolerance, and not once it is not."""
 
 from __future__ import annotations

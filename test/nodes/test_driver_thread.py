@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The thread of a driver: order, deadlines, exceptions, and its end."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Where messages of others enter a node: what each receiver refuses, counts and goes on from, message by message."""
 
 from __future__ import annotations

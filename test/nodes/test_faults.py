@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What the nodes refuse, and what the command does then: messages are sent to one node and its answers read."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes of real stages: what reaches the device, what its failures lead to, managed states, and the three examples on small stand-ins."""
 
 from __future__ import annotations

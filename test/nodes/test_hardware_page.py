@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page on hardware: its files as they stand, run by its commands, and the model that comes of it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The identification node: what it writes equals what the same function writes without ROS; failures come back as reasons."""
 
 from __future__ import annotations

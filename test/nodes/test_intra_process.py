@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes in one process hand messages over to each other; from when somebody outside listens, the middleware carries them, in order."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Who is discovered in the middle of a burst of rows hears the later ones only: it waits until all are sent again."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The layouts for PlotJuggler and Foxglove, on a bag that the nodes recorded and `hyst export` rewrote: every curve has its points."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning in the nodes, in lockstep: what is recorded equals the offline computation to the last bit."""
 
 from __future__ import annotations

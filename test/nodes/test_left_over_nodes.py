@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A node whose constructor refuses is gone at the end of its test."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The live view: peaks of signals, values of one tick side by side, and a loop without a reference."""
 
 from __future__ import annotations

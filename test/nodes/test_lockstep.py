@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Lockstep: composed in one process or as five processes, what is recorded equals the offline computation bit for bit."""
 
 from __future__ import annotations

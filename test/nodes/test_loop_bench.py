@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst bench`: the rows it promises, figures that are possible, and histograms that tell quantiles rightly."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Lockstep heals what the middleware loses: whichever message does not reach whichever node, the record is the offline computation."""
 
 from __future__ import annotations

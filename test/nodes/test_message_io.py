@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Sending and receiving, with a middleware that is made up: one that takes no bytes, and messages that are none."""
 
 from __future__ import annotations

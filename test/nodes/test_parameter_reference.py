@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The reference of the nodes' parameters: unit, range and default of every parameter that a node declares."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parameters: every one is described, and the shipped files hold only such as their nodes declare, within their ranges."""
 
 from __future__ import annotations

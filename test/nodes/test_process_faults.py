@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Faults of processes and of the disk, with real processes; and devices side by side, each in its namespace."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """`hyst record` beside running nodes: what it stores is what they sent."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Runs side by side never share a ROS domain, also when one was killed and left its nodes behind."""
 
 import subprocess

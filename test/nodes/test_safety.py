@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every fault of the loop: it shows in the diagnostics, takes the command to its safe value, and the way back has no jump."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Who may hear and command: the line at the start, the SROS 2 policy, and an enclave that the middleware cannot keep."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every shipped parameter file that drives a loop, run as it stands: the actuator is moved smoothly from rest to rest."""
 
 from __future__ import annotations

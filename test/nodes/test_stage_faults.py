@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What the failures of a stage's device lead to: what was written last before it is disconnected, and what goes on meanwhile."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Imports of a node before it can tick: every second of them is waited for at each start, and in a restart after a fault."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The wall clock's ticks, with the clock given by hand: missed and early calls, a clock set back, ticks that take too long."""
 
 from __future__ import annotations

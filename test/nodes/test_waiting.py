@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A node that waits in lockstep says in its diagnostics for which tick of which signal, and since when."""
 
 from __future__ import annotations

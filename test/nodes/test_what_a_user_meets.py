@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes as a ROS user meets them: parameters that are refused, changed and described, states in the log, arguments of the executables."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The Bouc-Wen stage against scipy's integration of its equations, and what makes it a stage with memory."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the truth plants: absent they change no bit, they grow with their severity, act where and from when they are told."""
 
 from __future__ import annotations

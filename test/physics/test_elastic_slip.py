@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The ensemble of slip elements against one play operator per element, written down as it is defined."""
 
 from __future__ import annotations

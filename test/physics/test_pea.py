@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The truth PEA against the paper's figures and itself stepped more finely; what is wrong with a plant file."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What holds for every truth plant: cutting, seeds, dissipation, memory; and the published ones against records and the chain."""
 
 from __future__ import annotations

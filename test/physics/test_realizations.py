@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Realizations of the plants' effects, each against a closed form: place, phase, rounding, law and direction."""
 
 from __future__ import annotations

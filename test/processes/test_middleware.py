@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What is set for each middleware, and what a user is told about one."""
 
 from __future__ import annotations

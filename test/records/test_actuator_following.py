@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows at which an actuator does not follow its command: left out of what is identified and diagnosed, kept in the bag."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signals from any topic and field of a bag, against the numbers that were written by another library."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bags as other readers see them: finished ones in rosbags, unfinished ones in the mcap package."""
 
 from __future__ import annotations

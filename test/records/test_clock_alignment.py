@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Topics with times of different clocks: put on one by their reception, and told; those of one clock are left as they are."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Arrays within structures, rows of matrices, and the containers of other programs, against what was written into them."""
 
 import zipfile

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of independent samples in correlated series, against closed forms."""
 
 from __future__ import annotations

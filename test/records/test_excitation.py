@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Excitation signals: their spectra, bounds, periods and joints, from closed forms."""
 
 import numpy as np

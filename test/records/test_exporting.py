@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exported signals, read back by other libraries: mcap's reader, scipy, pyarrow, numpy, and by `hyst import`."""
 
 from __future__ import annotations

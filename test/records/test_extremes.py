@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Min/max decimation: no peak is lost, rows stay whole, and blocks of any size give the same."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The one entry of foreign rows: what is admitted, and under which kind the rest is refused."""
 
 from __future__ import annotations

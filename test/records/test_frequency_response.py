@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A frequency response as a record: its measurement is what the plant in closed form answers to its command, once it is steady."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bags that are damaged, or made to harm: what is intact is read, the rest refused in one line, and memory stays in bounds."""
 
 import sqlite3

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Tables and arrays of other tools: damaged ones end in one line, odd ones are read as what they are."""
 
 import gzip

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Foreign recordings: what comes out is what is in the file, in the record's units; what is unusable is named."""
 
 import gzip

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Texts as instruments and programs write them: whatever stands above and beside the numbers, the numbers come out."""
 
 import numpy as np

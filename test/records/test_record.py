@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bags into records: what is read back, what is refused, and what is said of damaged ones."""
 
 import subprocess

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Record checks: nothing is found on sound records of any plant and of measured stages; spoilt ones are named as what they are."""
 
 from functools import cache

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every check of the readers by its own words: a file that fails one of them is refused by this one, and not by one that comes later."""
 
 import gzip

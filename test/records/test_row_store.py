@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of any count: what is on a file is what would be in memory, and what works block by block is what works on the whole."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Sample times on the ticks of a clock: what was rounded, jittered, repeated or passed over comes out where it was sampled."""
 
 import numpy as np

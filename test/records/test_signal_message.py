@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The signal message against two other implementations of the wire format: rosbags' and, where present, ROS 2's own."""
 
 from __future__ import annotations

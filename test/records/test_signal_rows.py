@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The state machine of a signal's rows: whatever becomes of the messages, the same rows come out, or it is told what is waited for.
 
 Every row's value is a function of its tick, so that a row that comes out can be judged by itself.

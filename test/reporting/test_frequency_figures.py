@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Frequency responses of records: those of filters of scipy, with the coherence that noise leaves, and a plot's lines."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pages from templates: whatever the texts hold, a browser shows them as they are."""
 
 from __future__ import annotations

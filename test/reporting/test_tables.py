@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Result tables: the JSON form that others read, and the text beside it."""
 
 import json

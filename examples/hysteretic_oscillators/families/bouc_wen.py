@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The family "bouc_wen": a Bouc-Wen oscillator from records of any excitation that moves it through its loops."""
 
 from __future__ import annotations

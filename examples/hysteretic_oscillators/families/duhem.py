@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of Duhem hysteresis of Bouc and Wen's form in front of creep operators and dynamics G(s).
 
     y = G(s) C(s) [slope u + z],    dz/du = alpha (1 + growth u) - (beta sgn(u̇ z) + gamma) |z|^exponent,    C(0) = G(0) = 1

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The family "duhem_oscillator": an oscillator with a hysteretic force of any shape, whose branches are straight between knots.
 
 Nothing is assumed of the branches. A fit with few knots is the start of one with more; their number is chosen by the error on rows

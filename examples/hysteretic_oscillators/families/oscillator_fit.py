@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of mechanics with a hysteretic force in their feedback, the common part of such families.
 
 The simulation error of the whole oscillator is minimized (`simulation_error`). The search begins at the linear oscillator that the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bouc-Wen oscillator (Bouc 1967; Wen, Journal of the Engineering Mechanics Division 102, 1976)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Duhem hysteresis of Bouc and Wen's form: a memory of one number, asymmetric and saturating.
 
     y = slope u + z,    dz/du = alpha (1 + growth u) - (beta sgn(u̇ z) + gamma) |z|^exponent,    z = 0 at u = 0 on the virgin curve

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Duhem oscillator: branches of any shape, given by a table (Visintin, Differential Models of Hysteresis, 1994, chapter V)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Mechanics with a hysteretic force inside their feedback, the common part of such stages.
 
     mass ÿ + damping ẏ + stiffness y + z = u,    dz/dy = the slope of a branch at z, one for rising y and one for falling y

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """C of a running filter, as the filter itself gives it beside its kernel; `hyst_control.export` makes a source file of it.
 
 The texts are bodies of C99 functions. They are given `p`, the constants, `s`, the state, and the arrays `in` and `out`, one value per

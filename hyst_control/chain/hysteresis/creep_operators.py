@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Creep operators: parts of a motion that arrive late, each by a first-order lag of its own.
 
     y = (1 - Σ c_k) u + Σ c_k L_k[u],    L_k = 1 / (τ_k s + 1)

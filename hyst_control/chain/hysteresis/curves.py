@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Monotone curves through (0, 0) for Madelung hysteresis: polynomials and monotone piecewise cubics, in one representation.
 
 A curve is piecewise polynomial: breaks (M + 1,) from exactly 0 to 1 and coefficients (M, degree + 1) in descending powers of the

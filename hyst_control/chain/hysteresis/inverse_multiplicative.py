@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Inverse multiplicative structure: the command at which a Prandtl-Ishlinskii model's output equals the demand.
 
 The compensator contains the model itself (HAMPI paper §4.2, Eq. 13): the command moves by the difference between the demand v

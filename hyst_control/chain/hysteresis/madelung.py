@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Hysteresis by Madelung's rules: a stack of turning points, and a branch from the last one back towards the one before.
 
 Rules: (1) a curve that leaves a turning point is fixed by it; (2) if it reverses, the new curve returns to that point;

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Play (backlash) operators, and the Prandtl-Ishlinskii models made of them.
 
 The play operator with threshold r (HAMPI paper Eq. 3) and its one-sided form, for drives that never go negative:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rate-dependent Prandtl-Ishlinskii model (RDPI): play operators whose thresholds widen with the command's rate.
 
     y = w0 u + Σ w_i H_i[u],   H_i[k] = max(u - r_i(u̇), min(u + r_i(u̇), H_i[k-1])),   r_i(u̇) = r_i + β |u̇|

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Modes that soften with amplitude: a structure on piezo actuators whose stiffness and gain depend on how hard it is driven."""
 
 from __future__ import annotations

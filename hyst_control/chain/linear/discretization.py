@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Exact discretization of linear systems for the hold of their input."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear systems running: one per axis, or one for all axes."""
 
 from __future__ import annotations

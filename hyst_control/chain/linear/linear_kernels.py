@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Kernels of the linear stages: systems advanced over a block, row by row."""
 
 from __future__ import annotations

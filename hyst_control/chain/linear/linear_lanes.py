@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear systems of one input each, side by side: several rows of each at once, as products of matrices.
 
 A system's next T outputs, and its state after them, are linear in its state and in the inputs that act:

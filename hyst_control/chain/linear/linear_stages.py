@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear continuous-time stages, discretized exactly for the hold of the signal that enters them.
 
 A run of neighboring linear stages and delays is one `LinearSystem` per axis (or one for all axes where a stage couples

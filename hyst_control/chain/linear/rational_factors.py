@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A ratio of polynomials as an engineer reads it: gain, frequencies and dampings, corner frequencies, lead times.
 
     G(s) = gain · s^n · Π (s²/ω² + 2 ζ s/ω + 1) · Π (lead · s + 1) / [ Π (s²/ω² + 2 ζ s/ω + 1) · Π (s/ω + 1) ]

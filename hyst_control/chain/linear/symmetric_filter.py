@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Low-passes without phase: symmetric weights, which look as many samples ahead as their order."""
 
 from __future__ import annotations

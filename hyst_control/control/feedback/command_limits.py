@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Limits that whoever drives an actuator keeps on its own side, whatever it is told."""
 
 from __future__ import annotations

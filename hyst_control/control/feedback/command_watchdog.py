@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Watchdog between the command and the actuator: the last link, which needs nobody else to be alive.
 
 Whoever drives an actuator puts every command through one. As long as commands are fresh they pass unchanged. Once the newest is too old,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The control loop computed offline: what the nodes do in lockstep, to the last bit."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """PI feedback added to a feedforward, with roll-off, output limits, slew limit and anti-windup, sample by sample.
 
 For every tick k and axis, with e = reference - measurement:

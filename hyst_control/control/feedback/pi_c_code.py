@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """PI feedback in C, with what the feedback node adds to it: see `export.controller` for the whole.
 
 The order of every expression is that of `control.pi`, so that both give the same bits.

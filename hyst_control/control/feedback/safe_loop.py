@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The feedback loop with its faults: which axes run, which go to their safe value, and how they come back, without ROS.
 
 Every row that comes out lies within the controller's limits, follows on the last one within its slew limit, and is finite, whatever

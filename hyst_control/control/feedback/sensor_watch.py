@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Detection of a sensor that is out of range, does not answer its command, or answers with the wrong sign, axis by axis.
 
 *No answer.* The command moved by `MOTION` of its range, and for the frozen time since the measurement has stayed within a share `STILL` of

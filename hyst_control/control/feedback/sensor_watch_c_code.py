@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The watch over the sensors in C: see `export.controller` for the whole.
 
 The order of every expression is that of `control.sensor_watch`, so that both give the same bits.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Steps of a reference that are greater than the slew limit allows."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Feedforward compensators built from a model: chains of stages from the reference to the command.
 
 | kind          | command                                                                                                  |

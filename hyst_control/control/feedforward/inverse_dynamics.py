@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stable inverses of linear dynamics: ZPETC, ZMETC and NPZ-ignore, for any proper stable system at any sample time.
 
 With G(z) = B_s(z) B_u(z) / A(z), B_u holding the zeros that cannot be inverted (nu of them, with gain one in the leading

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Inverses of the MHL model's rate-dependent hysteresis H_D = H_S + Ψ, as chains of stages (MHL paper §3)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A model at rest: its static curve, its reachable stroke, and the inverse of both. Rates, delays and dynamics are left out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stroke that the drive can reach, memory of the hysteresis included, and the check of a reference against it."""
 
 from __future__ import annotations

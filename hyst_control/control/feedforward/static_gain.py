@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The plainest feedforward: a static gain, what a user has before anything is identified."""
 
 from __future__ import annotations

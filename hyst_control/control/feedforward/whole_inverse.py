@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Inversion of the whole model over a reference known from end to end: the ceiling for every compensator.
 
 The command is improved by iterations of frequency-domain learning on the full nonlinear model (after Ghosh and Paden, "Nonlinear

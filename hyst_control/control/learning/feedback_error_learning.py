@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning of gain and lag of every axis from the feedback's output, for any reference: against drift with temperature.
 
 The feedforward f is continued to f + gain f + lag f', with f' its backward difference. Feedback that repeats the course of f or f' is

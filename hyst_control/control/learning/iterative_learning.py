@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning from trial to trial: the feedforward of a reference that repeats is improved by the error of the periods before.
 
 A trial is `settling` periods, in which the loop forgets the feedforward before, and `averaged` periods that are measured. Then,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Inverse response and robustness filter, from which a periodic error becomes a correction of the feedforward.
 
 Over a period of N samples in steady state every signal is a sum of N // 2 + 1 lines. With the plant P, feedback C and sensitivity

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Interface of the learners of a feedforward, and the loop with a learner computed offline, bit by bit as the nodes compute it.
 
 A learner adds to the feedforward what it has learned from the loop so far. Rows belong to ticks, so that it does not matter how

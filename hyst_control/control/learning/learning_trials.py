@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Trials of learning offline: on a plant that can be run, or from records of trials; and their table."""
 
 from __future__ import annotations

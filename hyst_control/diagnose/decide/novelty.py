@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signs of an effect outside the catalogue, and the novelty score that they add up to. Pure functions of the evidence.
 
 A sign is a number of which 1 is the threshold that a rule was set with. Rules of several conditions count as their weakest one, and

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Policy of the diagnosis: from evidence to a verdict with its reasons. Pure functions of numbers; nobody edits their answer.
 
 `decide` judges one problem, `join` the axes of a plant. A hypothesis is a claim where it beats the simulated null and takes off more

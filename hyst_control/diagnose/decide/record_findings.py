@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Findings in a record itself, beside what simulations explain: repeated samples, lattices, noise, single samples far off.
 
 Pure functions of the evidence, as the rest of the policy.

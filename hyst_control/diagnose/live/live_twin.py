@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The live twin: the model beside a running system, and an alarm for the gap whose false alarms have a known rate.
 
 Without a gap the residual of a window is Gaussian: r = J z + d + e. J are the model's slopes along its uncertain coefficients,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Screening of records: proves that a diagnosis would find no gap, without trying any effect.
 
 An effect is named only where it takes off more than the practical floor of a gap that is larger than what the model leaves on clean

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Baseline of a diagnosis: clean records, on which a model's residual is its own error and not a gap.
 
 A clean record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a

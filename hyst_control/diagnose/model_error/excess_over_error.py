@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Excess of a residual over the model's own error, octave by octave.
 
 The spectrum of the own error is an upper envelope, and the error is one shape, not noise: what is left under it is no evidence, however

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Own error of a model on commands that no clean record has: its spectrum, and its predictable part."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of the same command: clean ones that match a new one up to a shift, and the periods of a periodic command."""
 
 from __future__ import annotations

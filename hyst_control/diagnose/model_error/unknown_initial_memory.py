@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Initial memory of a session: what a hysteresis still has of the time before the record.
 
 A record begins anywhere in the loops, and what the machine did before is not in it. A play operator begun at one end of its play and

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Noise of a carried error: told by the quietest part of its spectrum, and taken off before the error is carried to another record."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Noise that falls with frequency: flicker noise in a residual, told from what follows the command."""
 
 from __future__ import annotations

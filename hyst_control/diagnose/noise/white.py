@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The noise floor: what no simulator can explain, from the record and never from a candidate's own residual."""
 
 from __future__ import annotations

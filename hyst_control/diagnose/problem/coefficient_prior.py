@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The scatter of a nominal model: which of its coefficients are uncertain, by how much, and the model for other values of them.
 
 A nominal model whose coefficients are 1 % off looks like every effect at once; so they become nuisance parameters z with prior N(0, 1).

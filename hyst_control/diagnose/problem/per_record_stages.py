@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages with different values for each record: the zero of a session, and a model's error, carried over or learned.
 
     measurement = sensor effects( model with its effects(command) + error(t) ) + zero(t)

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records of one model that a diagnosis works on, simulated from the recorded command, one axis at a time where axes do not mix."""
 
 from __future__ import annotations

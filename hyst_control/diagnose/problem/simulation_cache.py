@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Outputs of the first filters of a chain and of its branches, kept between simulations: candidates differ from the model in few stages."""
 
 from __future__ import annotations

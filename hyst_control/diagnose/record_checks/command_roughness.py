@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Roughness of a recorded command that the plant did not receive, as of a command that is rounded in the record only.
 
 The recorded command c is smoothed to c_s without phase. What the model M makes of the roughness is d = M(c) - M(c_s). If the plant did

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Smoothing of a command without phase: what is rough and white in it apart from what is smooth between steps and kinks.
 
 Two estimators of a smooth signal in white noise compete, and the one with the lower risk is kept:

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Lines of the spectrum that clean records have too: mains hum has another phase in every session, and a difference of two shows it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Values of a measurement that stand still while the plant moves: repeated samples, stretches on one value, passages through a level.
 
 Counting alone tells them, no fit: held samples stand on a value each, a sensor that does not follow about a level on that level.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Lines of a residual: in its spectrum over time, and over the command, where the lattice of a rounded command has one.
 
 They measure no effect, but suggest where the fits of one begin: the mains, a vibration, the step of a converter.

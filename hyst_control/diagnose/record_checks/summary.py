@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Checks that fit nothing: repeated samples, the lattice of a converter, noise above what the model states, single samples that stand out.
 
 They find transport and noise effects nearly always, and come first: fitted candidates would absorb them. They measure; the policy

@@ -1,1 +1,3 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The gap report: attribution, breakdown, document and page."""

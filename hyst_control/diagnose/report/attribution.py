@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The effects that a diagnosis names, over all axes: values with intervals, probabilities, shrink and shares."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The augmented model: the nominal one with the effects added at their places, ready for the plant node and the feedforward."""
 
 from __future__ import annotations

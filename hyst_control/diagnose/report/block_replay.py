@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Replay of the software blocks that a bag recorded: what they say they did, from what they were given. Exact, whatever the loop does."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A drawing of the signal chain with the places of the gap marked: inline SVG, no script."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Coefficients of the nominal model before and after the fit of the best explanation."""
 
 from __future__ import annotations

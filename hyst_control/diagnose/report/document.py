@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The gap report: one JSON document with the fixed form of the interface, and the same in words."""
 
 from __future__ import annotations

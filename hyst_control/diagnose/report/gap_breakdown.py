@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Gap budget: energy of the gap by kind, frequency band, amplitude, axis and time span, each share with a 90 % interval."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The gap report of records that are no measurement of their command: nothing is diagnosed, and the reason named."""
 
 from __future__ import annotations

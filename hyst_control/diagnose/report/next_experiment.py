@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Choice of the next experiment: the excitation that best separates the explanations that are still possible."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The gap report as one self-contained HTML page: the verdict, where the gap lies, what it looks like, what explains it.
 
 Three numbers are told apart everywhere on the page: a *share* is a part of the gap's energy (mean square) on the whole record, *shrink*

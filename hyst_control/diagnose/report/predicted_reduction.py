@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Predicted gap reduction on a command that has not been played yet.
 
 A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that

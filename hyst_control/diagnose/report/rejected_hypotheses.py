@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Hypotheses that a decision did not name, each with its evidence and the reason that counted against it, for the report's page."""
 
 from __future__ import annotations

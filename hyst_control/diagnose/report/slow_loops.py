@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Slow loops of a record: rows of whole command cycles in which dynamics play no part and hysteresis is seen best."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Remainder of a gap that no known effect explains: how much of it follows the command, where, and the stage that adds this part."""
 
 from __future__ import annotations

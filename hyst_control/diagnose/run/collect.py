@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Collection of the evidence from fits and records; measures, and decides nothing."""
 
 from __future__ import annotations

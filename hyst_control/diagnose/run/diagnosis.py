@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Diagnosis of records against a model: the gap between measurement and simulation, and the effects that explain it.
 
 `problem_of` turns records into a problem, `diagnose` runs all steps on it: noise, record checks, threshold, search, evidence, decision.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One axis before any effect is tried: its noise, its coefficients fitted alone, and what the record itself shows."""
 
 from __future__ import annotations

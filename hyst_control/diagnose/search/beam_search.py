@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Search for the effects that explain a gap: every candidate against the nominal model, then combinations by a beam search.
 
 The weight of a candidate is its evidence (Laplace) relative to "no effect":

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Candidates: effects of the catalogue as unknowns of a fit, alone and together."""
 
 from __future__ import annotations

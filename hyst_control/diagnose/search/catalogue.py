@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every hypothesis that a record could speak for: the effects of the catalogue in all their realizations, on every axis."""
 
 from __future__ import annotations

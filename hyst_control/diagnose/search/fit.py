@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fitting a model with candidate effects to records, its scattered coefficients marginalized.
 
 The penalized misfit, all in units of the noise, for coefficients z with prior N(0, 1) and effect parameters x (scaled so that

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Null distribution: the best candidate's score on records without a gap, and the threshold for any claim.
 
 With tens of thousands of samples, an information criterion alone accepts almost any effect. Records without a gap are therefore

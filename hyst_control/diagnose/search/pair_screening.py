@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Pairs of effects as sums of single ones, of which neither needs to lead alone.
 
 A beam search adds an effect to those that alone do best. Two effects of like size, a drifting gain and a lag say, each leave what the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Fits of candidates: points to begin at, the fits themselves, and the candidates that one more effect makes."""
 
 from __future__ import annotations

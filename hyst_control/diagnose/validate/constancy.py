@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Distortion tests of the effects that are named: whether their size would have to change with something else.
 
 An effect whose size has to change with the level, with time, with the rate or with the direction of the command is not that effect. Let

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Gap reduction by an explanation, on blocks of the record that neither chose nor fitted it, relative to the noise floor.
 
     shrink = 1 - (E_after² - floor²) / (E_before² - floor²)

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Predictable part of a residual: the part of its energy that the command determines.
 
 A residual has two parts. One varies from run to run although the command is the same; no model can explain it. The other follows the

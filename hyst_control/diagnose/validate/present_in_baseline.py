@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects that clean records show as well: parts that the model never had, and nothing that has changed.
 
 Beside clean records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the

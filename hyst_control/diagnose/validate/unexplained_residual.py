@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Residual of an explanation, without what the explanation's own effects leave unmodeled.
 
 A converter's rounding error follows the signal and is not white noise. A vibration of varying frequency has sidebands that a few

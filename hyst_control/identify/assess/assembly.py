@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Model and report of a fit, the same for every family: simulated once, scored, with its noise, uncertainty and notes."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Errors of a fit against those of two flexible references on the same rows, and what the rest follows.
 
 The references are a linear model of order 8 and play operators with a cubic, each fitted to the rows on which the model does worst. White

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Figure of a model choice: error on held-out rows over the number of parameters, for every family and structure that was tried."""
 
 from __future__ import annotations

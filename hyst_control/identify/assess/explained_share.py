@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Judgment of a fit by what its simulation from the command explains, beside what a constant and a gain would."""
 
 from __future__ import annotations

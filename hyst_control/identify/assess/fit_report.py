@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Figures of merit of an identified model on records, and noise and whiteness of the residual."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Choice between model families by their error on rows that were not fitted, with a table of what was tried."""
 
 from __future__ import annotations

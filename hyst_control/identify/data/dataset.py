@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records cut into gapless pieces of command and measurement, and the model and report of a fit."""
 
 from __future__ import annotations

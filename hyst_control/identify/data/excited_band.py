@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Band of frequencies in which records tell something about the dynamics behind a hysteresis.
 
 A pole far beyond what the command excites is not seen but made up: a lag of the hysteresis model at 50 Hz looks as well like a pole at

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the records that a fit uses: all of them, or stretches while the structure is being chosen."""
 
 from __future__ import annotations

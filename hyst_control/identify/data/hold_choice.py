@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Hold of a record that states none: do its rows answer the command of the row before or their own (told on held-out rows).
 
 A DAC holds its command, so a sample cannot answer the command that is set at its own instant (`zoh`). Rows of pairs (voltage set,

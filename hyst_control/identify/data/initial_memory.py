@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Initial memory of a record: the turning points that a hysteresis remembers when the record begins.
 
 A record may begin at rest on the virgin curve, amid a motion, or in a periodic steady state. The memory is found from the record itself,

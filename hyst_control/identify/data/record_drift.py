@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Drift of records for families whose search does not estimate it: it is removed from the records before the fit."""
 
 from __future__ import annotations

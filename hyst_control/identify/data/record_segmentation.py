@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Segmentation of records into the papers' experiments: the step, the quasi-static loops and the loops at a given rate."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Turning points of a command: all that rate-independent hysteresis remembers."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Estimators by name, one for each model family, with one interface.
 
 A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and

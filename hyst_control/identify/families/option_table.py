@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The families and their options as Markdown tables: the tables of `docs/identification.md`, from the estimators themselves.
 
 `python -m hyst_control.identify.families.option_table docs/identification.md` updates them in the document.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Options of an estimator as data: declared once, checked and converted for scripts, command line and nodes alike."""
 
 from __future__ import annotations

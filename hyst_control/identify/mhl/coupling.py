@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Cross-coupling between the axes of a model whose axes were identified one by one: y_i = y0_i + Σ M_ij L(s) y0_j.
 
 What an axis does not explain of its measurement is compared with what the other axes do, low-passed at a corner that all share.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of Madelung hysteresis from slow loops: the curves f0, g0 of any record, nested loops included.
 
 The curves are polynomials (MHL paper Eq. 1, 2) or monotone piecewise cubics. Closure is built into the parameters, and

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parametrized curves of Madelung hysteresis: closure in the parameters, monotony as linear inequalities."""
 
 from __future__ import annotations

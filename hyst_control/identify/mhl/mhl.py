@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Identification of the modified Hammerstein-like model (MHL paper, Eq. 1-5): delay, Madelung hysteresis and rate correction, G(s).
 
     y = G(s) [ H_S[u(t - τ)] + Ψ ],   Ψ = (k1 u̇ + b1) / (k2 s + b2),   G(0) = 1,   b2 = 1

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One axis of the modified Hammerstein-like model as a parameter vector, and the options of its fit."""
 
 from __future__ import annotations

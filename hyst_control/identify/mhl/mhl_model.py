@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Model and report of a fit of the modified Hammerstein-like model (`mhl`) from the fits of its axes."""
 
 from __future__ import annotations

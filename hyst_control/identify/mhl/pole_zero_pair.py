@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A mode and a pair of zeros next to it, a notch that misses its mode: where to look for the two, and a start that holds both.
 
 Neither alone lowers the error of a model that lacks them, so that growing factor by factor never finds them. They begin upon each

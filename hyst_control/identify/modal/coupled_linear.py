@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear dynamics of axes that drive each other, fitted to the spectra of their records.
 
 A record is in general not periodic, so the transient at its ends is estimated with the model (see `modal_fit`); the static line is left

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nonparametric frequency responses with their uncertainty.
 
 P&S stands for Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2nd edition, Wiley-IEEE Press

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The family "linear": stable linear dynamics with a sub-sample delay, from records of any excitation.
 
 Vector fitting finds poles for every number of states without a guess, the simulation error from the command is minimized from there

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A stable linear multi-input multi-output model in modal form, fitted to spectra of commands and measurements.
 
 Time is counted in samples here (sample time 1), poles accordingly: λ = p · sample time. The model of output o is

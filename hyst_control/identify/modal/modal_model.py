@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Spectra, and the modal model that `modal_fit` fits to them, with the places of its parameters in a vector."""
 
 from __future__ import annotations

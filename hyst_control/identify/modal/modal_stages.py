@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Stages, parameter rows, uncertainty and tolerance of fitted modal models."""
 
 from __future__ import annotations

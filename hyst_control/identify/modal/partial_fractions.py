@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear dynamics as a sum of sections of first and second order, stable for every parameter vector.
 
     G(s) = e^(-tau s) [ d + Σ (g_i + h_i s/w_i) / (s²/w_i² + 2 z_i s/w_i + 1) + g_0 / (s/w_0 + 1) ]

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Gram matrix of a modal model's derivatives over periodic records whose commands are equally late.
 
 Then all inputs of a mode have one response φ_i(z), and the columns φ_i U_j of W (`modal_fit.Problem`) factor line by line:

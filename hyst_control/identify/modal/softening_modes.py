@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One model for several levels of a periodic experiment: modes that soften with amplitude (`chain.softening_modal`).
 
 Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the

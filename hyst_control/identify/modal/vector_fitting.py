@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Poles of a linear plant from records in time: vector fitting, a start for every order without a guess.
 
 With poles p_i as they are, the plant obeys y = Σ c_i φ_i[u] + d u - Σ k_i φ_i[y] + what the record adds, φ_i being the response of

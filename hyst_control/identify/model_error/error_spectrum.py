@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Spectrum of a model's own error: how large it is at each frequency, and the filter that makes it white.
 
 A model's error on clean records is hardly ever white: creep and memory are slow, a gain that is a little off stands at the command's own

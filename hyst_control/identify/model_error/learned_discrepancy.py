@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learned discrepancy: what a model leaves on clean records, as a function of the command.
 
 The error e of one axis, each record's own zero and drift taken off, is regressed on features Φ of the command,

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Spectrum of a model's own error as its file states it: in bands, beside the spectrum of the output that it belongs to.
 
 The error and the output of the model on the clean records are each reduced to the largest power in bands of a sixth of an octave. A

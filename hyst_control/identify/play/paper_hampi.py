@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The HAMPI paper's own sequence (§3.2): step → G(s), quasi-static loops → w_i, loops at 100 Hz → m1, m2, k, b.
 
 Kept to be compared with the joint fit: every later step inherits the error of the ones before.

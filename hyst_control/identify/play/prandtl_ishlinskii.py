@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The families of play operators: pi, hapi, rdpi and hampi."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Bounded linear least squares from Gram matrices."""
 
 from __future__ import annotations

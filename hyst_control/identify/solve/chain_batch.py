@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Chains that differ in few parameters, run side by side; equal parts are computed once.
 
 A derivative by differences needs a chain per parameter, but a parameter changes one stage. Chains whose first stages are equal

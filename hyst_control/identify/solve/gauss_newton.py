@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Damped Gauss-Newton, the iteration of all fits.
 
 A problem defines a point (parameters, and data for the next step, such as Gram sums), its cost, and the step that its

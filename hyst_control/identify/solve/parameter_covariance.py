@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Uncertainty of an identified model: the covariance of a fit's parameters as `uncertainty`, `tolerance` and notes of the model.
 
 A fit works in parameters of its own (slopes of branches, logarithms of rates); the model file states frequencies, dampings, gains,

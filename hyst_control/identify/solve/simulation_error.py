@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Least squares on the simulation error of any chain, with linear inequality constraints on its parameters.
 
 The chain itself is run, so the fit is to the output of the model file. Derivatives are differences between chains of

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Linear dynamics G(s) of unit static gain, parametrized so that it is stable for every parameter vector.
 
     G(s) = e^(-tau s) · Π_i (1 + b_i-polynomial) / Π (s²/ω² + 2ζ s/ω + 1) · Π 1/(s/ω_f + 1) · (s/z + 1)/(s/p + 1)

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Variable projection: the few nonlinear parameters of G(s) by damped Gauss-Newton, everything else by linear least squares."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Command line of an executable of nodes: `--help`, and arguments that nobody would look at."""
 
 from __future__ import annotations

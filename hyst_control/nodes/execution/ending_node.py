@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Base class of nodes that can end by themselves: exit status, services, and timers of the steady clock."""
 
 from __future__ import annotations

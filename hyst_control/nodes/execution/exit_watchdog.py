@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Watchdog that ends a process which the middleware keeps from ending.
 
 The standard library has no equivalent. `faulthandler.dump_traceback_later(exit=True)` does not need the interpreter's lock either, but

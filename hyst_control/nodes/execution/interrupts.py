@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Ctrl-C and SIGTERM in a process of nodes: one handler for the whole run, which can delay or ignore an interrupt.
 
 rclpy's own handler is not installed: it would shut the context down at once, and with it the publishers that bring the actuator to its

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Messages there and back between two participants on this computer: what the middleware needs to work at all.
 
 Run as a process: prints one sentence and ends with 0, or with 1 where no message arrives in time.

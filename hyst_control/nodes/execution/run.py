@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Running of nodes: one process, one executor, and a clean shutdown however it ends."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Side of the actuator under the timer: the newest command through limits and watchdog, one voltage per tick."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Learning in a feedforward node: what it needs to hear, when its rows may go out, and the parameters that describe it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """One topic of a recorder: every row once, by tick, although messages may be duplicated, late or lost."""
 
 from __future__ import annotations

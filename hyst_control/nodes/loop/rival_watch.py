@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Watch over a topic that a node publishes itself, for others that publish it too.
 
 As long as the node is its only publisher nothing is received. Once there are several, the node listens, and what it hears and has not

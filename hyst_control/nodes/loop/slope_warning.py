@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Warning of a reference that asks for more slope than the command may have."""
 
 from __future__ import annotations

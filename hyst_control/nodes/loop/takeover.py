@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """State of the actuator, for the node that commands it: where it begins, and where it waits while the actuator does not follow.
 
 A feedback that was started again does not know where the actuator is. What drives the actuator does: as long as it does not follow the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Base class of the nodes that turn signals into signals: rows in and out by tick, parameters, services, diagnostics.
 
 One code path serves two schedules, `Lockstep` and `Timer`, which say when a node is called and what becomes of received rows.

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Diagnostics of all nodes of a ROS domain as lines of JSON, for programs without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Distribution of durations in fixed memory, however long the run."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Schedule in which a node advances whenever its inputs allow it; the plant is the clock.
 
 Rows have the ticks 0, 1, 2, … and each is used once. Lost rows are requested by repeating the newest measurement: a node that receives

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Latency of the loop as the actuator's side sees it: from a measurement that was sent to the command that follows from it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Nodes that drive or command an actuator as managed nodes: configure, activate, deactivate, clean up, error (ROS 2 lifecycle).
 
 With `autostart` (the default) such a node configures and activates itself, and lifecycle tools may still take it through its states.

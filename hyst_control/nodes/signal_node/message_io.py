@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Sending and receiving of signal blocks: serialized bytes if the middleware takes them, else message objects."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Status of a node: its entry in `/diagnostics`, and log lines limited in rate."""
 
 from __future__ import annotations

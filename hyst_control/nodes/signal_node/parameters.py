@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Node parameters as data: name, default, unit, meaning and range in one place, from which they are declared and checked."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Received and published signals of a node: bad messages are refused, rows go by tick, the newest ones are kept for repetition."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of a reference generator that describe its signal, made from what the kinds of signals say of themselves."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Clocks of the sources a node hears, held against its own: rows that are ticks of another clock are told while they come."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Schedule in which a node ticks on the wall clock, and then takes the messages that have arrived.
 
 The tick is floor(clock / interval), counted alike by all processes of a machine, so that a missed tick is a visible gap. Messages are

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signal that a node only listens to, polled in both schedules: rows with their ticks."""
 
 from __future__ import annotations

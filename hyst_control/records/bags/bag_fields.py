@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signals from any topic and field of a bag: numbers of messages of any type, with their header's stamps where they have some."""
 
 from __future__ import annotations

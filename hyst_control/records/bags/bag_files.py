@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The storage files of a rosbag2 bag: MCAP or SQLite3, compressed or not, finished or cut off."""
 
 from __future__ import annotations

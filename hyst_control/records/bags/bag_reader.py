@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reading rosbag2 bags of signal messages: MCAP or SQLite3, finished or cut off, with a layout or without."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Writing rosbag2 MCAP bags of signal messages, so that what is on disk is readable at any moment.
 
 The bag is a directory with one MCAP file and, once closed, metadata.yaml. Chunks are small beside the file and each goes straight

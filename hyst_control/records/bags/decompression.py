@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Decompression that is bounded by what a file can hold.
 
 A few kilobytes of zstd stand for gigabytes where the writer wants them to. Recorded signals do not compress that far: every message has a

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Messages of an MCAP file as they stand in it, from the first to the last whole chunk: finished or cut off.
 
 Nothing but the records that carry messages is read (https://mcap.dev/spec); the index at the end is not needed for reading everything.

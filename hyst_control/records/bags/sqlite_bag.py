@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Messages of an SQLite3 bag file. SQLite keeps a value of any type in any column, so every type is looked at."""
 
 from __future__ import annotations

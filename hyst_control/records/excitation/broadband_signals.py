@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signals of one axis with energy over a whole band: multisines and sweeps."""
 
 from __future__ import annotations

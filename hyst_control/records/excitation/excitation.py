@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Reference and excitation signals, from a description to rows: used by the reference generator and offline.
 
 A description is a mapping with `signal`, the kind, and that kind's parameters (seconds, hertz, and the signal's own unit: V for

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Excitations as a user gives them, in words or a file, and as other programs take them: table, array, description or bag."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Excitations from which a model is identified or a gap diagnosed: the published ones and one of our own."""
 
 from __future__ import annotations

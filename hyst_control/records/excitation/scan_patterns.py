@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Paths of two axes over a field: spiral and raster."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signal that begins and ends at rest and may be replaced by another one while it is being sent, without a jump."""
 
 from __future__ import annotations

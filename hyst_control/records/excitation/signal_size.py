@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of a signal's description, and how many samples a signal may have: checked before any of them is made."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signals of one axis that an equation gives: rest, sines, ramps, triangles, steps and loops."""
 
 from __future__ import annotations

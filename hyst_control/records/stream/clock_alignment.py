@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Records whose topics have sample times of different clocks, put on one by the time at which their messages were received."""
 
 from __future__ import annotations

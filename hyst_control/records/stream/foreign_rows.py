@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The one entry of rows that come from other programs: times that are ticks, values that are finite and in range, blocks of sane size.
 
 Whatever listens to a topic asks here before it computes with a message. What is refused is dropped and counted under its kind.

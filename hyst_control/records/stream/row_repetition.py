@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Repetition of rows: what a source keeps to send again, and when it does so."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of numbers of any count: in memory while they are few, in a temporary file mapped into memory when they are many.
 
 The file has no name and vanishes with the last array on it. Its pages belong to the system, which writes them out and takes them back as

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The signal message: a block of samples as std_msgs/msg/Float64MultiArray, packed and read as CDR bytes without ROS.
 
 Layout (fixed): dim[0] = label "sample", size N, stride N C; dim[1] = label naming every column with its unit, such as

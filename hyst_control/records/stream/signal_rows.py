@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Rows of one signal in time: every tick once and in order, whatever the transport reorders, loses, repeats or cuts.
 
 One state machine for all receivers. It knows no transport, and the time is given to it. A source numbers its rows by ticks 0, 1, 2, …

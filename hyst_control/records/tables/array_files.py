@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Arrays out of NumPy and MATLAB files. What a file announces is held against its size before any memory is taken for it."""
 
 from __future__ import annotations

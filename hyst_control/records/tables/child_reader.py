@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Foreign formats whose readers are machine code: read in a process of its own, which a damaged file may end."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The assignment of a file's columns to signals: "time=1[ms],command=drive[V],measurement=pos[5um/V]"."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Arrays by name out of the containers of other programs: NumPy, MATLAB, HDF5, Parquet, TDMS; sheets of a workbook as lines of text."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Recorded signals as files of other tools: one message a row for players, tables for spreadsheets and data frames, arrays for MATLAB.
 
 Bags hold blocks of rows, of which a player draws the first only; the MCAP file made here has one message a row, whose log time is the

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A measured frequency response as a record in time: the steady answer to sines of its frequencies, which identification can fit."""
 
 from __future__ import annotations

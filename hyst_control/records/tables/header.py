@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The form of a text table: separator, decimal mark, and where the header of an instrument ends and the rows of numbers begin."""
 
 from __future__ import annotations

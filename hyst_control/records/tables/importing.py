@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Foreign recordings as records: columns, units and rate named by the caller, sample times on the ticks of one clock."""
 
 from __future__ import annotations

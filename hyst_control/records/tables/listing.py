@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The columns that a file holds, and a description of them that can be pasted, for who does not know its form."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Signals whose sample times are put on the ticks of one regular clock, or interpolated on them where the caller wishes it."""
 
 from __future__ import annotations

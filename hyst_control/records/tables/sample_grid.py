@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The regular ticks behind sample times that were rounded, jittered, repeated or passed over; interpolation where there are none."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The columns of a file that are named, by number, name or path, whatever the file is."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of a text table: the columns that are wanted, whatever stands beside and above them."""
 
 from __future__ import annotations

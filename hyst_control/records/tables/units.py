@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Units of signals: voltages, lengths and angles in radians become V, um and mrad, all others stay as the user writes them."""
 
 from __future__ import annotations

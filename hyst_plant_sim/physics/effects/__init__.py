@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects: possible faults of a plant, each at its physical place.
 
 An effect is a mapping {name: delay, tau: 1e-4, axis: x, from: 0.5}: its name, its parameters, the axis (left out: every axis)

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects between the command and the voltage at the stack: converter, transport, driver, amplifier."""
 
 from __future__ import annotations

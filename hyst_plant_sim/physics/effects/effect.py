@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects, and the parts that switch one in from a given time on."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects in the mechanics and on the way from there to the sensor."""
 
 from __future__ import annotations

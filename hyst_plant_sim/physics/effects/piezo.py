@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects in the piezo: its hysteresis, and creep."""
 
 from __future__ import annotations

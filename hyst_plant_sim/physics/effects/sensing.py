@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Effects in the sensor, its converter, and on the path of the samples."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Models that lose an element: what is gone, and that the rest is as it was."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """A slice of the blind test: cases of tuning seeds, diagnosed from bag and model alone, asserted at the lower end of the intervals.
 
 The simulated records are about a quarter as long as those of a whole run, which saves time and asks more of the diagnosis.

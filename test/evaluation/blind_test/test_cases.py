@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The blind test's cases: balanced, the same for a seed, and nothing in a case's folder tells its label."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Queue of diagnoses on worker processes and on a Dask cluster, run as a script: workers import it by its path."""
 
 from __future__ import annotations

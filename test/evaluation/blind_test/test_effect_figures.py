@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Figures of the effects: one of each, which shows it."""
 
 from __future__ import annotations

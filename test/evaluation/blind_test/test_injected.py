@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Injected cases: sizes and truth of what is put in, by formulas of their own, and the seal of the labels."""
 
 from __future__ import annotations

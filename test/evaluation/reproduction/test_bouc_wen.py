@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The hysteresis benchmark: what is identified from the training record predicts the two others."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Every table, figure and numbered claim of both papers has a target on the page, or a sentence why it has none."""
 
 import re

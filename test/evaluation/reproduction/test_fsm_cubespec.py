@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The measured mirror: the figures of its own documentation, and a linear model against the published one."""
 
 from pathlib import Path

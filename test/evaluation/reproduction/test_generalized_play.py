@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """Generalized play operators: equal to play where nothing bends, found again where they made the record."""
 
 import numpy as np

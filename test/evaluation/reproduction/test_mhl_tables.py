@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """What the MHL experiment's tables say of made-up signals whose answer is known."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The measured piezo stack: what is fitted on one cycle predicts nested loops of another record."""
 
 from __future__ import annotations

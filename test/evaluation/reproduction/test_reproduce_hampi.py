@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The HAMPI paper's experiments at a reduced size, through the nodes; the full size is `hyst reproduce hampi`."""
 
 import json

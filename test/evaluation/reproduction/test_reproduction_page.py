@@ -1,3 +1,5 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
 """The page of the papers' targets: what it says is met or missed follows the rows."""
 
 import pytest
