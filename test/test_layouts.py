@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = (*sorted((ROOT / "hyst_control/nodes").glob("*.py")), ROOT / "hyst_plant_sim/node.py")
+SOURCES = (*sorted((ROOT / "hyst_control/nodes").rglob("*.py")), ROOT / "hyst_plant_sim/node.py")
 
 
 def published() -> set[str]:

@@ -83,7 +83,9 @@ class MeasurementWatch:
             return ""
         if axis.same < self.frozen_ticks:  # of a frozen one it is kept: at the safe value nothing more is asked for
             lowest, highest = self.limits
-            error, span = abs(wanted - value), self.upper - self.lower
+            error, span, reach = abs(wanted - value), self.upper - self.lower, axis.gain * (highest - lowest)
+            # Of a reference out of reach no more counts than the stage can move: else no motion would be an answer.
+            span = reach if 0.0 < reach < span else span
             error = (error if error < span else span) if lowest < volts < highest else 0.0
             axis.error += share * (error - axis.error)
         self._look_for_an_answer(axis, value, volts)

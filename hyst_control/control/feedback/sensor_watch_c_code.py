@@ -96,7 +96,9 @@ if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_
 }} else if (FROZEN > 0) {{
     if (s->same[i] < FROZEN) {{
         const real away = M(fabs)(((s->away[i] != 0) ? measurement[i] : reference[i]) - measurement[i]);
-        const real error = ((p->lower < last[i]) && (last[i] < p->upper)) ? ((away < p->span) ? away : p->span) : R(0.0);
+        const real reach = s->gain[i] * (p->upper - p->lower);
+        const real span = ((R(0.0) < reach) && (reach < p->span)) ? reach : p->span;
+        const real error = ((p->lower < last[i]) && (last[i] < p->upper)) ? ((away < span) ? away : span) : R(0.0);
         s->error[i] = s->error[i] + (p->smoothing * (error - s->error[i]));
     }}
     /* Does the measurement answer the command? */
