@@ -42,6 +42,8 @@ STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
+EXACT = 1e-6
+"""Share of the range that no larger model needs to explain: records without noise leave rounding."""
 UNSURE = 0.1
 """Relative standard deviation of the static gain from which a note says it."""
 
@@ -72,11 +74,13 @@ class Candidate:
     sections: Sections
     solution: Solution
     seconds: float
+    exact: float
+    """Mean square error from which a fit counts as exact."""
 
     @property
     def held_out(self) -> float:
         """Mean square error on the blocks held out."""
-        return self.solution.held_out
+        return max(self.solution.held_out, self.exact)
 
     @property
     def doubt(self) -> float:
@@ -123,6 +127,7 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     slope = float(np.sum([_covariance(window) for window in few]))
     travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
     gain = travel if slope >= 0 else -travel
+    exact = (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2
     guess = options.delay == "estimate"
     late = _dead_time(few) if guess else float(options.delay) / sample_time
     orders = [options.order] if options.order else [order for order in ORDERS if 8 * order < sum(len(w.command) for w in few)]
@@ -145,7 +150,7 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
             solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance)
-            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began)
+            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact)
             table.append(_row(candidate, sample_time, few))
             if order == orders[0] or not _beyond_reach(candidate):
                 fresh.append(candidate)
@@ -173,7 +178,7 @@ def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions)
     plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
     rows = sum(len(window.command) for window in windows)
     columns = len(windows) * (sections.order + (rest != options.nuisance))
-    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) else free
+    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
 
 
 def _fit(
