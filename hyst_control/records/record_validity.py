@@ -50,6 +50,8 @@ counts where the measurement is also the cleaner of the two.
 
 ANOTHER_TIME = 0.382
 """Share of a record from which its commands of another time are taken."""
+OTHER_TIMES, LINEAR_FOLLOWS = (0.236, ANOTHER_TIME, 0.618), 0.5
+"""Other times with which a linear model is compared, and the share of the least of theirs that its own command's leaves at most."""
 
 FOLLOWS = 0.2
 """Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
@@ -411,9 +413,9 @@ def _independent(command: Array) -> bool:
     return 1 < count <= MOST_PAIRED and bool(np.all(np.ptp(command, axis=0) > 0) and np.linalg.cond(np.corrcoef(command.T)) < 1e3)
 
 
-def _of_another_time(rows: Array) -> Array:
+def _of_another_time(rows: Array, shift: float = ANOTHER_TIME) -> Array:
     """Rows (N, A) of another time of a record, by no simple fraction of it: it may be periodic."""
-    return np.roll(rows, int(ANOTHER_TIME * len(rows)), axis=0)
+    return np.roll(rows, int(shift * len(rows)), axis=0)
 
 
 def _left(fit: Reference) -> float:
@@ -454,8 +456,12 @@ def _incoherence(trial: Trial, index: int, ahead: Reference, command: Array, mea
     explained = _coherent(trial, index)
     if explained >= EXPLAINED:
         return []
-    other = hysteretic_reference(_of_another_time(command), measured)
-    if ahead.unexplained < FOLLOWS * other.unexplained:
+    if ahead.unexplained < FOLLOWS * hysteretic_reference(_of_another_time(command), measured).unexplained:
+        return []
+    # A machine whose memory is as long as the record: play operators of any slow command then explain it between held-out blocks, and
+    # only linear models show whose command it was.
+    others = (linear_reference(_of_another_time(command, shift), measured).unexplained for shift in OTHER_TIMES)
+    if linear_reference(command, measured).unexplained < LINEAR_FOLLOWS * min(others):
         return []
     return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED)]
 
