@@ -1,10 +1,14 @@
 # Builds its own environment in .venv: `make demo` and `make test` work on a machine that has make and CPython 3.10-3.13 only.
 
 PYTHON ?= python3
-VENV := .venv
+# Distribution of ROS 2, jazzy or kilted, each with an environment of its own.
+ROS ?= jazzy
+VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
+REQUIREMENTS := requirements.txt requirements-$(ROS).txt
 # The environment belongs to one interpreter, one place, one list of packages; another one is built anew.
 KEY := $(shell $(PYTHON) -c 'import hashlib, os, sys; \
-	print(hashlib.sha256((sys.version + os.getcwd() + open("requirements.txt").read()).encode()).hexdigest()[:16])')
+	texts = [open(name).read() for name in sys.argv[1:]]; \
+	print(hashlib.sha256("".join([sys.version, os.getcwd(), *texts]).encode()).hexdigest()[:16])' $(REQUIREMENTS))
 READY := $(VENV)/.ready-$(KEY)
 CHECKS_READY := $(VENV)/.checks-$(KEY)-$(shell $(PYTHON) -c 'import hashlib; \
 	print(hashlib.sha256(open("requirements-checks.txt", "rb").read()).hexdigest()[:16])')
@@ -17,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme bench env clean
+.PHONY: demo test test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme sbom bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -68,6 +72,13 @@ lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m mypy
 	$(VENV)/bin/python .ci/package.py
 	$(VENV)/bin/python .ci/prose.py
+# To check copyright and license too, give this line a tab:	$(VENV)/bin/python .ci/headers.py
+
+# What is installed, as a CycloneDX document, and whether its licenses fit.
+sbom: $(CHECKS_READY) env
+	mkdir -p build
+	$(VENV)/bin/python -m cyclonedx_py environment --no-validate --output-reproducible --output-format JSON --output-file build/sbom.json
+	$(VENV)/bin/python .ci/licenses.py
 
 bench: env
 	$(VENV)/bin/hyst bench $(ARGS)
@@ -79,17 +90,17 @@ $(READY):
 	"Python %d.%d: CPython 3.10 to 3.13 is needed: make PYTHON=python3.12, say" % sys.version_info[:2])'
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes $(REQUIREMENTS:%=-r %)
 	touch $(VENV)/COLCON_IGNORE $@
 
 $(CHECKS_READY): $(READY)
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements-checks.txt
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements-checks.txt
 	touch $@
 
-$(INSTALLED): $(READY) setup.py setup.cfg evaluation/pyproject.toml hyst_control/processes/node_list.py
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable . --editable evaluation
-	$(VENV)/bin/python -m compileall -q hyst_control hyst_plant_sim evaluation
+$(INSTALLED): $(READY) setup.py setup.cfg evaluation/pyproject.toml examples/hysteretic_oscillators/pyproject.toml hyst_control/processes/node_list.py
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable . --editable evaluation --editable examples/hysteretic_oscillators
+	$(VENV)/bin/python -m compileall -q hyst_control hyst_plant_sim evaluation examples
 	touch $@
 
 clean:
-	rm -rf $(VENV) build install log demo_out site .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv .venv-* build install log demo_out site .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from evaluation.benchmarks.exported import COMPARED, compared, differences
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.export.folder import write_folder
 from hyst_control.export.programs import controller
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from catkin_pkg.package import Package, parse_package
+from catkin_pkg.package import Dependency, Package, parse_package
 from sources import ROOT
 
 KEYS = {
@@ -25,7 +25,6 @@ KEYS = {
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "platformdirs": "python3-platformdirs",
-    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tqdm": "python3-tqdm",
     "yaml": "python3-yaml",
@@ -38,12 +37,22 @@ def main() -> None:
     warnings: list[str] = []
     package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
     package.validate(warnings=warnings)
-    faults = [*warnings, *versions(package), *dependencies(package)]
+    by_pip = [
+        f"{each.name} is installed by pip, on which no Debian package can depend"
+        for each in depends(package)
+        if "-pip" in each.name
+    ]
+    faults = [*warnings, *by_pip, *versions(package), *dependencies(package)]
     if faults:
         sys.exit("\n".join(f"package.xml: {fault}" for fault in faults))
     print(
         f"package.xml: format {package.package_format}, version {package.version}, {len(package.exec_depends)} dependencies in order"
     )
+
+
+def depends(package: Package) -> list[Dependency]:
+    """What the package depends on for anything: building, running, tests, documents."""
+    return [*package.build_depends, *package.exec_depends, *package.test_depends, *package.doc_depends]
 
 
 def versions(package: Package) -> Iterator[str]:

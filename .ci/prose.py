@@ -105,7 +105,7 @@ def of_package(package: str) -> list[str]:
 
 def documents() -> list[Path]:
     """Documents that a user reads."""
-    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def main() -> None:

@@ -1,7 +1,9 @@
-"""Build the wheel, compare its content with the tree, and use it in a fresh environment that has no ROS."""
+"""Build the wheel twice, compare its content with the tree, and use it in a fresh environment that has no ROS."""
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -53,27 +55,34 @@ def entry_points(wheel: Path) -> list[str]:
     return list(parser["console_scripts"])
 
 
+def build(folder: Path) -> Path:
+    """Build the wheel from a copy of the sources of its own, dated by the last commit."""
+    dated = run("git", "log", "-1", "--format=%ct", cwd=ROOT).stdout.strip()
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder]
+    run(*command, copy_sources(folder / "sources"), env={**os.environ, "SOURCE_DATE_EPOCH": dated})
+    [wheel] = folder.glob("*.whl")
+    return wheel
+
+
+def constraints(folder: Path) -> Path:
+    """The pinned versions without their hashes, which pip would ask of the wheel too."""
+    pinned = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    path = folder / "constraints.txt"
+    path.write_text(re.sub(r" \\\n|^ *--hash=\S+", "", pinned, flags=re.MULTILINE), encoding="utf-8")
+    return path
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        run(
-            sys.executable,
-            "-m",
-            "pip",
-            "wheel",
-            "--quiet",
-            "--no-deps",
-            "--no-build-isolation",
-            "--wheel-dir",
-            folder,
-            copy_sources(folder / "sources"),
-        )
-        [wheel] = folder.glob("*.whl")
+        wheel, again = (build(folder / name) for name in ("first", "second"))
+        if wheel.read_bytes() != again.read_bytes():
+            sys.exit(f"{wheel.name}: two builds of the same sources differ")
         if absent := missing(wheel):
             sys.exit(f"{wheel.name} lacks {', '.join(sorted(absent))}")
         venv.create(folder / "fresh", with_pip=True)
         bin_folder = folder / "fresh" / "bin"
-        run(bin_folder / "pip", "install", "--quiet", "--constraint", ROOT / "requirements.txt", f"{wheel}[dashboard]")
+        run(bin_folder / "pip", "install", "--quiet", "--constraint", constraints(folder), f"{wheel}[dashboard]")
         for executable in entry_points(wheel):
             if not (bin_folder / executable).exists():
                 sys.exit(f"{wheel.name} did not install {executable}")
@@ -98,7 +107,7 @@ def main() -> None:
         refused = subprocess.run([bin_folder / "hyst", "record", "--output", "bag"], capture_output=True, text=True, **clean)
         if refused.returncode != 2 or len(refused.stderr.splitlines()) != 1:
             sys.exit(f"hyst record without ROS: one line and exit status 2 are due, not {refused.returncode}\n{refused.stderr}")
-        print(f"{wheel.name}: complete, installs, runs")
+        print(f"{wheel.name}: the same bytes twice, complete, installs, runs")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 FIGURES = Path(__file__).parent / "figures"
 NODES = (("reference_generator", 0.0), ("feedforward", 3.1), ("pi_feedback", 6.2), ("plant", 9.3))
@@ -129,7 +129,7 @@ def dashboard() -> None:
     """Pictures of the live page beside a loop that runs for that."""
     from playwright.sync_api import sync_playwright
 
-    from hyst_control.config_files import config_path
+    from hyst_control.base.config_files import config_path
     from hyst_control.processes.node_processes import Processes
     from hyst_control.processes.ros_domain import own_domain
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from evaluation.reproduction.page import TARGETS, read_result
 from evaluation.reproduction.targets import PAPER, Rows
-from hyst_control.files import read_json
+from hyst_control.base.files import read_json
 from hyst_control.reporting.tables import Row
 
 DOCS = Path(__file__).resolve().parent

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 # The matrices here are small: BLAS threads only spin against each other and against the nodes of a running loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from hyst_control import numba_cache  # before anything imports numba
+from hyst_control.base import numba_cache
 
 numba_cache.prepare()
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from hyst_control.api.model import Inverse, Model, Score, identify, load_model
     from hyst_control.api.record import Record, excitation, from_arrays, from_pandas, from_xarray, read_bag, read_csv, read_mat
     from hyst_control.api.tuning import Tuning, tune
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
 _HOMES = {
-    "errors": ("InputError",),
+    "base.errors": ("InputError",),
     "api.record": ("Record", "excitation", "from_arrays", "from_pandas", "from_xarray", "read_bag", "read_csv", "read_mat"),
     "api.model": ("Inverse", "Model", "Score", "identify", "load_model"),
     "api.tuning": ("Tuning", "tune"),

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from rclpy.timer import Timer
 from std_msgs.msg import Int64
 
-from hyst_control.config_files import config_path
-from hyst_control.control.loop import Plant
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import parse_yaml
+from hyst_control.control.feedback.loop import Plant
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
-from hyst_control.nodes.loop_latency import LoopLatency
-from hyst_control.nodes.managed import AUTOSTART, ManagedNode
-from hyst_control.nodes.message_io import QUEUE
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.nodes.tick_timer import LONGEST_GAP
-from hyst_control.records.row_repetition import Standstill
-from hyst_control.records.signal_rows import Wait
-from hyst_control.yaml_files import parse_yaml
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
+from hyst_control.nodes.signal_node.loop_latency import LoopLatency
+from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
+from hyst_control.nodes.signal_node.message_io import QUEUE
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
+from hyst_control.nodes.signal_node.timer import LONGEST_GAP
+from hyst_control.records.stream.row_repetition import Standstill
+from hyst_control.records.stream.signal_rows import Wait
 
 Array = NDArray[np.float64]
 
@@ -76,17 +76,7 @@ class PlantNode(ManagedNode):
     )
 
     def __init__(self, name: str = "plant", plant: Plant | None = None, **options: Any) -> None:
-        """Create the node.
-
-        Parameters
-        ----------
-        name : str
-            Name of the node.
-        plant : Plant, optional
-            Used instead of the one that the parameters describe.
-        **options : object
-            Passed on to `rclpy.node.Node`.
-        """
+        """Create the node."""
         super().__init__(name, **options)
         self.ends = self.settings.ticks > 0
         self._plant = plant or self._described()
@@ -113,7 +103,7 @@ class PlantNode(ManagedNode):
             self._confirmation = self.every(CONFIRMATION * self.settings.retry, self._confirm)
             self._confirmation.cancel()
             self.every(self.settings.retry, self._retry)
-        self.start_timer(0.1)
+        self.schedule.start(0.1)
 
     def activate(self) -> None:
         if self._tick is None:

@@ -14,7 +14,7 @@ import left_over_nodes
 import numpy as np
 import pytest
 
-from hyst_control.parallel import compute_serially
+from hyst_control.base.parallel import compute_serially
 from hyst_control.processes import environment
 from hyst_control.processes.ros_domain import own_domain
 

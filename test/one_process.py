@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from hyst_control.parallel import Workers
+from hyst_control.base.parallel import Workers
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from hyst_control.model_file import Simulator, load_model, simulate
-from hyst_control.records.signal_message import decode, parse_label
+from hyst_control.records.stream.signal_message import decode, parse_label
 
 FOLDER = Path(os.environ.get("HYST_CONFORMANCE", Path(__file__).resolve().parents[2] / "shared" / "conformance"))
 RECORDS = ("pea_multisine", "pea_staircase", "fsm_multisine", "fsm_staircase")

@@ -10,11 +10,11 @@ import threading
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import check_outputs, check_writable, read_json, replacing, write_json, write_text
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.files import check_outputs, check_writable, read_json, replacing, write_json, write_text
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 
 def small_bag(path):

@@ -13,8 +13,8 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.pipeline import node_class
+from hyst_control.nodes.signal_node.common_parameters import COMMON
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = sorted((ROOT / "launch").glob("*.launch.py"))

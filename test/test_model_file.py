@@ -11,14 +11,14 @@ import yaml
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.config_files import config_folders
+from hyst_control.base.errors import InputError
 from hyst_control.chain import STAGES
 from hyst_control.chain.chain import Chain, Parallel
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain, Quantization
-from hyst_control.config_files import config_folders
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model, model_from_document, model_to_document, save_model, simulate
 
 SHIPPED = sorted(path for folder in config_folders()[:1] for path in (folder / "models").glob("*.yaml"))

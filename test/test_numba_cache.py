@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import hyst_control
-from hyst_control import numba_cache
+from hyst_control.base import numba_cache
 
 CODE = "import os, hyst_control.chain; print(os.environ['NUMBA_CACHE_DIR'])"
 

@@ -16,14 +16,14 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from hyst_control import cluster
-from hyst_control.parallel import Workers, outcomes
+from hyst_control.base import cluster
+from hyst_control.base.parallel import Workers, outcomes
 
 BEGIN = """
 import os, signal, sys, time
 from pathlib import Path
-from hyst_control.errors import InputError
-from hyst_control.parallel import Workers, outcomes
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import Workers, outcomes
 
 def job(value):
     kind, number, folder = value

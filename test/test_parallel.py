@@ -14,8 +14,8 @@ import pytest
 
 BEGIN = """
 import os, signal, sys, time
-from hyst_control.errors import WorkerLost
-from hyst_control.parallel import executor, map_forked, map_spawned
+from hyst_control.base.errors import WorkerLost
+from hyst_control.base.parallel import executor, map_forked, map_spawned
 os.sched_getaffinity = lambda process: {0, 1}
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
 
@@ -190,7 +190,7 @@ def test_a_command_whose_worker_is_killed_ends_with_one_line(tmp_path):
 
 GARBAGE = """
 import gc, os
-from hyst_control.parallel import map_forked
+from hyst_control.base.parallel import map_forked
 os.sched_getaffinity = lambda process: {0, 1}
 parent = os.getpid()
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hyst_control import plugins
+from hyst_control.base import plugins
 
 SETUP = """
 from setuptools import setup
@@ -31,7 +31,7 @@ from hyst_control.chain.c_code.c_code import each_axis
 from hyst_control.chain.memoryless import Gain, StaticFilter
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, per_axis_scalars, register
-from hyst_control.control.feedforward import Compensator
+from hyst_control.control.feedforward.compensator import Compensator
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.identify import Estimator, Fit, Options, option
 from hyst_control.identify.data.dataset import check_records
@@ -256,7 +256,7 @@ def test_feedback_is_tuned_on_a_model_with_the_stage_of_a_plugin(place):
 
 def test_a_controller_of_a_plugin_is_built_by_its_name(place):
     program = """
-from hyst_control.control.feedforward import KINDS, build_compensator
+from hyst_control.control.feedforward.compensator import KINDS, build_compensator
 from hyst_control.model_file import load_model
 import numpy as np
 print("halved" in KINDS, build_compensator(load_model("model.yaml"), "halved").process(np.array([[4.0], [60.0]])).ravel().tolist())
@@ -280,7 +280,7 @@ def test_a_plugin_may_be_imported_before_this_package(place):
 def test_a_broken_plugin_is_one_line_that_names_its_distribution(place):
     program = """
 from hyst_control.chain import STAGES
-from hyst_control.control.feedforward import KINDS
+from hyst_control.control.feedforward.compensator import KINDS
 from hyst_control.effects import EFFECTS
 from hyst_control.identify import estimators
 print(len(STAGES) > 30, "ripple" in EFFECTS, "hampi" in KINDS, "number" in {**EFFECTS, **KINDS, **estimators()}, EFFECTS["gain"].name)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from docs.make_results import DATA, is_met, rows_of, tables
-from hyst_control.files import read_json
+from hyst_control.base.files import read_json
 from hyst_control.reporting.tables import SCHEMA
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "results.md"

@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from yaml import safe_dump, safe_load
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import MOST_BYTES, MOST_DEPTH, parse_yaml, read_yaml
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.excitation_files import read_description
-from hyst_control.yaml_files import MOST_BYTES, MOST_DEPTH, parse_yaml, read_yaml
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.excitation.excitation_files import read_description
 from hyst_plant_sim.physics import PlantError, load_plant
 
 BOMB = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9]\n" + "".join(

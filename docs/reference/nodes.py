@@ -7,13 +7,13 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-from hyst_control.nodes.command_line import allowed, liveness
-from hyst_control.nodes.common_parameters import COMMON
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.signal_settings import COMMON as OF_EVERY_SIGNAL
-from hyst_control.nodes.signal_settings import signal_settings
+from hyst_control.nodes.execution.command_line import allowed, liveness
+from hyst_control.nodes.signal_node.common_parameters import COMMON
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_settings import COMMON as OF_EVERY_SIGNAL
+from hyst_control.nodes.signal_node.signal_settings import signal_settings
 from hyst_control.processes.node_list import NODES, NodeEntry
-from hyst_control.records.excitation import KINDS
+from hyst_control.records.excitation.excitation import KINDS
 
 HEAD = """# Nodes and their parameters
 

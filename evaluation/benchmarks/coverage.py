@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.signal import lfilter
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
@@ -23,7 +24,6 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import map_forked
 from hyst_control.reporting.tables import Table
 
 RUNS = 200

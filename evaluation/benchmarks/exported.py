@@ -6,13 +6,13 @@ import time
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.parameter import Array
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import Compensator, build_compensator
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import MeasurementWatch
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import MeasurementWatch
+from hyst_control.control.feedforward.compensator import Compensator, build_compensator
 from hyst_control.export.backend import CompiledFeedforward, CompiledPI
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram

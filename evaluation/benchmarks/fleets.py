@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.simulated_fleet import CLEAN_NIGHTS, make_fleet
-from hyst_control.cluster import LOOPBACK
-from hyst_control.errors import InputError
+from evaluation.benchmarks.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from hyst_control.base.cluster import LOOPBACK
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import Workers, outcomes
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import GAPS, ONSETS, RecordJob, compute
-from hyst_control.parallel import Workers, outcomes
 from hyst_control.reporting.tables import Table
 
 RECORDS = 10_000

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
 from hyst_control.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.model_file import Model, save_model

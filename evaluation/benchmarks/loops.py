@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from evaluation.benchmarks import bare_timer
-from hyst_control import progress
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
+from hyst_control.base import progress
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.processes.node_processes import Processes
 from hyst_control.processes.ros_domain import own_domain
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.reporting.tables import Table
 
 SECONDS = 6.0
@@ -325,7 +325,7 @@ def _running(
         file.write_text(json.dumps(plain), encoding="utf-8")
         names = ("reference", "feedforward", "feedback", "plant")
         for group in [names] if case == "composed" else [(name,) for name in names]:
-            processes.run("-".join(group), "hyst_control.nodes.plain_loop", *group, str(file))
+            processes.run("-".join(group), "evaluation.benchmarks.plain_loop", *group, str(file))
         yield processes, "plain_plant"
 
 

@@ -16,7 +16,7 @@ def run(table: Table, axes: int = AXES, ticks: int = TICKS) -> None:
     """Measure the plant node under the timer, with a sender of commands and a receiver of measurements outside of it."""
     with own_domain() as domain:
         given = [str(value) for value in (axes, ticks, RATE, domain)]
-        command = [sys.executable, "-m", "hyst_control.nodes.many_axes", *given]
+        command = [sys.executable, "-m", "evaluation.benchmarks.many_axes_nodes", *given]
         found = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
     node_time, whole, chain = json.loads(found)
     case = f"{axes} axes, model pea_hampi, {RATE / 1e3:g} kHz"

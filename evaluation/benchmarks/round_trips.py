@@ -13,11 +13,8 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
 from hyst_control.chain import Chain, Parallel, Stage
-from hyst_control.chain.hysteresis.bouc_wen import BoucWen
-from hyst_control.chain.hysteresis.duhem import Duhem
-from hyst_control.chain.hysteresis.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
@@ -29,6 +26,9 @@ from hyst_control.identify.assess.fit_report import record_rows
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
+from hysteretic_oscillators.stages.bouc_wen import BoucWen
+from hysteretic_oscillators.stages.duhem import Duhem
+from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 MIDDLE, SWING = 5.0, 40.0
 """Drive, V."""

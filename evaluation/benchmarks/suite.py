@@ -21,11 +21,11 @@ from evaluation.benchmarks import (
     round_trips,
     workflows,
 )
-from hyst_control import progress
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder
 from hyst_control.reporting.tables import Table
 
 MESSAGES, ROWS = 24_000, 50

@@ -15,12 +15,12 @@ from evaluation.blind_test.case_drawing import draw
 from evaluation.blind_test.case_records import record_of, run_case
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SETUPS
+from hyst_control.base.parallel import executor
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
-from hyst_control.parallel import executor
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant

@@ -1,10 +1,16 @@
-"""One case of the blind test: its excitation, and the label with its effects."""
+"""The table of cases: a row says what is in a record, how the record is made, and what a diagnosis should say of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, replace
 from typing import Any
+
+import numpy as np
+
+from hyst_control.chain.stage import Array
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, Signal
 
 EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
 
@@ -13,29 +19,129 @@ KINDS = ("single", "pair", "parameters", "none", "open_set")
 NOISES = (5e-4, 3e-3)
 """Noise of the sensor, rms / stroke."""
 
+VERDICTS = {
+    "single": ("effect", "ambiguous"),
+    "pair": ("effect", "ambiguous"),
+    "parameters": ("parameters",),
+    "none": ("no_gap", "parameters"),
+    "open_set": ("unknown",),
+}
+"""Verdicts that are right, by kind, where the label has none of its own."""
+
+DIGITS = 6
+"""Of a label's numbers: the last digits of a simulated gap come from the processor's mathematics library."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """Answer of a case: what a diagnosis should say, and how large the gap is. None: as for every simulated case."""
+
+    kind: str  # One of `KINDS`: that of the case, or "none" where nobody could see its gap
+    names: tuple[str, ...]  # Effects to name
+    gap_rms: float = 0.0  # True gap, measurement unit
+    noise_rms: float = 0.0  # Noise, or the error of the model where that hides a gap, measurement unit
+    distance: float | None = None  # Distance of the gap from any change of gain and offset, standard deviations
+    hidden: tuple[str, ...] | None = None  # What is in the case where nobody could see it
+    shown: tuple[str, ...] | None = None  # Effects of a pair that are visible beside the other
+    accepted: tuple[tuple[str, ...], ...] | None = None  # Names that are right for each effect
+    ignored: tuple[str, ...] | None = None  # Names that are neither right nor wrong
+    verdicts: tuple[str, ...] | None = None  # Verdicts that are right
+    truth: Mapping[str, tuple[float, ...]] | None = None  # True parameters of the first effect, by axis
+
 
 @dataclass(frozen=True)
 class Case:
-    """One case of the blind test."""
+    """One row of the table of cases."""
 
     name: str  # Name of the case
-    plant: str  # Truth plant
+    plant: str  # Reference simulation, or machine
     kind: str  # One of `KINDS`
-    excitation: str  # One of `EXCITATIONS`
-    noise: float  # Noise of the sensor, rms / stroke
-    seed: int  # Seed of the plant's scatter, noise and excitation
-    effects: tuple[Mapping[str, Any], ...] = ()  # Effects of the plant, mappings that `load_plant` takes
+    excitation: str  # One of `EXCITATIONS`, or the machine's record
+    noise: float  # Noise of the sensor, rms / stroke; 0 of a measured record
+    seed: int  # Seed of the plant's scatter, noise and excitation; of an injected case that of the run
+    effects: tuple[Mapping[str, Any], ...] = ()  # Effects that are put in, with their sizes and realizations
     off: float = 1.0  # Scatter of the plant's coefficients, times their tolerance
-    label: Mapping[str, Any] = field(default_factory=dict)  # The answer: kind, effects, true gap
+    label: Label | None = None  # The answer; None until the case is made
     untuned: bool = False  # True with an effect in a realization that tuning seeds never draw
     duration: float = 1.5  # Length of the rich record, s
+    source: str = "simulated"  # "simulated", "injected" into a record, or "withheld" from the model
+    regime: str = "none"  # Baseline records beside the new one: none, of another command, of the same command
+    multiple: float = 0.0  # Size of each injected effect, times the model's own error
+    axes: tuple[str, ...] = ()  # Axes of the label's true parameters
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its effects."""
         return tuple(effect["name"] for effect in self.effects)
 
+    @property
+    def answer(self) -> Label:
+        """The label of a case that was made."""
+        assert self.label is not None, self.name
+        return self.label
+
+
+@dataclass(frozen=True)
+class Made:
+    """Content of a case's files: records and model; and the answer, which is kept apart."""
+
+    record: Record  # The record to diagnose
+    model: Model  # The model to diagnose it with
+    label: Label  # The answer
+    effects: tuple[Mapping[str, Any], ...]  # What was put in, with the sizes that were found
+    beside: tuple[Record, ...] = ()  # Baseline records
+    warm_up: float = 0.0  # Begin of the records that does not count, s
+    coming: Array | None = None  # Command of a later session, for which the reduction is predicted
+
+    def of(self, case: Case) -> Case:
+        """The case with its answer."""
+        return replace(case, label=self.label, effects=self.effects)
+
+
+def plain_record(
+    command: Array, measurement: Array, sample_time: float, axes: tuple[str, ...], name: str, unit: str = "um"
+) -> Record:
+    """Make a record of a command (V) and a measurement."""
+    time = sample_time * np.arange(len(command), dtype=np.float64)
+    return Record({"command": Signal(time, command, axes, "V"), "measurement": Signal(time, measurement, axes, unit)}, name)
+
+
+OF_SOME = ("source", "regime", "multiple", "axes")
+"""Columns that simulated cases leave out of their document."""
+
 
 def as_document(case: Case) -> dict[str, Any]:
-    """Convert a case with its label to JSON types."""
-    return {**asdict(case), "effects": [dict(effect) for effect in case.effects], "label": dict(case.label)}
+    """Convert a case with its label to JSON types, its numbers rounded; what is not said is left out."""
+    document = asdict(case)
+    label = {name: value for name, value in document["label"].items() if value is not None}
+    document["label"] = {"kind": label.pop("kind"), "names": label.pop("names"), **_columns(document), **label}
+    if case.source == "simulated":
+        document = {name: value for name, value in document.items() if name not in OF_SOME}
+    rounded: dict[str, Any] = _rounded(document)
+    return rounded
+
+
+def from_document(document: Mapping[str, Any]) -> Case:
+    """Read a case as `as_document` writes it."""
+    whole = _frozen(document)
+    own = {name: value for name, value in whole["label"].items() if name not in _columns(whole)}
+    return replace(Case(**{**whole, "label": None}), label=Label(**own))
+
+
+def _columns(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Columns of the case that its label repeats."""
+    return {name: document[name] for name in ("effects", "plant", "excitation", "noise")}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _frozen(item) for key, item in value.items()}
+    return tuple(map(_frozen, value)) if isinstance(value, list) else value

@@ -10,9 +10,9 @@ import numpy as np
 from evaluation.blind_test.case import Case
 from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
 from hyst_control.chain.stage import Array
-from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI
-from hyst_control.records.excitation import build
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.feedback.pi import PI
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import Plant, load_plant
 

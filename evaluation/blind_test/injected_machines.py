@@ -12,14 +12,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from evaluation.blind_test.mirror_models import DELAYS, fit, stated_model
+from evaluation.blind_test.plant_setups import SETUPS
+from evaluation.reproduction import fsm_cubespec_records as mirror
+from evaluation.reproduction import pea_p885 as stack
+from hyst_control.chain.stage import Array
+from hyst_control.identify.data.dataset import Dataset
+from hyst_control.identify.workflow import identified
+from hyst_control.model_file import Model
+from hyst_control.records.excitation.excitation import build
+from hyst_plant_sim.physics import bouc_wen_stage, load_plant
 
 ROWS, FILLING, PERIOD = 1600, 400, 200
 """Rows of the stack's records, of their begin, in which the memory fills, and of a cycle."""
@@ -30,6 +39,11 @@ NOISE = 5e-4
 MODEL_SEEDS, TUNING_SEEDS, SCORING_SEEDS = (5000, 5001), (5100, 5101, 5102, 5103), (5200, 5201, 5202, 5203, 5204, 5205)
 """Of the simulated records' commands and noise."""
 SIMULATED = ("third", "bouc_wen")
+
+
+PLANTS = ("stack", "mirror", "simulated")
+SCORING = 1000
+"""First seed that is drawn from the records set apart for scoring."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +67,11 @@ class Machine:
     # By the index of a case's record, a clean one of the same command; absent where there is none
     same: Mapping[int, Clean]
     others: tuple[Clean, ...]  # Clean records of other commands
-    model: Callable[[], Any]  # Identifies the model, with its own error in it
+    model: Callable[[], Model]  # Identifies the model, with its own error in it
 
 
 def stack_machine(scoring: bool) -> Machine:
     """Construct the stack."""
-    from evaluation.reproduction import pea_p885 as stack
-    from hyst_control.identify.workflow import identified
-
     full, nested = stack.load()
 
     def stretches(record: Any, first: int, last: int, apart: int = ROWS) -> list[Clean]:
@@ -81,7 +92,7 @@ def stack_machine(scoring: bool) -> Machine:
     else:
         cases, same = (loops[2], *plain[1:-1]), {0: loops[3]}
 
-    def model() -> Any:
+    def model() -> Model:
         datasets = [
             replace(full, name=one.name, command=one.command, measurement=one.measurement, start="unknown") for one in training
         ]
@@ -92,9 +103,6 @@ def stack_machine(scoring: bool) -> Machine:
 
 def mirror_machine(scoring: bool, level: int) -> Machine:
     """Construct the mirror at one of its levels."""
-    from evaluation.blind_test.mirror_models import DELAYS, fit, own_error
-    from evaluation.reproduction import fsm_cubespec_records as mirror
-
     data = mirror.load_levels()[level]
     case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])
 
@@ -105,9 +113,8 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
         )
         return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
 
-    def model() -> Any:
-        bare = mirror.model_of(fit(data, DELAYS[-1]).model, data.name, float(np.abs(data.command).max()))
-        return replace(bare, discrepancy=own_error(bare, data, other))
+    def model() -> Model:
+        return stated_model(fit(data, DELAYS[-1]), data, other, data.name)
 
     warm_up = mirror.PERIOD * mirror.SAMPLE_TIME
     return Machine(
@@ -124,12 +131,6 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
 
 def simulated_machine(name: str, scoring: bool) -> Machine:
     """Construct `third` or the Bouc-Wen stage."""
-    from evaluation.blind_test.plant_setups import SETUPS
-    from hyst_control.identify.data.dataset import Dataset
-    from hyst_control.identify.workflow import identified
-    from hyst_control.records.excitation import build
-    from hyst_plant_sim.physics import bouc_wen_stage, load_plant
-
     third = SETUPS["third"]
     step, (low, high) = (
         (third.sample_time, third.command) if name == "third" else (bouc_wen_stage.SAMPLE_TIME, bouc_wen_stage.COMMAND)
@@ -143,9 +144,29 @@ def simulated_machine(name: str, scoring: bool) -> Machine:
         plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
         return Clean(f"{name}, seed {seed}", rows, np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]]))
 
-    def model() -> Any:
+    def model() -> Model:
         records = [record(seed) for seed in MODEL_SEEDS]
         return identified([Dataset(each.name, each.command, each.measurement, step, ("x",), "um") for each in records]).model
 
     cases = tuple(record(seed) for seed in (SCORING_SEEDS if scoring else TUNING_SEEDS))
     return Machine(name, ("x",), step, 0.0, cases, {}, (), model)
+
+
+def machines_of(plants: Sequence[str], scoring: bool) -> list[Machine]:
+    """List the machines of some of `PLANTS`."""
+    names = ["stack"] if "stack" in plants else []
+    names += [f"mirror, {level} mV" for level in mirror.LEVELS] if "mirror" in plants else []
+    names += SIMULATED[: 2 if scoring else 1] if "simulated" in plants else []
+    return [machine_of(name, scoring) for name in names]
+
+
+@cache
+def machine_of(name: str, scoring: bool) -> Machine:
+    """Find a machine by its name; its model is identified once."""
+    if name == "stack":
+        machine = stack_machine(scoring)
+    elif name in SIMULATED:
+        machine = simulated_machine(name, scoring)
+    else:
+        machine = mirror_machine(scoring, next(i for i, level in enumerate(mirror.LEVELS) if name == f"mirror, {level} mV"))
+    return replace(machine, model=cache(machine.model))

@@ -27,25 +27,28 @@ COMPANIONS = ("offset", "offset_drift")
 """Differ between sessions that nothing was done to."""
 
 
+Change = Callable[[Array, float, float, np.random.Generator], Array]
+"""(rows (N, A), sample time, strength, random) to the rows with the effect."""
+
+
 @dataclass(frozen=True)
 class Injection:
     """Effect that is put in: strength s > 0 to another command or measurement."""
 
     name: str  # In the gap report's vocabulary; "unknown" of the open set
-    # (command (N, A), measurement (N, A), sample time, strength, random) to the two as recorded with the effect
-    apply: Callable[[Array, Array, float, float, np.random.Generator], tuple[Array, Array]]
+    change: Change  # Of the measurement, or backwards of the command
     realization: str = ""  # Name among the realizations of the effect
-    # (strength, command, measurement, sample time) to the true value of each parameter that the gap report defines alike, by axis
-    # or for all
-    truth: Callable[[float, Array, Array, float], dict[str, Array | float]] = lambda s, u, y, step: {}
+    # (strength, measurement, sample time) to the true value of each parameter that the gap report defines alike, by axis or for all
+    truth: Callable[[float, Array, float], dict[str, Array | float]] = lambda s, y, step: {}
+    drive: bool = False  # True where the command is changed
 
-
-def _measured(change: Callable[[Array, float, float, np.random.Generator], Array]) -> Callable[..., tuple[Array, Array]]:
-    return lambda u, y, step, s, random: (u, change(y, step, s, random))
-
-
-def _commanded(change: Callable[[Array, float, float, np.random.Generator], Array]) -> Callable[..., tuple[Array, Array]]:
-    return lambda u, y, step, s, random: (change(u, step, s, random), y)
+    def apply(
+        self, command: Array, measurement: Array, step: float, strength: float, random: np.random.Generator
+    ) -> tuple[Array, Array]:
+        """The record with the effect in it."""
+        if self.drive:
+            return self.change(command, step, strength, random), measurement
+        return command, self.change(measurement, step, strength, random)
 
 
 def _along(rows: Array) -> Array:
@@ -116,76 +119,52 @@ def _held(y: Array, share: float, random: np.random.Generator) -> Array:
     return y[np.maximum.accumulate(rows)]
 
 
-def _ahead(u: Array, step: float, tau: float) -> Array:
-    return _later(u[::-1], step, tau)[::-1]
+def _as_share(parameter: str) -> Callable[[float, Array, float], dict[str, Array | float]]:
+    """Truth of a parameter whose strength is a share of the measurement's span."""
+    return lambda s, y, step: {parameter: s * _span(y)}
+
+
+def _as_gain(s: float, y: Array, step: float) -> dict[str, Array | float]:
+    return {"gain": s}
+
+
+def _as_delay(s: float, y: Array, step: float) -> dict[str, Array | float]:
+    return {"tau": s * len(y) * step}
+
+
+def _as_cutoff(s: float, y: Array, step: float) -> dict[str, Array | float]:
+    return {"cutoff": 1.0 / (2.0 * np.pi * s * len(y) * step)}
 
 
 SINGLES = (
-    Injection("gain", _measured(lambda y, step, s, r: y * (1.0 + s)), "sensor", truth=lambda s, u, y, step: {"gain": s}),
-    Injection("gain", _commanded(lambda u, step, s, r: u / (1.0 + s)), "amplifier", truth=lambda s, u, y, step: {"gain": s}),
-    Injection("gain_drift", _measured(lambda y, step, s, r: y * (1.0 + s * _along(y))), "linear"),
-    Injection("offset", _measured(lambda y, step, s, r: y + s * _span(y)), truth=lambda s, u, y, step: {"offset": s * _span(y)}),
-    Injection("offset_drift", _measured(lambda y, step, s, r: y + s * _span(y) * _along(y)), "linear"),
-    Injection("offset_drift", _measured(lambda y, step, s, r: y - s * _span(y) * np.expm1(-5.0 * _along(y))), "settling"),
-    Injection("creep", _measured(lambda y, step, s, r: _creep(y, step, s, len(y) * step * np.array([0.01, 0.1, 1.0]))), "ladder"),
-    Injection(
-        "delay",
-        _measured(lambda y, step, s, r: _later(y, step, s * len(y) * step)),
-        "sensor",
-        truth=lambda s, u, y, step: {"tau": s * len(y) * step},
-    ),
-    Injection(
-        "delay",
-        _commanded(lambda u, step, s, r: _ahead(u, step, s * len(u) * step)),
-        "command",
-        truth=lambda s, u, y, step: {"tau": s * len(y) * step},
-    ),
-    Injection(
-        "sensor_lowpass",
-        _measured(lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 1)),
-        "first",
-        truth=lambda s, u, y, step: {"cutoff": 1.0 / (2.0 * np.pi * s * len(y) * step)},
-    ),
-    Injection("sensor_lowpass", _measured(lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 2)), "second"),
-    Injection("sensor_nonlinearity", _measured(lambda y, step, s, r: _bent(y, s, 0.0)), "even"),
-    Injection("sensor_nonlinearity", _measured(lambda y, step, s, r: _bent(y, 0.3 * s, s)), "odd"),
-    Injection("resonance", _measured(lambda y, step, s, r: _mode(y, step, s, 0.2 / step)), "sensor side"),
-    Injection(
-        "backlash",
-        _measured(lambda y, step, s, r: _play(y, s * _span(y))),
-        truth=lambda s, u, y, step: {"half_width": s * _span(y)},
-    ),
-    Injection(
-        "quantization",
-        _measured(lambda y, step, s, r: s * _span(y) * np.round(y / (s * _span(y)))),
-        truth=lambda s, u, y, step: {"step": s * _span(y)},
-    ),
-    Injection(
-        "held_samples", _measured(lambda y, step, s, r: _held(y, s, r)), truth=lambda s, u, y, step: {"fraction": min(s, 0.9)}
-    ),
-    Injection(
-        "mains_hum",
-        _measured(lambda y, step, s, r: _line(y, step, 50.0, s * _span(y), r)),
-        truth=lambda s, u, y, step: {"amplitude": s * _span(y)},
-    ),
-    Injection("vibration", _measured(lambda y, step, s, r: _line(y, step, 0.31 / step, s * _span(y), r))),
-    Injection(
-        "sensor_noise",
-        _measured(lambda y, step, s, r: y + s * _span(y) * r.standard_normal(y.shape)),
-        truth=lambda s, u, y, step: {"rms": s * _span(y)},
-    ),
-    Injection("flicker_noise", _measured(lambda y, step, s, r: y + s * _span(y) * _flicker(y, r))),
-    Injection("dac_hold", _commanded(lambda u, step, s, r: u + s * np.ptp(u, axis=0) * r.uniform(-0.5, 0.5, u.shape)), "rounding"),
+    Injection("gain", lambda y, step, s, r: y * (1.0 + s), "sensor", _as_gain),
+    Injection("gain", lambda u, step, s, r: u / (1.0 + s), "amplifier", _as_gain, drive=True),
+    Injection("gain_drift", lambda y, step, s, r: y * (1.0 + s * _along(y)), "linear"),
+    Injection("offset", lambda y, step, s, r: y + s * _span(y), truth=_as_share("offset")),
+    Injection("offset_drift", lambda y, step, s, r: y + s * _span(y) * _along(y), "linear"),
+    Injection("offset_drift", lambda y, step, s, r: y - s * _span(y) * np.expm1(-5.0 * _along(y)), "settling"),
+    Injection("creep", lambda y, step, s, r: _creep(y, step, s, len(y) * step * np.array([0.01, 0.1, 1.0])), "ladder"),
+    Injection("delay", lambda y, step, s, r: _later(y, step, s * len(y) * step), "sensor", _as_delay),
+    Injection("delay", lambda u, step, s, r: _later(u[::-1], step, s * len(u) * step)[::-1], "command", _as_delay, drive=True),
+    Injection("sensor_lowpass", lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 1), "first", _as_cutoff),
+    Injection("sensor_lowpass", lambda y, step, s, r: _lowpass(y, step, s * len(y) * step, 2), "second"),
+    Injection("sensor_nonlinearity", lambda y, step, s, r: _bent(y, s, 0.0), "even"),
+    Injection("sensor_nonlinearity", lambda y, step, s, r: _bent(y, 0.3 * s, s), "odd"),
+    Injection("resonance", lambda y, step, s, r: _mode(y, step, s, 0.2 / step), "sensor side"),
+    Injection("backlash", lambda y, step, s, r: _play(y, s * _span(y)), truth=_as_share("half_width")),
+    Injection("quantization", lambda y, step, s, r: s * _span(y) * np.round(y / (s * _span(y))), truth=_as_share("step")),
+    Injection("held_samples", lambda y, step, s, r: _held(y, s, r), truth=lambda s, y, step: {"fraction": min(s, 0.9)}),
+    Injection("mains_hum", lambda y, step, s, r: _line(y, step, 50.0, s * _span(y), r), truth=_as_share("amplitude")),
+    Injection("vibration", lambda y, step, s, r: _line(y, step, 0.31 / step, s * _span(y), r)),
+    Injection("sensor_noise", lambda y, step, s, r: y + s * _span(y) * r.standard_normal(y.shape), truth=_as_share("rms")),
+    Injection("flicker_noise", lambda y, step, s, r: y + s * _span(y) * _flicker(y, r)),
+    Injection("dac_hold", lambda u, step, s, r: u + s * _span(u) * r.uniform(-0.5, 0.5, u.shape), "rounding", drive=True),
 )
 OPEN_SET = (
-    Injection("unknown", _measured(lambda y, step, s, r: y + s * _span(y) * _spikes(y, r)), "spikes"),
-    Injection(
-        "unknown", _measured(lambda y, step, s, r: _later(y, step, 0.0) + _warped(y, step, s * len(y) * step)), "clock mismatch"
-    ),
-    Injection("unknown", _measured(lambda y, step, s, r: _dead_band(y, s * _span(y))), "dead band"),
-    Injection(
-        "unknown", _measured(lambda y, step, s, r: y * (1.0 + s * (np.sin(40.0 * _along(y)) > 0))), "gain that comes and goes"
-    ),
+    Injection("unknown", lambda y, step, s, r: y + s * _span(y) * _spikes(y, r), "spikes"),
+    Injection("unknown", lambda y, step, s, r: y + _warped(y, step, s * len(y) * step), "clock mismatch"),
+    Injection("unknown", lambda y, step, s, r: _dead_band(y, s * _span(y)), "dead band"),
+    Injection("unknown", lambda y, step, s, r: y * (1.0 + s * (np.sin(40.0 * _along(y)) > 0)), "gain that comes and goes"),
 )
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
@@ -17,13 +17,15 @@ from hyst_control.identify.modal.modal_candidate import Candidate, error_of, ref
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import Record
 
 ORDER = 46
 """States of the mirror's linear models."""
 DELAYS = (0.0, 0.25, 0.5, 0.75)
 """Candidates in samples; the fifth realization chooses among them."""
 LOST_GAIN = 0.05
+MODE = "mode at"
+"""Begin of the names of modes that a model loses."""
 LEAST_SHARE = 1.0
 """Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
 
@@ -35,10 +37,9 @@ def fit(level: mirror.Level, delay: float) -> Candidate:
     return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
 
 
-def errors(model: Model, level: mirror.Level, realization: int) -> Annotated[Array, "3"]:
-    """Rms errors of a model on a realization, both periods."""
-    error: Array = np.sqrt(np.mean(np.concatenate(residuals(model, level, realization)) ** 2, axis=0))
-    return error
+def rms_error(model: Model, level: mirror.Level, realization: int) -> float:
+    """Rms error of a model on a realization, both periods and all axes."""
+    return float(np.sqrt(np.mean(np.square(residuals(model, level, realization)))))
 
 
 def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array]:
@@ -47,11 +48,12 @@ def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array
     return list((level.measurement[:, :, realization] - simulated[..., None]).transpose(2, 0, 1))
 
 
-def own_error(model: Model, level: mirror.Level, realization: int) -> dict[str, Any]:
-    """Describe the error of a model on a realization that it was not fitted on, as `hyst identify` does."""
-    commands = list(level.command[:, :, realization].transpose(2, 0, 1))
-    measurements = list(level.measurement[:, :, realization].transpose(2, 0, 1))
-    return discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
+def stated_model(found: Candidate, level: mirror.Level, realization: int, name: str) -> Model:
+    """Convert a fit to a model that states its error on a realization that it was not fitted on, as `hyst identify` does."""
+    model = mirror.model_of(found.model, name, float(np.abs(level.command).max()))
+    commands, measurements = (list(rows[:, :, realization].transpose(2, 0, 1)) for rows in (level.command, level.measurement))
+    own = discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
+    return replace(model, discrepancy=own)
 
 
 def record_of(level: mirror.Level, realization: int) -> Record:
@@ -59,16 +61,10 @@ def record_of(level: mirror.Level, realization: int) -> Record:
     command, measurement = (
         part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
     )
-    time = mirror.SAMPLE_TIME * np.arange(len(command), dtype=np.float64)
-    return Record(
-        {"command": Signal(time, command, mirror.AXES, "V"), "measurement": Signal(time, measurement, mirror.AXES, "um")},
-        f"{level.name}, realization {realization + 1}",
-    )
+    return plain_record(command, measurement, mirror.SAMPLE_TIME, mirror.AXES, f"{level.name}, realization {realization + 1}")
 
 
-def models_without_elements(
-    model: Model, modes: bool, level: mirror.Level, floor: float
-) -> Iterator[tuple[str, tuple[str, ...], Model]]:
+def models_without_elements(model: Model, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
     """Remove one element of a model after the other."""
     *before, whole = model.chain.stages
     assert isinstance(whole, StateSpace)
@@ -81,14 +77,12 @@ def models_without_elements(
         ("gain", "hysteresis_width"),
         with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
     )
-    if not modes:
-        return
     simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
     for block, frequency in oscillating(whole):
         crippled = with_stages(model, *before, without_states(whole, block))
         lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
         if np.mean(lost**2) > LEAST_SHARE * floor**2:
-            yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
+            yield f"{MODE} {frequency:.0f} Hz", ("resonance",), crippled
 
 
 def with_stages(model: Model, *stages: Stage) -> Model:

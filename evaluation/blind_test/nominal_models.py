@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from evaluation.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, TOLERANCE
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.stage import Array
-from hyst_control.config_files import config_path
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, load_model, simulate
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 from hyst_plant_sim.physics import load_plant
 
 CLEAN_SEEDS = (5000, 5001, 5002, 5003)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.yaml_files import read_yaml
+from hyst_control.base.yaml_files import read_yaml
 from hyst_plant_sim.physics.plant_files import shipped
 
 PLANTS = ("pea_published", "fsm_published", "pea_published", "third", "pea_published")

@@ -1,8 +1,9 @@
-"""The blind test: cases drawn from reference simulations, diagnosed by processes that never see their labels, then scored.
+"""The blind test: cases are made, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, model.yaml, next.npy} is all the input of a diagnosis (next.npy is the command of a fresh record, for
-which it predicts the shrink), labels.json is kept separate (its SHA-256 is printed before anything is diagnosed), reports/NAME.json (and
-.yaml, the augmented model) is the output of the diagnosis. A run that was interrupted goes on where it stopped.
+Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (baseline records beside the new
+one; the command of a later session, for which the reduction is predicted; the begin that does not count). labels.json is kept separate (its
+SHA-256 is printed before anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) and evidence/NAME.json are the output
+of the diagnosis, results.csv has a row for every case. A run that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -11,21 +12,30 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from evaluation.blind_test.diagnosis_queue import Job, interleaved, work
-from evaluation.blind_test.error_report import error_report
-from evaluation.blind_test.published_labels import rounded
-from hyst_control.errors import InputError
-from hyst_control.files import read_json, write_json
-from hyst_control.parallel import Workers, map_spawned
+import numpy as np
+
+from evaluation.blind_test import injected, simulated, withheld
+from evaluation.blind_test.case import Case, Made, as_document, from_document
+from evaluation.blind_test.case_drawing import draw
+from evaluation.blind_test.injected_machines import PLANTS, SCORING, machines_of
+from evaluation.blind_test.injected_plan import planned
+from evaluation.blind_test.scores import ERROR, Result, metrics, score, table, write_results
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import read_json, write_json
+from hyst_control.base.parallel import Workers, map_spawned, outcomes
+from hyst_control.diagnose.report.predicted_reduction import foresee
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.effects import EFFECTS
+from hyst_control.model_file import load_model, save_model
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.tables import Table
-
-if TYPE_CHECKING:
-    from evaluation.blind_test.case import Case
 
 CONFUSABLE = {
     "amplifier_lowpass": ("sensor_lowpass", "delay"),
@@ -39,276 +49,238 @@ CONFUSABLE = {
 }
 """Effects of nearly the same signature, which are left out together."""
 
+MADE: dict[str, Callable[[Case], Made]] = {"simulated": simulated.made, "injected": injected.made, "withheld": withheld.made}
 
-def run_all(
-    out: str,
-    seed: int,
-    count: int,
-    left_out: int = 0,
+Job = tuple[str, str, tuple[str, ...]]
+"""Folder of a case, its report, and the effects that are left out of the catalogue."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cases of one source that are drawn together, in a folder of the run."""
+
+    source: str  # "simulated", "injected" or "withheld"
+    folder: Path
+    seed: int = 0
+    count: int = 0  # All of the withheld cases, whose number nobody asks for
+    options: Mapping[str, Any] = field(default_factory=dict)  # Of the drawing
+    role: str = ""  # "without_gap" of further cases, which only the rows of false alarms count
+    left_out: int = 0  # Cases with one effect that are diagnosed again without it in the catalogue
+
+    @property
+    def labels(self) -> Path:
+        """File of the labels."""
+        return self.folder / "labels.json"
+
+    def drawn(self) -> list[Case]:
+        """Draw the cases, which have no label yet."""
+        if self.source == "simulated":
+            return draw(self.seed, self.count, **self.options)
+        if self.source == "injected":
+            machines = machines_of(self.options.get("plants") or PLANTS, self.seed >= SCORING)
+            return list(planned(machines, self.seed, self.count))
+        return withheld.drawn(**self.options)
+
+    def cases(self) -> list[Case]:
+        """Read the cases that were made."""
+        return [from_document(one) for one in read_json(self.labels)["cases"]]
+
+    def results(self) -> list[Result]:
+        """Score the cases that were diagnosed."""
+        found = []
+        for folder, role in (("reports", self.role), ("reports_left_out", "left_out")):
+            named = [(case, self.folder / folder / f"{case.name}.json") for case in self.cases()]
+            found += [score(case, read_json(path), role) for case, path in named if path.exists()]
+        return found
+
+
+def run(
+    batches: Sequence[Batch],
+    command: str,
     page: str | None = None,
-    json_path: str | None = None,
     note: Callable[[str], None] = print,
     so_far: bool = False,
-    injected_count: int = 0,
     stop_after: float | None = None,
-    without_gap: int = 0,
     workers: Workers | None = None,
 ) -> Table:
-    """Run the whole test: draw, diagnose, leave out, compare the predictions with fresh records, score, write."""
-    # injected_count: number of cases that are injected into records of machines, in the folder `injected` of the run; the
-    # measurements are needed
-    from evaluation.blind_test import injected
-    from evaluation.blind_test.injected_scores import injected_metrics
-    from evaluation.blind_test.scores import metrics, novelty_quantile, table
-
-    folder = _folder(out, count)
-    if workers is not None:
-        folder = folder.resolve()  # the workers of a cluster have folders of their own to begin in
-    put_in, quiet = folder / "injected", folder / "without_gap"
-    digests = {"": _digest(make(folder, seed, count, note))}
-    if injected_count:
-        digests["injected"] = _digest(injected.make(str(put_in), seed, injected_count, note=note))
-    if without_gap:
-        quiet.mkdir(exist_ok=True)
-        digests["without a gap"] = _digest(make(quiet, seed, without_gap, note, kinds=("none",)))
+    """Make the cases, diagnose them, hold the predictions against later sessions, score, and write."""
+    for batch in batches:
+        make(batch, note)
     if not so_far:
-        jobs = [jobs_of(folder, left_out)]
-        jobs += [injected.jobs_of(put_in)] if injected_count else []
-        jobs += [jobs_of(quiet)] if without_gap else []
-        work(interleaved(*jobs), None if stop_after is None else time.time() + stop_after, note, workers)
-    add_realized_shrinks(folder, note)
-    pairs = list(load(folder))
-    if not pairs:
-        raise InputError(f"{folder}: no case has been diagnosed yet: call without --so-far")
-    others = list(load(folder, "reports_left_out")) if left_out else []
-    rows = injected.load(put_in) if injected_count else []
-    further = [({**case, "name": f"without_gap/{case['name']}"}, report) for case, report in load(quiet)] if without_gap else []
-    singles = [report for label, report in rows if label["kind"] == "single"]
-    singles += [report for case, report in pairs if case["label"]["kind"] == "single"]
-    found = [*metrics(pairs, others, further), *injected_metrics(rows), *novelty_quantile(singles)]
-    command = f"blind-test --seed {seed} --count {count} --left-out {left_out}"
-    command += f" --with-injected {injected_count}" if injected_count else ""
-    command += f" --without-gap {without_gap}" if without_gap else ""
-    result = table(found, command)
-    if json_path is not None:
-        result.write(json_path)
+        diagnose_all(batches, None if stop_after is None else time.time() + stop_after, note, workers)
+    for batch in batches:
+        add_realized(batch)
+    results = [result for batch in batches for result in batch.results()]
+    if not results:
+        raise InputError(f"{batches[0].folder}: no case has been diagnosed yet: call without --so-far")
+    write_results(batches[0].folder / "results.csv", results)
+    found = metrics(results)
     if page is not None:
         from evaluation.blind_test.page import write_page
 
-        write_page(Path(page), found, pairs, rows, further, command, (count, injected_count, without_gap), digests, len(others))
-    return result
+        asked = sum(len(batch.cases()) for batch in batches)
+        digests = {batch.role or batch.source: _digest(batch.labels) for batch in batches}
+        write_page(Path(page), found, results, command, asked, digests)
+    return table(found, command)
 
 
-def make_cases(
-    out: str,
-    seed: int,
-    count: int,
-    plants: Sequence[str] | None = None,
-    kinds: Sequence[str] | None = None,
-    excitations: Sequence[str] | None = None,
-    switched: float = 0.0,
-    note: Callable[[str], None] = print,
-) -> Path:
-    """Draw and record cases with their labels, without a diagnosis; see `make` and `case_drawing.draw`."""
-    from evaluation.blind_test.case import EXCITATIONS, KINDS
-    from evaluation.blind_test.plant_setups import SETUPS
-
-    for option, asked, known in (
-        ("plants", plants, SETUPS),
-        ("kinds", kinds, KINDS),
-        ("excitations", excitations, EXCITATIONS),
-    ):
-        for name in asked or ():
-            if name not in known:
-                raise InputError(f"--{option}: must be among {', '.join(known)}, got {name}")
-    if not 0 <= switched <= 1:
-        raise InputError(f"--switched: must be from 0 to 1, got {switched:g}")
-    given = {"plants": plants, "kinds": kinds, "excitations": excitations, "switched": switched}
-    return make(_folder(out, count), seed, count, note, **{name: value for name, value in given.items() if value})
-
-
-def _folder(out: str, count: int) -> Path:
-    if count < 1:
-        raise InputError(f"--count: must be >= 1, got {count}")
-    folder = Path(out)
-    if folder.exists() and not (folder / "labels.json").exists() and any(folder.iterdir()) and not (folder / "cases").is_dir():
-        raise InputError(f"{folder}: holds files that are not of a blind test: choose another folder")
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
-def make(folder: Path, seed: int, count: int, note: Callable[[str], None] = print, **options: Any) -> Path:
-    """Draw the cases of a seed, record them, and write their labels to a separate file.
-
-    Labels that are there already are kept: a run goes on where it stopped.
-    """
-    from evaluation.blind_test.case_drawing import draw
-    from evaluation.blind_test.nominal_models import nominal, stated_noise
-    from hyst_control.model_file import save_model
-
-    labels = folder / "labels.json"
+def make(batch: Batch, note: Callable[[str], None] = print) -> Path:
+    """Draw the cases of a batch, write their files, and their labels to a separate file; labels that are there already are kept."""
+    folder, labels, options = batch.folder, batch.labels, dict(batch.options)
+    if batch.count < 1 and batch.source != "withheld":
+        raise InputError(f"--count: must be >= 1, got {batch.count}")
     if labels.exists():
         known = read_json(labels)
-        if (known.get("seed"), known.get("count")) != (seed, count):
-            raise InputError(
-                f"{labels}: holds seed {known.get('seed')} and {known.get('count')} cases, not seed {seed} and {count}: "
-                "choose another folder"
-            )
-        if options and json.loads(json.dumps(options)) != known.get("options"):
-            raise InputError(f"{labels}: was drawn with other options: choose another folder")
+        asked = {"seed": batch.seed, "options": json.loads(json.dumps(options)) or known.get("options")}
+        asked["count"] = batch.count or known.get("count")
+        if any(known.get(name) != value for name, value in asked.items()):
+            raise InputError(f"{labels}: holds cases of another seed, count or choice: choose another folder")
         note(f"labels: SHA-256 {_digest(labels)}")
         return labels
+    if folder.exists() and not (folder / "cases").is_dir() and any(folder.iterdir()):
+        raise InputError(f"{folder}: holds files that are not of a blind test: choose another folder")
+    cases = batch.drawn()
     (folder / "cases").mkdir(parents=True, exist_ok=True)
-    cases = draw(seed, count, **options)
-    stated = {key: stated_noise(*key) for key in sorted({(case.plant, case.noise) for case in cases})}
+    jobs = [(case, folder / "cases") for case in cases]
     documents = []
-    jobs = [(case, str(folder / "cases"), stated[case.plant, case.noise]) for case in cases]
-    for case, document in zip(cases, map_spawned(_make_one, jobs), strict=True):
-        documents.append(document)
+    # A machine's model is identified once for its cases, on all cores.
+    for case in map_spawned(_make_one, jobs) if batch.source == "simulated" else map(_make_one, jobs):
+        documents.append(as_document(case))
         if len(documents) % 50 == 0:
-            note(f"{len(documents)} of {count} cases recorded ({case.name})")
-    for plant, noise in stated:
-        path = folder / "models" / f"{plant}_{noise:g}.yaml"
-        path.parent.mkdir(exist_ok=True)
-        save_model(nominal(plant, noise), path)
-    for case in cases:
-        shutil.copy(folder / "models" / f"{case.plant}_{case.noise:g}.yaml", folder / "cases" / case.name / "model.yaml")
-    write_json(labels, {"seed": seed, "count": count, **({"options": options} if options else {}), "cases": rounded(documents)})
+            note(f"{len(documents)} of {len(cases)} cases made ({case.name})")
+    head = {"seed": batch.seed, "count": len(cases), **({"options": options} if options else {})}
+    write_json(labels, {**head, "cases": documents})
     note(f"labels: SHA-256 {_digest(labels)}")
     return labels
 
 
-def diagnose_all(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Diagnose every case that has no report yet, one process per core, each from a bag and a model alone."""
-    work(jobs_of(folder), None, note)
+def diagnose_all(
+    batches: Sequence[Batch],
+    until: float | None = None,
+    note: Callable[[str], None] = print,
+    workers: Workers | None = None,
+) -> None:
+    """Diagnose every case that has no report yet, each from its files alone, until a given time.
 
-
-def jobs_of(folder: Path, left_out: int = 0) -> list[Job]:
-    """List the diagnoses that have no report yet, in the order of the cases."""
-    # left_out: largest number of cases, single effects on the rich record, that are diagnosed again, without the effect and those
-    # nearly equal to it in the catalogue
-    from hyst_control.effects import EFFECTS
-
-    jobs: list[Job] = []
-    for name in ("reports", "reports_left_out"):
-        (folder / name).mkdir(exist_ok=True)
-    for case in read_json(folder / "labels.json")["cases"]:
-        place, label = str(folder / "cases" / case["name"]), case["label"]
-        jobs.append((_diagnose_one, (place, str(folder / "reports" / f"{case['name']}.json"), ())))
-        name = (label["names"] or [""])[0]
-        if left_out and label["kind"] == "single" and label["excitation"] == "rich" and EFFECTS[name].waveform:
-            left_out -= 1
-            without = (name, *CONFUSABLE.get(name, ()))
-            jobs.append((_diagnose_one, (place, str(folder / "reports_left_out" / f"{case['name']}.json"), without)))
-    return [job for job in jobs if not Path(job[1][1]).exists()]
-
-
-def add_realized_shrinks(folder: Path, note: Callable[[str], None] = print) -> None:
-    """Add to every shrink that a report predicts the one measured on a fresh record: another session, another excitation.
-
-    A line of the augmented model is left out there, because its phase is that of the diagnosed record.
+    The batches take turns, so that a run that is stopped has done the same part of each. A cluster's workers must see the folders under
+    the same path.
     """
-    jobs = [
-        (case, str(folder / "reports" / f"{case['name']}.json"), str(folder / "cases" / case["name"] / "model.yaml"))
-        for case, report in load(folder)
-        if "shrink_realised" not in report
-        and report["verdict"] == "effect"
-        and any(effect["shrink"] is not None for effect in report["effects"])
-    ]
-    for _ in map_spawned(_add_realized_shrink, jobs):
+    begin = time.monotonic()
+    lists = [_jobs(batch, workers is not None) for batch in batches]
+    placed = [((index + 0.5) / len(jobs), job) for jobs in lists for index, job in enumerate(jobs)]
+    due = [(job, until) for _, job in sorted(placed, key=lambda each: each[0])]
+    for done, name in enumerate(map_spawned(_in_time, due) if workers is None else _names(due, workers, note), 1):
+        if name and (done % 20 == 0 or done == len(due)):
+            spent = time.monotonic() - begin
+            note(f"{done} of {len(due)} diagnosed ({name}), {spent:.0f} s, {spent / done * (len(due) - done):.0f} s to go")
+
+
+def add_realized(batch: Batch) -> None:
+    """Add to every report on a simulated case that predicts a reduction the one measured in a later session."""
+    jobs = []
+    for case in batch.cases() if batch.source == "simulated" else ():
+        path = batch.folder / "reports" / f"{case.name}.json"
+        report = read_json(path) if path.exists() else {"verdict": ""}
+        if report["verdict"] == "effect" and "shrink_realised" not in report and _predicted(report) is not None:
+            jobs.append((case, path, batch.folder / "cases" / case.name / "model.yaml"))
+    for _ in map_spawned(_realize_one, jobs):
         pass
-    note(f"{len(jobs)} predicted shrinks held against fresh records")
 
 
-def load(folder: Path, reports: str = "reports") -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Read the cases that were diagnosed."""
-    for case in read_json(folder / "labels.json")["cases"]:
-        file = folder / reports / f"{case['name']}.json"
-        if file.exists():
-            yield case, read_json(file)
+def _jobs(batch: Batch, absolute: bool) -> list[Job]:
+    """Diagnoses that have no report yet; of some cases, single effects on the rich record, a second one without the effect."""
+    folder, left_out = batch.folder.resolve() if absolute else batch.folder, batch.left_out
+    jobs: list[Job] = []
+    for name in ("reports", "reports_left_out", "evidence"):
+        (folder / name).mkdir(exist_ok=True)
+    for case in batch.cases():
+        place, file = str(folder / "cases" / case.name), f"{case.name}.json"
+        jobs.append((place, str(folder / "reports" / file), ()))
+        name = (case.answer.names or ("",))[0]
+        if left_out and case.answer.kind == "single" and case.excitation == "rich" and EFFECTS[name].waveform:
+            left_out -= 1
+            jobs.append((place, str(folder / "reports_left_out" / file), (name, *CONFUSABLE.get(name, ()))))
+    return [job for job in jobs if not Path(job[1]).exists()]
 
 
-def _fresh(case: Case) -> Case:
-    """The same plant under another excitation, on which predictions are checked."""
-    return replace(case, excitation="multisine" if case.excitation == "rich" else "rich")
+def _make_one(job: tuple[Case, Path]) -> Case:
+    """Write the files of a case, and return it with its label."""
+    case, folder = job
+    made, place = MADE[case.source](case), folder / case.name
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    write_bag(place / "bag", made.record)
+    for number, clean in enumerate(made.beside):
+        write_bag(place / f"clean_{number}", clean)
+    save_model(made.model, place / "model.yaml")
+    if made.warm_up:
+        write_json(place / "case.json", {"warm_up": made.warm_up})
+    if made.coming is not None:
+        np.save(place / "next.npy", made.coming)
+    return made.of(case)
 
 
-def _make_one(job: tuple[Case, str, float]) -> dict[str, Any]:
-    import numpy as np
-
-    from evaluation.blind_test.case import as_document
-    from evaluation.blind_test.case_labels import with_label
-    from evaluation.blind_test.case_records import commands, record_of, run_case
-    from hyst_control.records.importing import write_bag
-
-    case, folder, stated = job
-    bag = Path(folder) / case.name / "bag"
-    shutil.rmtree(bag.parent, ignore_errors=True)
-    bag.parent.mkdir(parents=True)
-    write_bag(bag, record_of(case, run_case(case)))
-    np.save(bag.parent / "next.npy", commands(_fresh(case)))
-    return as_document(with_label(case, stated))
-
-
-def _diagnose_one(job: tuple[str, str, tuple[str, ...]]) -> str:
-    import numpy as np
-
-    from hyst_control.diagnose.report.predicted_reduction import foresee
-    from hyst_control.diagnose.workflow import diagnosed
-    from hyst_control.model_file import load_model, save_model
-    from hyst_control.records.bag_reader import read_bag
-
-    case, report, without = job
+def _diagnose_one(job: Job) -> str:
+    """Diagnose a case from its files; return its name."""
+    place, report = Path(job[0]), Path(job[1])
     begin, worked = time.monotonic(), time.process_time()
+    warm_up = read_json(place / "case.json")["warm_up"] if (place / "case.json").exists() else 0.0
     diagnosis = better = None
     try:
-        document, diagnosis, better = diagnosed(
-            [read_bag(Path(case) / "bag")], load_model(Path(case) / "model.yaml"), without=without
-        )
-    except Exception as error:  # a fault of the diagnosis costs this case
-        document = error_report(error)
+        clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
+        record, model = read_bag(place / "bag"), load_model(place / "model.yaml")
+        document, diagnosis, better = diagnosed([record], model, without=job[2], warm_up=warm_up, baseline=clean)
+    except Exception as error:  # a fault of the diagnosis costs this case: no name, which every score counts as wrong
+        text = f"{type(error).__name__}: {error}"
+        document = {"verdict": ERROR, "error": text, "effects": [], "candidates": [], "unexplained_share": None}
     document["seconds"], document["processor_seconds"] = time.monotonic() - begin, time.process_time() - worked
-    if diagnosis is not None:
-        document["foreseen"] = foresee(diagnosis, np.load(Path(case) / "next.npy")).document()
+    if diagnosis is not None and (place / "next.npy").exists():
+        document["foreseen"] = foresee(diagnosis, np.load(place / "next.npy")).document()
     if better is not None:
-        save_model(better, Path(report).with_suffix(".yaml"))
+        save_model(better, report.with_suffix(".yaml"))
+    if diagnosis is not None and not job[2]:
+        evidence = [_plain(part.evidence) for part in diagnosis.parts]
+        (report.parents[1] / "evidence" / report.name).write_text(json.dumps(evidence))
     write_json(report, document)
-    return Path(case).name
+    return place.name
 
 
-def _add_realized_shrink(job: tuple[dict[str, Any], str, str]) -> None:
-    import numpy as np
-
-    from evaluation.blind_test.case import Case
-    from evaluation.blind_test.case_records import run_case
-    from evaluation.blind_test.plant_setups import SETUPS
-    from hyst_control.diagnose.report.augmented_model import without_lines
-    from hyst_control.model_file import load_model, simulate
-
-    document, path, nominal = job
+def _realize_one(job: tuple[Case, Path, Path]) -> None:
+    case, path, model = job
     report = read_json(path)
-    case = _fresh(
-        Case(
-            document["name"],
-            document["plant"],
-            document["kind"],
-            document["excitation"],
-            document["noise"],
-            document["seed"],
-            tuple(document["effects"]),
-            document["off"],
-            duration=document["duration"],
-        )
-    )
-    signals = run_case(case, later=True)
-    command, measured = signals["command"], signals["measurement"]
-    model, better = load_model(nominal), without_lines(load_model(Path(path).with_suffix(".yaml")))
-    before, after = (float(np.mean((measured - simulate(m, command)) ** 2)) for m in (model, better))
-    floor = (case.noise * SETUPS[case.plant].stroke) ** 2
-    realized = 1.0 - (after - floor) / max(before - floor, 1e-300)
-    predicted = max(effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None)
-    report["shrink_realised"] = [predicted, float(np.clip(realized, -10.0, 1.0)), case.excitation]
-    write_json(path, report)
+    realized = simulated.realized_reduction(case, load_model(model), load_model(path.with_suffix(".yaml")))
+    write_json(path, {**report, "shrink_realised": [_predicted(report), realized]})
+
+
+def _predicted(report: Mapping[str, Any]) -> float | None:
+    return max((effect["shrink"] for effect in report["effects"] if effect["shrink"] is not None), default=None)
+
+
+def _in_time(due: tuple[Job, float | None]) -> str:
+    """The name of the case that was diagnosed, "" after the time."""
+    job, until = due
+    return "" if until is not None and time.time() > until else _diagnose_one(job)
+
+
+def _names(due: Sequence[tuple[Job, float | None]], workers: Workers, note: Callable[[str], None]) -> Iterator[str]:
+    """Names of the cases as they are diagnosed; one that fails costs itself, and the next call does it again."""
+    for outcome in outcomes(_in_time, due, workers):
+        if outcome.result is None:
+            note(f"a case was not diagnosed: {outcome.reason}")
+        yield outcome.result or ""
+
+
+def _plain(value: Any) -> Any:
+    """The numbers that a decision was based on as JSON types; infinity stays what Python's JSON writes for it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (set, frozenset)):
+        return sorted(map(_plain, value))
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    return value.value if isinstance(value, Enum) else value.item() if isinstance(value, np.generic) else value
 
 
 def _digest(path: Path) -> str:

@@ -14,9 +14,10 @@ example:
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 if TYPE_CHECKING:
     from hyst_control.reporting.tables import Table
@@ -98,39 +99,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from pathlib import Path
+
+    from evaluation.blind_test.run import Batch
+    from evaluation.blind_test.run import run as run_all
+    from hyst_control.base.parallel import Workers
+
+    given = arguments.workers is not None or arguments.cluster is not None
+    if arguments.measured and given:
+        raise InputError("--workers, --cluster: go with --seed, not with --measured: leave them out")
+    for option, asked, known in _choices(arguments):
+        for value in asked or ():
+            if value not in known:
+                raise InputError(f"{option} {value}: unknown, give some of {', '.join(map(str, known))}")
+    folder, seed, plants = Path(arguments.output), arguments.seed, arguments.plants
     if arguments.measured:
-        if arguments.workers is not None or arguments.cluster is not None:
-            raise InputError("--workers, --cluster: go with --seed, not with --measured: leave them out")
-        from evaluation.blind_test import measured
-
-        return measured.run(
-            arguments.output,
-            arguments.page,
-            modes=arguments.modes,
-            plants=arguments.plants,
-            levels=arguments.levels,
-            so_far=arguments.so_far,
-        )
-    workers = None
-    if arguments.workers is not None or arguments.cluster is not None:
-        from hyst_control.parallel import Workers
-
-        workers = Workers(arguments.workers, arguments.cluster)
-    if arguments.injected:
-        from evaluation.blind_test import injected
-
-        return injected.run(arguments.output, arguments.seed, arguments.count, arguments.plants, arguments.page, workers=workers)
-    from evaluation.blind_test.run import run_all
-
+        options = {"plants": plants, "levels": arguments.levels, "modes": arguments.modes}
+        chosen = {name: value for name, value in options.items() if value}
+        batches = [Batch("withheld", folder / "measured", options=chosen)]
+        said = [f"--measured --modes {arguments.modes}", _listed("--plants", plants), _listed("--levels", arguments.levels)]
+    elif arguments.injected:
+        batches = [Batch("injected", folder, seed, arguments.count, {"plants": plants} if plants else {})]
+        said = [f"--injected --seed {seed} --count {arguments.count}", _listed("--plants", plants)]
+    else:
+        batches = [Batch("simulated", folder, seed, arguments.count, left_out=arguments.left_out)]
+        said = [f"--seed {seed} --count {arguments.count} --left-out {arguments.left_out}"]
+        if arguments.with_injected:
+            batches.append(Batch("injected", folder / "injected", seed, arguments.with_injected))
+            said.append(f"--with-injected {arguments.with_injected}")
+        if arguments.without_gap:
+            quiet = {"kinds": ("none",)}
+            batches.append(Batch("simulated", folder / "without_gap", seed, arguments.without_gap, quiet, "without_gap"))
+            said.append(f"--without-gap {arguments.without_gap}")
     return run_all(
-        arguments.output,
-        arguments.seed,
-        arguments.count,
-        arguments.left_out,
+        batches,
+        " ".join(["blind-test", *filter(None, said)]),
         arguments.page,
         so_far=arguments.so_far,
-        injected_count=arguments.with_injected,
         stop_after=arguments.stop_after,
-        without_gap=arguments.without_gap,
-        workers=workers,
+        workers=Workers(arguments.workers, arguments.cluster) if given else None,
     )
+
+
+def _choices(arguments: argparse.Namespace) -> Iterator[tuple[str, Sequence[object] | None, Sequence[object]]]:
+    """Options with a list of values, and the values that they may have."""
+    from evaluation.blind_test import injected_machines, withheld
+
+    yield "--plants", arguments.plants, withheld.PLANTS if arguments.measured else injected_machines.PLANTS
+    yield "--levels", arguments.levels, withheld.LEVELS
+
+
+def _listed(option: str, values: Sequence[object] | None) -> str:
+    return f"{option} {' '.join(map(str, values))}" if values else ""

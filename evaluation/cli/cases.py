@@ -11,7 +11,7 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Artifacts
@@ -75,35 +75,44 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         from evaluation.blind_test.effect_figures import write
 
         return Artifacts("cases figures", write(Path(arguments.output)))
-    from evaluation.blind_test import injected
-    from evaluation.blind_test.run import make_cases
-    from hyst_control.errors import InputError
+    from pathlib import Path
 
+    from evaluation.blind_test.run import Batch, make
+    from hyst_control.base.errors import InputError
+
+    folder = Path(arguments.output)
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
     if arguments.fleet:
-        from pathlib import Path
-
-        from evaluation.blind_test.simulated_fleet import make_fleet
-        from hyst_control import progress
+        from evaluation.benchmarks.simulated_fleet import make_fleet
+        from hyst_control.base import progress
 
         units, nights = arguments.fleet
-        labels = make_fleet(Path(arguments.output), arguments.seed, units, nights, note=progress.step)
+        labels = make_fleet(folder, arguments.seed, units, nights, note=progress.step)
         made = Artifacts("cases make", [labels.parent / "manifest.csv", labels])
         made.add("", "records", "", units * nights)
         return made
-    if arguments.measured:
-        labels = injected.make(arguments.output, arguments.seed, arguments.count, arguments.plants)
-    else:
-        labels = make_cases(
-            arguments.output,
-            arguments.seed,
-            arguments.count,
-            arguments.plants,
-            arguments.kinds,
-            arguments.excitations,
-            arguments.switched,
-        )
+    options = _options(arguments)
+    labels = make(Batch("injected" if arguments.measured else "simulated", folder, arguments.seed, arguments.count, options))
     made = Artifacts("cases make", [labels.parent / "cases", labels])
     made.add("", "cases", "", arguments.count)
     return made
+
+
+def _options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Options of the drawing that are given and known."""
+    from evaluation.blind_test.case import EXCITATIONS, KINDS
+    from evaluation.blind_test.injected_machines import PLANTS
+    from evaluation.blind_test.plant_setups import SETUPS
+    from hyst_control.base.errors import InputError
+
+    known = {"plants": tuple(PLANTS if arguments.measured else SETUPS)}
+    known |= {} if arguments.measured else {"kinds": KINDS, "excitations": EXCITATIONS}
+    options = {option: value for option in known if (value := getattr(arguments, option))}
+    for option, values in options.items():
+        for value in values:
+            if value not in known[option]:
+                raise InputError(f"--{option}: must be among {', '.join(known[option])}, got {value}")
+    if not 0 <= arguments.switched <= 1:
+        raise InputError(f"--switched: must be from 0 to 1, got {arguments.switched:g}")
+    return options | ({"switched": arguments.switched} if arguments.switched and not arguments.measured else {})

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Artifacts

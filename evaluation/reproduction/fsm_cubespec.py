@@ -34,14 +34,14 @@ from evaluation.reproduction.fsm_cubespec_tables import (
     report_residual,
     report_shares,
 )
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.parallel import executor
 from hyst_control.chain.chain import Chain
 from hyst_control.identify.modal import softening_modes
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import Model, save_model
-from hyst_control.parallel import executor
 from hyst_control.reporting.tables import Table
 
 ORDERS = (46, 58, 64)

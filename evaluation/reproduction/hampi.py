@@ -24,17 +24,17 @@ from evaluation.reproduction import claims, hampi_figures, hampi_tables
 from evaluation.reproduction.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
 from evaluation.reproduction.hampi_tables import SCORED_CYCLES, Place
 from evaluation.reproduction.mhl_robustness import robustness
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.stage import Array
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.tuning import tune
 from hyst_control.demo.node_runs import run_processes
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, save_model
-from hyst_control.records import excitation
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table
 
 SAMPLE_TIME = 5e-5

@@ -13,10 +13,10 @@ from evaluation.reproduction import hampi_tables
 from evaluation.reproduction.hampi_tables import Place
 from evaluation.reproduction.mhl_figures import line
 from hyst_control.chain.stage import Array
-from hyst_control.control.inverse_dynamics import Complex
+from hyst_control.control.feedforward.inverse_dynamics import Complex
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 from hyst_control.reporting.html_page import Page
 from hyst_control.reporting.table_page import add_tables
 from hyst_control.reporting.tables import Table

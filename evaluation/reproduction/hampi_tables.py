@@ -12,7 +12,7 @@ from evaluation.reproduction.hampi_published import FIGURE_2, FREQUENCIES, TABLE
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.stage import Array, Sampling
-from hyst_control.control.inverse_dynamics import METHODS, Complex, invert_dynamics, sampled_systems
+from hyst_control.control.feedforward.inverse_dynamics import METHODS, Complex, invert_dynamics, sampled_systems
 from hyst_control.control.linearization import sampled_response
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset

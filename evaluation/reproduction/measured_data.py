@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 
 def data_folder(name: str) -> Path:

@@ -41,12 +41,12 @@ from evaluation.reproduction.mhl_runs import (
 )
 from hyst_control.chain.linear.linear_stages import CrossCoupling
 from hyst_control.chain.stage import Array
-from hyst_control.control.feedforward import RATE_FILTER, build_compensator
+from hyst_control.control.feedforward.compensator import RATE_FILTER, build_compensator
 from hyst_control.control.tuning import AUTOMATIC, tune
 from hyst_control.identify import identify
 from hyst_control.identify.mhl.paper_mhl import inverse_model
 from hyst_control.model_file import Model, save_model
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table
 
 FINE_TIME = 5e-5

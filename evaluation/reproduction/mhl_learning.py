@@ -13,7 +13,7 @@ from evaluation.reproduction.mhl_runs import CENTRE, REACH, SAMPLE_TIME, track
 from evaluation.reproduction.mhl_tables import TRADITIONAL
 from hyst_control.chain.stage import Array
 from hyst_control.control.tuning import Tuning
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table
 
 TRIALS = "MHL learning from trial to trial"

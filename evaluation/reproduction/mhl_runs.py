@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.stage import Array
-from hyst_control.config_files import config_path
+from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.tuning import Tuning
-from hyst_control.control.whole_inverse import lifted_inverse
 from hyst_control.demo.node_runs import run_processes
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 SAMPLE_TIME = 2e-4
 """s, of the loop and its records (paper §4.5)."""

@@ -10,8 +10,8 @@ from typing import Any
 from evaluation.reproduction.hampi_targets import hampi_targets
 from evaluation.reproduction.mhl_targets import mhl_targets
 from evaluation.reproduction.targets import Rows, Target
-from hyst_control.errors import InputError
-from hyst_control.files import read_json, write_text
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import read_json, write_text
 from hyst_control.reporting.table_page import markdown
 from hyst_control.reporting.tables import SCHEMA, Row, Table
 from hyst_control.reporting.templates import render

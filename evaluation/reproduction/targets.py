@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Row
 
 PAPER, OURS = "paper", "ours"

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyst_control import model_file, progress
+from hyst_control import model_file
 from hyst_control.api.model import Model
 from hyst_control.api.record import Record
 from hyst_control.api.shown import Shown, drawn, pandas, promoted
+from hyst_control.base import progress
 from hyst_control.diagnose.workflow import GapResult, diagnose_records
 
 if TYPE_CHECKING:

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyst_control import model_file, progress
+from hyst_control import model_file
 from hyst_control.api.record import Record, from_arrays
 from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, table_frame
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.stage import Array
-from hyst_control.control.feedforward import Compensator, build_compensator, drive_limits
+from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
+from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.linearization import hysteresis_slopes, linearised
 from hyst_control.control.model_figures import beside, bode_of
 from hyst_control.control.state_space import state_space
-from hyst_control.control.whole_inverse import lifted_inverse
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.explained_share import NOTHING
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Report
@@ -378,7 +379,7 @@ def load_model(path: str | Path) -> Model:
       modified_prandtl_ishlinskii -> transfer_function
       valid for commands 0 to 50 V
     """
-    from hyst_control.config_files import config_path
+    from hyst_control.base.config_files import config_path
 
     named = str(path)
     shipped = not Path(path).exists() and named.isidentifier()

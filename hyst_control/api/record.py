@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, xarray
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records import record as records
-from hyst_control.records.bag_reader import read_bag as read_signals
-from hyst_control.records.excitation import build
-from hyst_control.records.importing import import_table, write_bag
+from hyst_control.records.bags.bag_reader import read_bag as read_signals
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.tables.columns import Column, unit_and_scale
+from hyst_control.records.tables.importing import import_table, write_bag
 from hyst_control.records.tables.selection import column_indices
-from hyst_control.records.units import unit_of
+from hyst_control.records.tables.units import unit_of
 from hyst_control.reporting.frequency_figures import bode_of_record
 from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
 

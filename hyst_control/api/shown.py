@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.reporting.signal_figures import Panel, draw, write_drawing
 from hyst_control.reporting.tables import Table
 

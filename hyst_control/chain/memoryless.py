@@ -10,11 +10,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, each_axis
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
-from hyst_control.errors import InputError
 
 
 class StaticFilter(Filter):

@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 Array: TypeAlias = NDArray[np.float64]
 ScalarPerAxis: TypeAlias = float | Sequence[float] | Array

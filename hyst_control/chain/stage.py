@@ -20,6 +20,8 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.plugins import Registry
 from hyst_control.chain import stage_coordinates
 from hyst_control.chain.axis_values import depth as depth
 from hyst_control.chain.axis_values import frozen as frozen
@@ -31,8 +33,6 @@ from hyst_control.chain.axis_values import thawed as thawed
 from hyst_control.chain.c_code.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array as Array
 from hyst_control.chain.parameter import Coordinate, Parameter, declared, undeclared
-from hyst_control.errors import InputError
-from hyst_control.plugins import Registry
 
 HOLDS = ("zoh", "foh")
 

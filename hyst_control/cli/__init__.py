@@ -26,9 +26,9 @@ from pkgutil import iter_modules
 from types import FrameType, ModuleType
 from typing import cast
 
-from hyst_control import plugins, progress
-from hyst_control.errors import InputError
-from hyst_control.files import check_outputs, check_writable, write_json
+from hyst_control.base import plugins, progress
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import check_outputs, check_writable, write_json
 
 ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
 """Packages that nodes need and pip does not install."""
@@ -80,18 +80,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments; default: those of the process.
-
-    Returns
-    -------
-    int
-        Exit status: 0 when the subcommand finished, 2 on unusable input (one line names fault, place and remedy), 130 when interrupted.
-    """
+    """Run the command line."""
     _interrupted_by(signal.SIG_DFL, argv)  # while commands are loaded, which a traceback would tell nothing about
     _open_what_is_closed()
     for stream in (sys.stdout, sys.stderr):
@@ -156,18 +145,7 @@ def _open_what_is_closed() -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run a subcommand, print its result, and write it as JSON where requested.
-
-    Parameters
-    ----------
-    arguments : Namespace
-        Parsed arguments.
-
-    Returns
-    -------
-    int
-        Exit status.
-    """
+    """Run a subcommand, print its result, and write it as JSON where requested."""
     read = [getattr(arguments, name) for name in arguments.reads]
     check_outputs(
         {f"--{name}": getattr(arguments, name) for name in arguments.writes},

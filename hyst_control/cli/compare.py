@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
     if not arguments.bags:
         # `hyst compare MODEL… BAG`: a path that is not a model file is a bag.

@@ -35,8 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 
-    from hyst_control.errors import InputError
-    from hyst_control.files import write_json
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.files import write_json
     from hyst_control.nodes.dashboard import LoopSettings, serve
 
     if not 1e-3 <= arguments.rate <= 1e6:

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control import progress
+    from hyst_control.base import progress
     from hyst_control.demo import workflow as demo
 
     with progress.steps(1 + 2 + len(demo.CONTROLLERS) + 2) as step:

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import sys
 
-    from hyst_control import progress
+    from hyst_control.base import progress
     from hyst_control.diagnose.workflow import diagnose_bags
 
     text = diagnose_bags(

@@ -45,9 +45,9 @@ def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import numpy as np
 
-    from hyst_control.errors import InputError
-    from hyst_control.records.excitation import build
-    from hyst_control.records.excitation_files import read_description, write_excitation
+    from hyst_control.base.errors import InputError
+    from hyst_control.records.excitation.excitation import build
+    from hyst_control.records.excitation.excitation_files import read_description, write_excitation
     from hyst_control.reporting.artifacts import Artifacts
 
     if arguments.list:
@@ -87,28 +87,8 @@ def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
 
 
 def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
-    """Bounds of an excitation for a truth plant.
-
-    Parameters
-    ----------
-    name : str
-        Name in config/plants, or file.
-    unit : str
-        Unit of the excitation, which must be V.
-
-    Returns
-    -------
-    limits : dict of str to float
-        `lower` and `upper` in V, and `slew_limit` in V/s if the plant has one.
-    axes : int
-        Number of axes of the plant.
-
-    Raises
-    ------
-    InputError
-        For another unit, and for a plant that cannot be read.
-    """
-    from hyst_control.errors import InputError
+    """Bounds of an excitation for a truth plant."""
+    from hyst_control.base.errors import InputError
     from hyst_plant_sim.physics import PlantError, load_plant
 
     if unit != "V":
@@ -130,7 +110,7 @@ class Kinds:
         """JSON document: kinds by name, each with parameters (a default of null must be given) and a sentence."""
         import inspect
 
-        from hyst_control.records.excitation import KINDS
+        from hyst_control.records.excitation.excitation import KINDS
 
         kinds = {}
         for name in sorted(KINDS):

@@ -78,8 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control.control.feedforward import RATE_FILTER
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
+    from hyst_control.control.feedforward.compensator import RATE_FILTER
     from hyst_control.export import programs
     from hyst_control.export.folder import sizes, write_folder
     from hyst_control.model_file import load_model
@@ -147,10 +147,10 @@ def run(arguments: argparse.Namespace) -> Artifacts:
 
 def _bag(given: argparse.Namespace) -> Artifacts:
     """Export a bag's signals."""
-    from hyst_control.errors import InputError
-    from hyst_control.files import check_writable
-    from hyst_control.records.bag_reader import read_bag
-    from hyst_control.records.exporting import export_record
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.files import check_writable
+    from hyst_control.records.bags.bag_reader import read_bag
+    from hyst_control.records.tables.exporting import export_record
     from hyst_control.reporting.artifacts import Artifacts
 
     for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant"):

@@ -82,11 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control import progress
-    from hyst_control.errors import InputError
+    from hyst_control.base import progress
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.parallel import Workers
     from hyst_control.fleet.manifest import read_manifest
     from hyst_control.fleet.study import run_study
-    from hyst_control.parallel import Workers
 
     if arguments.kind == "score":
         from hyst_control.fleet.onset_scores import score_study
@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
 def _limits(texts: Sequence[str]) -> dict[str, float]:
     from math import isfinite
 
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
     found: dict[str, float] = {}
     for text in texts:

@@ -83,18 +83,7 @@ def _add_when_needed(parser: argparse.ArgumentParser) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> list[str]:
-    """Add the options of all model families, none of which has a default.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-        Parser of the command.
-
-    Returns
-    -------
-    list of str
-        Names of the options.
-    """
+    """Add the options of all model families, none of which has a default."""
     from textwrap import fill
 
     from hyst_control.identify.families.estimator import described, estimators, every_option

@@ -76,11 +76,11 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 
-    from hyst_control import progress
-    from hyst_control.errors import InputError
-    from hyst_control.records.bag_fields import read_fields
-    from hyst_control.records.bag_reader import read_bag
-    from hyst_control.records.importing import import_records, parse_columns
+    from hyst_control.base import progress
+    from hyst_control.base.errors import InputError
+    from hyst_control.records.bags.bag_fields import read_fields
+    from hyst_control.records.bags.bag_reader import read_bag
+    from hyst_control.records.tables.importing import import_records, parse_columns
     from hyst_control.records.tables.listing import listed_columns
 
     progress.step(f"read {arguments.file}")
@@ -122,8 +122,8 @@ def written(output: str, records: Sequence[Record]) -> Artifacts:
     """Write records to a bag, or several to numbered bags in a folder, and describe them."""
     from pathlib import Path
 
-    from hyst_control import progress
-    from hyst_control.records.importing import write_bags
+    from hyst_control.base import progress
+    from hyst_control.records.tables.importing import write_bags
     from hyst_control.reporting.artifacts import Artifacts
 
     progress.step(f"write {output}")
@@ -140,7 +140,7 @@ def written(output: str, records: Sequence[Record]) -> Artifacts:
 
 def _unlike_axes(record: Record) -> list[str]:
     """A note where command and measurement have other axes: a model needs the same."""
-    from hyst_control.errors import InputError
+    from hyst_control.base.errors import InputError
 
     try:
         if {"command", "measurement"} <= set(record.signals):

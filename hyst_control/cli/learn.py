@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from hyst_control.control.iterative_learning import RunningIterativeLearning
-    from hyst_control.control.learning_filter import LearningFilter
-    from hyst_control.control.loop import Plant
+    from hyst_control.control.feedback.loop import Plant
+    from hyst_control.control.learning.iterative_learning import RunningIterativeLearning
+    from hyst_control.control.learning.learning_filter import LearningFilter
     from hyst_control.model_file import Model
     from hyst_control.reporting.tables import Table
 
@@ -69,12 +69,12 @@ def run(arguments: argparse.Namespace) -> Table:
 
     import numpy as np
 
-    from hyst_control.control.iterative_learning import IterativeLearning
-    from hyst_control.control.learning_trials import learn_from_records, trial_table
-    from hyst_control.errors import InputError
-    from hyst_control.files import check_writable, replacing
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.files import check_writable, replacing
+    from hyst_control.control.learning.iterative_learning import IterativeLearning
+    from hyst_control.control.learning.learning_trials import learn_from_records, trial_table
     from hyst_control.model_file import load_model
-    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.bags.bag_reader import read_bag
 
     model = load_model(arguments.model)
     if arguments.output is not None:
@@ -108,9 +108,9 @@ def run(arguments: argparse.Namespace) -> Table:
 
 
 def _filter(arguments: argparse.Namespace, model: Model, period: int, sample_time: float) -> LearningFilter:
-    from hyst_control.control.learning_filter import measured_filter, model_filter
-    from hyst_control.errors import InputError
-    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.base.errors import InputError
+    from hyst_control.control.learning.learning_filter import measured_filter, model_filter
+    from hyst_control.records.bags.bag_reader import read_bag
 
     if not arguments.response:
         return model_filter(model, period, sample_time=sample_time, mode_spread=arguments.mode_spread)
@@ -126,15 +126,15 @@ def _simulated(
     """Trials, or feedback-error learning, on a plant that is simulated here."""
     import numpy as np
 
-    from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
-    from hyst_control.control.iterative_learning import IterativeLearning
-    from hyst_control.control.learning_trials import best_compensator, feedback_error_table, run_trials, trial_table
-    from hyst_control.control.pi import PI
+    from hyst_control.base.errors import InputError
+    from hyst_control.control.feedback.pi import PI
+    from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning
+    from hyst_control.control.learning.iterative_learning import IterativeLearning
+    from hyst_control.control.learning.learning_trials import best_compensator, feedback_error_table, run_trials, trial_table
     from hyst_control.control.tuning import AUTOMATIC, tune
-    from hyst_control.errors import InputError
     from hyst_control.model_file import Simulator
-    from hyst_control.records.excitation import build
-    from hyst_control.records.excitation_files import read_description
+    from hyst_control.records.excitation.excitation import build
+    from hyst_control.records.excitation.excitation_files import read_description
     from hyst_plant_sim.physics import PlantError, load_plant
 
     if arguments.rate is not None and not 0 < arguments.rate < 1e12:

@@ -53,8 +53,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     import os
     from pathlib import Path
 
-    from hyst_control.errors import InputError
-    from hyst_control.files import check_writable
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.files import check_writable
     from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.reporting.signal_figures import write_drawing
 
@@ -79,8 +79,8 @@ def _of_model(path: str) -> tuple[list[Panel], tuple[str, ...]]:
 
 def _of_bag(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]]:
     """What the options ask for of a bag, and the notes of its reading."""
-    from hyst_control.errors import InputError
-    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.base.errors import InputError
+    from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.reporting.frequency_figures import bode_of_record
     from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
 

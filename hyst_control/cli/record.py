@@ -39,12 +39,12 @@ def run(arguments: argparse.Namespace) -> Artifacts | int:
     import json
     from pathlib import Path
 
-    from hyst_control import progress
-    from hyst_control.errors import InputError
+    from hyst_control.base import progress
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.yaml_files import read_yaml
+    from hyst_control.nodes.execution.run import main
     from hyst_control.nodes.recorder import Recorder
-    from hyst_control.nodes.run import main
     from hyst_control.reporting.artifacts import Artifacts
-    from hyst_control.yaml_files import read_yaml
 
     for name in ("duration", "ticks"):
         value = getattr(arguments, name)

@@ -37,15 +37,15 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import numpy as np
 
-    from hyst_control import progress
-    from hyst_control.errors import InputError
+    from hyst_control.base import progress
+    from hyst_control.base.errors import InputError
     from hyst_control.model_file import load_model, simulate
-    from hyst_control.records.bag_reader import read_bag
-    from hyst_control.records.excitation import build
-    from hyst_control.records.excitation_files import read_description
-    from hyst_control.records.importing import write_bag
+    from hyst_control.records.bags.bag_reader import read_bag
+    from hyst_control.records.excitation.excitation import build
+    from hyst_control.records.excitation.excitation_files import read_description
     from hyst_control.records.record import Record, Signal, regular_times
-    from hyst_control.records.row_store import blocks
+    from hyst_control.records.stream.row_store import blocks
+    from hyst_control.records.tables.importing import write_bag
     from hyst_control.reporting.artifacts import Artifacts
 
     if bool(arguments.bag) == bool(arguments.excitation):

@@ -61,8 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.base.errors import InputError
     from hyst_control.control.tuning import tune
-    from hyst_control.errors import InputError
     from hyst_control.model_file import load_model
 
     model = load_model(arguments.model)

@@ -26,13 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that `validate` and `compare` share.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-        Parser of the command.
-    """
+    """Add the options that `validate` and `compare` share."""
     parser.add_argument(
         "--hold",
         choices=("auto", "zoh", "foh"),

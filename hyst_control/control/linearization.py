@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
 from hyst_control.chain.linear.linear_stages import (
@@ -20,8 +22,7 @@ from hyst_control.chain.linear.linear_stages import (
     transfer_function_system,
 )
 from hyst_control.chain.stage import Array, Filter
-from hyst_control.control.quasi_static import hysteretic, quasi_static_stages
-from hyst_control.errors import InputError
+from hyst_control.control.feedforward.quasi_static import hysteretic, quasi_static_stages
 from hyst_control.model_file import Model
 
 Complex = NDArray[np.complex128]
@@ -50,17 +51,10 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     return mean, greatest[np.abs(greatest).argmax(axis=0), np.arange(axes)]
 
 
-def linearised(model: Model, slope: Array) -> tuple[Stage, ...]:
+def linearised(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
     """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
 
     Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
-
-    Parameters
-    ----------
-    model
-        With or without a hysteresis.
-    slope
-        (A,), measurement unit / V.
     """
     return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
 
@@ -81,19 +75,7 @@ def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
 
 
 def sampled_response(stages: Sequence[Stage], axes: int, sample_time: float, z: Complex) -> Complex:
-    """Response (F, A, A) from the held command[k] to measurement[k].
-
-    Parameters
-    ----------
-    stages
-        Linear stages in signal order.
-    axes
-        Number of axes.
-    sample_time
-        s.
-    z
-        (F,), points of the complex plane.
-    """
+    """Response (F, A, A) from the held command[k] to measurement[k]."""
     running = Chain(tuple(stages)).filter(Sampling(sample_time, axes, "zoh"))
     # The filter's output is the sample at the interval's end.
     return _response(running, axes, z) / z[:, None, None]
@@ -135,15 +117,6 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
 
     The first resonance is the slowest pair of complex poles; a chain without one is returned as it is. Where a pair of zeros lies upon
     it, a notch against it, the zeros stay where they are and no longer hide it.
-
-    Parameters
-    ----------
-    stages
-        Linear stages in signal order.
-    axes
-        Number of axes.
-    factor
-        On the frequency of the first resonance.
     """
     linear = {index: stage for index, stage in enumerate(stages) if isinstance(stage, LinearStage)}
     found = [(abs(pair), index) for index, stage in linear.items() for pair in _resonances(stage, axes)]
@@ -157,15 +130,7 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
 
 
 def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
-    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles.
-
-    Parameters
-    ----------
-    stages
-        Stages of the chain; those that are not linear are skipped.
-    axes
-        Number of axes A.
-    """
+    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
     poles = [_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage)]
     found = np.concatenate(poles) if poles else np.empty(0)
     return complex(found[np.argmin(np.abs(found))]) if len(found) else None

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.control.loop import Plant, run_loop
-from hyst_control.control.pi import PI
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.loop import Plant, run_loop
+from hyst_control.control.feedback.pi import PI
 from hyst_control.control.tuning import Margins, controller_response, margins
-from hyst_control.errors import InputError
-from hyst_control.records.excitation import cosine_ramp, multisine
+from hyst_control.records.excitation.excitation import cosine_ramp, multisine
 
 Complex = NDArray[np.complex128]
 
@@ -23,31 +23,6 @@ def measured_margins(plant: Plant, controller: PI, axes: int, axis: int, centre:
 
     The reference of `axis` is `centre` plus a multisine, the others rest at the centre. With P = Y / U at the lines of the multisine,
     L = P C is exact for the sampled loop wherever P is linear.
-
-    Parameters
-    ----------
-    plant
-        In closed loop with the controller.
-    controller
-        Its gains and sample time.
-    axes
-        Number of axes.
-    axis
-        Index of the one that moves.
-    centre, rms
-        Of the reference, measurement unit.
-    period
-        s, of the multisine.
-
-    Returns
-    -------
-    Margins
-        Of the loop of `axis`.
-
-    Raises
-    ------
-    InputError
-        The loop does not settle to the period of the reference: it is not stable.
     """
     ts = controller.sample_time
     wave = multisine(ts, period, 1.0 / period, 0.48 / ts, rms, 1, centre, PERIODS, seed=axis)[:, 0]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.control.linearization import Complex, hysteresis_slopes, linearised, sampled_response
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches
 from hyst_control.model_file import Model

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.stage import Array, Filter
-from hyst_control.errors import InputError
 
 ABSORBED = 1e-12
 """Relative residual up to which a delay of the output is one of the states."""

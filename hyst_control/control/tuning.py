@@ -21,12 +21,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.stage import Array
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.feedback.pi import PI, roll_off_share
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
-from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI, roll_off_share
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,27 +37,13 @@ class LoopEvent:
 
 @dataclass(frozen=True)
 class NodeState:
-    """Newest diagnostics of a node.
-
-    Attributes
-    ----------
-    name : str
-        Name of the node.
-    warns : bool
-        True when its level is not OK.
-    message : str
-        Its message.
-    values : mapping
-        Entries by key.
-    heard : float
-        Time of the monotonic clock at which it was heard, s.
-    """
+    """Newest diagnostics of a node."""
 
     name: str
-    warns: bool
+    warns: bool  # its level is not OK
     message: str
-    values: Mapping[str, str] = field(default_factory=dict)
-    heard: float = 0.0
+    values: Mapping[str, str] = field(default_factory=dict)  # entries by key
+    heard: float = 0.0  # s, monotonic clock
 
     @property
     def lost(self) -> bool:
@@ -77,13 +64,7 @@ class NodeState:
 
 
 class Trace:
-    """Newest rows of a table that grows, for readers that ask for what came since they last looked.
-
-    Parameters
-    ----------
-    window : float
-        Time in s that is kept, by the table's column 0.
-    """
+    """Newest rows of a table that grows, for readers that ask for what came since they last looked."""
 
     def __init__(self, window: float) -> None:
         self.window = window
@@ -102,16 +83,8 @@ class Trace:
         """Seconds since the newest rows arrived; infinite before the first."""
         return time.monotonic() - self._arrived
 
-    def add(self, columns: tuple[str, ...], rows: Array) -> None:
-        """Append rows; those that are not newer than the newest one are left out.
-
-        Parameters
-        ----------
-        columns : tuple of str
-            Names (C,) of the columns; others than before begin the table anew, as does a time that goes back.
-        rows : ndarray, shape (N, C)
-            Rows; column 0 is the time in s, increasing.
-        """
+    def add(self, columns: tuple[str, ...], rows: Annotated[Array, "N C"]) -> None:
+        """Append rows; those that are not newer than the newest one are left out."""
         if not len(rows):
             return
         with self._lock:
@@ -128,20 +101,7 @@ class Trace:
                 self._blocks.popleft()
 
     def since(self, epoch: int, index: int) -> tuple[int, int, Array]:
-        """Rows that a reader has not seen.
-
-        Parameters
-        ----------
-        epoch, index : int
-            What the last call returned; 0, 0 at first.
-
-        Returns
-        -------
-        epoch, index : int
-            To be given to the next call.
-        rows : ndarray, shape (N, C)
-            The rows; all that are kept when the epoch has changed.
-        """
+        """Rows that a reader has not seen."""
         with self._lock:
             first = index if epoch == self.epoch else 0
             parts = [rows[max(first - begin, 0) :] for begin, rows in self._blocks if begin + len(rows) > first]
@@ -150,13 +110,7 @@ class Trace:
 
 
 class LiveState:
-    """All that a page shows of a loop.
-
-    Parameters
-    ----------
-    window : float
-        Time in s that its curves cover.
-    """
+    """All that a page shows of a loop."""
 
     def __init__(self, window: float = 10.0) -> None:
         self.signals = Trace(window)
@@ -178,16 +132,8 @@ class LiveState:
         with self._lock:
             return self._turn
 
-    def set_turn(self, columns: tuple[str, ...], rows: Array) -> None:
-        """Replace the newest stretch.
-
-        Parameters
-        ----------
-        columns : tuple of str
-            Names (C,).
-        rows : ndarray, shape (N, C)
-            Its rows.
-        """
+    def set_turn(self, columns: tuple[str, ...], rows: Annotated[Array, "N C"]) -> None:
+        """Replace the newest stretch."""
         with self._lock:
             self._turn = columns, rows.copy()
 
@@ -198,13 +144,7 @@ class LiveState:
             return [self._nodes[name] for name in sorted(self._nodes)]
 
     def set_node(self, node: NodeState) -> None:
-        """Replace the diagnostics of a node, and note what has changed.
-
-        Parameters
-        ----------
-        node : NodeState
-            The newest ones.
-        """
+        """Replace the diagnostics of a node, and note what has changed."""
         with self._lock:
             before = self._nodes.get(node.name)
             self._nodes[node.name] = node

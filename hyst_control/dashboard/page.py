@@ -62,17 +62,7 @@ class Actions(Protocol):
 
 
 class LivePage:
-    """Documents of the page, one for every browser window that opens it.
-
-    Parameters
-    ----------
-    state : LiveState
-        The loop's state.
-    actions : Actions
-        Requests to the nodes.
-    title : str
-        Title of the page.
-    """
+    """Documents of the page, one for every browser window that opens it."""
 
     def __init__(self, state: LiveState, actions: Actions, title: str) -> None:
         self._state, self._actions, self._title = state, actions, title

@@ -19,7 +19,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.web import HTTPError, RequestHandler
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 32
@@ -34,18 +34,6 @@ class LiveServer:
     Everything lies below the token: page, scripts and websocket. What is asked for without it is refused with status 403. A websocket is
     refused as well when another site's page asks for it, and when its session was not begun by this server. A request whose Host header
     is another than the page's address is refused too: a foreign name may be made to resolve to this machine.
-
-    Parameters
-    ----------
-    fill : callable
-        Fills a document for every window that opens the page.
-    port : int
-        Port; 0 for a free one.
-
-    Raises
-    ------
-    InputError
-        When the port cannot be used.
     """
 
     def __init__(self, fill: Callable[[Document], None], port: int = 0) -> None:

@@ -17,7 +17,7 @@ from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import simulate
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.reporting.html_page import Page, Palette
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.quantities import quantity

@@ -15,20 +15,20 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.reachable_stroke import check_reachable
+from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.feedforward.reachable_stroke import check_reachable
 from hyst_control.control.tuning import tune
 from hyst_control.demo import figures as demo_figures
 from hyst_control.demo.node_runs import run_processes
 from hyst_control.diagnose.workflow import diagnose_bags
-from hyst_control.errors import InputError
 from hyst_control.identify.workflow import Result, identify_bags
 from hyst_control.model_file import Model
-from hyst_control.records import excitation
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.waveforms import smooth_step
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.excitation import excitation
+from hyst_control.records.excitation.waveforms import smooth_step
 from hyst_control.reporting.provenance import provenance
 from hyst_control.reporting.tables import Table
 

@@ -15,8 +15,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from hyst_control.errors import InputError
-from hyst_control.yaml_files import read_yaml
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
 
 Group = TypeVar("Group")
 

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_json
+from hyst_control.base.progress import step
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
@@ -20,14 +23,11 @@ from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
 from hyst_control.diagnose.run.diagnosis import Diagnosis, diagnose
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
-from hyst_control.files import write_json
 from hyst_control.model_file import Model, load_model, save_model
-from hyst_control.progress import step
-from hyst_control.records.array_files import read_array
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record
+from hyst_control.records.tables.array_files import read_array
 from hyst_control.reporting.provenance import Origin, provenance
 from hyst_control.reporting.signal_figures import Line, Panel, thinned
 

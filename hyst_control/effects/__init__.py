@@ -3,9 +3,9 @@
 from importlib import import_module
 from pkgutil import iter_modules
 
+from hyst_control.base.plugins import Registry
 from hyst_control.effects.effect import PLACES, Effect, Surroundings
 from hyst_control.effects.placement import insert
-from hyst_control.plugins import Registry
 
 _modules = [import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__)]
 _usual = Surroundings(1e-4, 1.0, (0.0, 100.0), 1e5, (0.0, 1.0), 2)

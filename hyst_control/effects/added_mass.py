@@ -7,13 +7,13 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, stacked, transfer_function_system
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import mechanics_index
-from hyst_control.errors import InputError
 
 SEEN = 0.1
 """A pair of poles belongs to an axis if its share of the static deflection is this much of the largest one's."""

@@ -7,13 +7,13 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.linear.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
 from hyst_control.chain.stage import Modifier, Stage, register
 from hyst_control.effects.coupled_resonance import ChangedTogether
 from hyst_control.effects.placement import with_mechanics
-from hyst_control.errors import InputError
 
 
 @register

@@ -10,12 +10,12 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, each_axis
 from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.time_dependent import TimedStage
-from hyst_control.errors import InputError
 
 STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 """Places of the time constants in their decades."""

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import each_axis
 from hyst_control.chain.memoryless import Memoryless
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
@@ -14,7 +15,6 @@ from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
-from hyst_control.errors import InputError
 
 CUBIC = 12.0 * float(np.sqrt(3.0))
 """Makes the cubic 1 at its greatest."""

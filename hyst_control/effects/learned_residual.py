@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.command_features import (
@@ -21,7 +22,6 @@ from hyst_control.chain.command_features import (
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis, per_axis_scalars, register
-from hyst_control.errors import InputError
 
 
 @register

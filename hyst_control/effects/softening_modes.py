@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
@@ -18,7 +19,6 @@ from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, Vecto
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.placement import mechanics_index
-from hyst_control.errors import InputError
 
 MEMORY = 0.1  # s, over which the amplitude is averaged
 DEFECTIVE = 1e9

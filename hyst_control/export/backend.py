@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
-from hyst_control.control import pi_c_code
-from hyst_control.control.pi import PI, RunningPI
+from hyst_control.control.feedback import pi_c_code
+from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Feedforward
 
 
 class CompiledFeedforward:
-    """A feedforward that runs in C.
-
-    Parameters
-    ----------
-    feedforward
-        Running filter with C.
-    axes
-        Number of axes.
-    sample_time
-        s.
-
-    Raises
-    ------
-    InputError
-        A stage has no C, or there is no compiler.
-    """
+    """A feedforward that runs in C."""
 
     def __init__(self, feedforward: Feedforward, axes: int, sample_time: float) -> None:
         self.preview = feedforward.preview
@@ -45,20 +32,7 @@ class CompiledFeedforward:
 
 
 class CompiledPI(RunningPI):
-    """PI feedback whose steps run in C, on the state that the methods of `RunningPI` work on.
-
-    Parameters
-    ----------
-    description
-        Gains and limits.
-    axes
-        Number of axes.
-
-    Raises
-    ------
-    InputError
-        There is no compiler.
-    """
+    """PI feedback whose steps run in C, on the state that the methods of `RunningPI` work on."""
 
     def __init__(self, description: PI, axes: int) -> None:
         super().__init__(description, axes)
@@ -82,16 +56,10 @@ class CompiledPI(RunningPI):
         self._found = row_out[:, :axes], row_out[:, axes:]
         self.reset()
 
-    def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
-        """Command and feedback of the next ticks; see `RunningPI.step`.
-
-        Parameters
-        ----------
-        reference, measurement
-            (A,) or (N, A), measurement unit.
-        feedforward
-            (A,) or (N, A), V.
-        """
+    def step(
+        self, reference: Annotated[Array, "A"], measurement: Annotated[Array, "A"], feedforward: Annotated[Array, "A"]
+    ) -> tuple[Array, Array]:
+        """Command and feedback of the next ticks; see `RunningPI.step`."""
         shape, axes = feedforward.shape, self.axes
         if feedforward.size == axes:
             now, measured, ahead = self._given

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, Member
-from hyst_control.errors import InputError
 from hyst_control.export.c_text import c_comment, c_identifier, c_identifiers
 
 REALS = ("double", "float")
@@ -36,50 +36,25 @@ EXACT_MATH = ("fabs", "rint", "sqrt", "floor", "ceil")
 
 @dataclass(frozen=True)
 class Slot:
-    """One number that goes in or comes out.
+    """One number that goes in or comes out."""
 
-    Parameters
-    ----------
-    name
-        Such as `reference_x`.
-    text
-        Unit and meaning.
-    """
-
-    name: str
-    text: str
+    name: str  # Such as `reference_x`
+    text: str  # Unit and meaning
 
 
 @dataclass(frozen=True)
 class Program:
-    """A filter to be written as C, with its inputs and outputs.
+    """A filter to be written as C, with its inputs and outputs."""
 
-    Parameters
-    ----------
-    name
-        From which the prefix of everything in C is made.
-    code
-        C of the filter.
-    axes
-        Number of axes.
-    inputs, outputs
-        What goes in and comes out of a step.
-    sample_time
-        s, between two steps.
-    facts
-        Lines for the header's comment.
-    real
-        Type of the signals where nothing else is defined, "double" or "float".
-    """
-
-    name: str
-    code: CCode
-    axes: int
+    name: str  # From which the prefix of everything in C is made
+    code: CCode  # C of the filter
+    axes: int  # Number of axes
+    # inputs, outputs: What goes in and comes out of a step
     inputs: tuple[Slot, ...]
     outputs: tuple[Slot, ...]
-    sample_time: float
-    facts: tuple[str, ...]
-    real: str = "double"
+    sample_time: float  # S, between two steps
+    facts: tuple[str, ...]  # Lines for the header's comment
+    real: str = "double"  # Type of the signals where nothing else is defined, "double" or "float"
 
     def __post_init__(self) -> None:
         if self.real not in REALS:
@@ -111,13 +86,7 @@ class Unit:
 
 
 def header(program: Program) -> str:
-    """Text of the header.
-
-    Parameters
-    ----------
-    program
-        To be written.
-    """
+    """Text of the header."""
     name, upper = program.name, program.name.upper()
     lines = [
         "/*",
@@ -179,13 +148,7 @@ def header(program: Program) -> str:
 
 
 def source(program: Program) -> str:
-    """Text of the source file.
-
-    Parameters
-    ----------
-    program
-        To be written.
-    """
+    """Text of the source file."""
     name, upper = program.name, program.name.upper()
     units = _units(program)
     functions = list(dict.fromkeys(text.strip() for unit in units for text in unit.code.functions))

@@ -14,8 +14,8 @@ import cffi
 import numpy as np
 from platformdirs import user_cache_path
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, header, source
 
 COMPILERS = ("gcc", "clang", "cc")
@@ -33,18 +33,6 @@ class CompiledProgram:
     """A program running in C.
 
     Its state is memory of its own: `state` may be copied, kept and written back.
-
-    Parameters
-    ----------
-    program
-        To be compiled.
-    compiler
-        Command of a C compiler; None for the first of `COMPILERS` that is installed.
-
-    Raises
-    ------
-    InputError
-        There is no compiler, or it fails.
     """
 
     def __init__(self, program: Program, compiler: str | None = None) -> None:
@@ -75,13 +63,7 @@ class CompiledProgram:
         return self._ffi.cast("int *", self._ffi.from_buffer(self.state)) + offset // 4
 
     def settle(self, value: Array) -> Array:
-        """Come to rest at a constant input; the output.
-
-        Parameters
-        ----------
-        value
-            One number per input.
-        """
+        """Come to rest at a constant input; the output."""
         given = np.ascontiguousarray(value, dtype=self.type)
         output = np.empty(self.widths[1], dtype=self.type)
         self._settle(self._state, self._pointer(given), self._pointer(output))
@@ -107,13 +89,7 @@ class CompiledProgram:
 
 
 def c_compiler(compiler: str | None = None) -> str:
-    """Command of a C compiler. Raises `InputError` where none is installed.
-
-    Parameters
-    ----------
-    compiler
-        The one that is wanted; None for any.
-    """
+    """Command of a C compiler. Raises `InputError` where none is installed."""
     for name in (compiler,) if compiler else COMPILERS:
         if shutil.which(name):
             return name
@@ -122,20 +98,7 @@ def c_compiler(compiler: str | None = None) -> str:
 
 
 def shared_library(program: Program, compiler: str | None = None) -> Path:
-    """Shared library of a program, compiled unless the user's cache has it.
-
-    Parameters
-    ----------
-    program
-        To be compiled.
-    compiler
-        As for `CompiledProgram`.
-
-    Returns
-    -------
-    Path
-        Of the library, named by the hash of all that it is made from.
-    """
+    """Shared library of a program, compiled unless the user's cache has it."""
     command = c_compiler(compiler)
     name = program.name
     told = subprocess.run([command, "--version"], capture_output=True, text=True, check=False).stdout

@@ -16,14 +16,14 @@ from typing import Protocol
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
 from hyst_control.chain.parameter import Array
-from hyst_control.control import pi_c_code, sensor_watch_c_code
-from hyst_control.control.pi import PI, RunningPI
-from hyst_control.control.safe_loop import OVERFLOW, SafeLoop, Safety
-from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
-from hyst_control.errors import InputError
+from hyst_control.control.feedback import pi_c_code, sensor_watch_c_code
+from hyst_control.control.feedback.pi import PI, RunningPI
+from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
 from hyst_control.export.c_source import Slot
 
 FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)
@@ -49,37 +49,19 @@ class Feedforward(Protocol):
 
 @dataclass(frozen=True)
 class FaultResponse:
-    """Answer of the loop to faults; parameters as those of the feedback node.
+    """Answer of the loop to faults; parameters as those of the feedback node."""
 
-    Parameters
-    ----------
-    safe_command
-        V, (A,).
-    safe_rate
-        V/s.
-    axis_fault
-        Axes that go to their safe value when one axis has a fault: "all", or only that one, "own".
-    timeout
-        s, after which inputs that are not finite are a fault.
-    recovery
-        "automatic" or "manual".
-    recovery_time
-        s without a fault, with automatic recovery.
-    measurement_lower, measurement_upper
-        Range of the measurement.
-    frozen_time
-        s; 0 for never.
-    """
-
-    safe_command: tuple[float, ...] = (0.0,)
-    safe_rate: float = 1000.0
+    safe_command: tuple[float, ...] = (0.0,)  # V, (A,)
+    safe_rate: float = 1000.0  # V/s
+    # Axes that go to their safe value when one axis has a fault: "all", or only that one, "own"
     axis_fault: str = "all"
-    timeout: float = 0.1
-    recovery: str = "automatic"
-    recovery_time: float = 0.1
+    timeout: float = 0.1  # S, after which inputs that are not finite are a fault
+    recovery: str = "automatic"  # "automatic" or "manual"
+    recovery_time: float = 0.1  # S without a fault, with automatic recovery
+    # measurement_lower, measurement_upper: Range of the measurement
     measurement_lower: float = -1e6
     measurement_upper: float = 1e6
-    frozen_time: float = 0.1
+    frozen_time: float = 0.1  # S; 0 for never
 
     def __post_init__(self) -> None:
         for name, choices in (("recovery", ("automatic", "manual")), ("axis_fault", ("all", "own"))):
@@ -103,24 +85,6 @@ class Controller(Filter):
 
     `process` takes rows of reference (A), measurement (A) and enable, and returns rows of command (A), feedback (A), feedforward (A)
     and the code of the fault. With a feedforward that previews, the reference is the one `preview` ticks ahead.
-
-    Parameters
-    ----------
-    pi
-        Gains and limits.
-    axes
-        Number of axes.
-    response
-        What it does about faults.
-    feedforward
-        None: zero.
-    learned
-        Rows (N, A) in V of one period that are added to the feedforward from the first tick on, again and again; None: none.
-
-    Raises
-    ------
-    InputError
-        `safe_command` or `learned` does not fit the axes.
     """
 
     def __init__(
@@ -261,15 +225,7 @@ class Controller(Filter):
         )
 
     def slots(self, axes: tuple[str, ...], unit: str) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
-        """Inputs and outputs by name.
-
-        Parameters
-        ----------
-        axes
-            Names of the axes.
-        unit
-            Of the measurement.
-        """
+        """Inputs and outputs by name."""
         early = f", {self.ahead} ticks ahead" if self.ahead else ""
         inputs = [Slot(f"reference_{axis}", f"{unit}{early}") for axis in axes]
         inputs += [Slot(f"measurement_{axis}", unit) for axis in axes]

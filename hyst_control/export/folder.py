@@ -9,17 +9,18 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_text
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
 from hyst_control.export.controller import Controller
 from hyst_control.export.programs import Exported
-from hyst_control.files import write_text
 from hyst_control.reporting.templates import render
 
 ROWS = 400
@@ -29,46 +30,16 @@ SMALL = ("-std=c99", "-Os", "-ffp-contract=off", "-fno-asynchronous-unwind-table
 
 @dataclass(frozen=True)
 class Size:
-    """Memory of a program.
+    """Memory of a program."""
 
-    Parameters
-    ----------
-    state
-        Bytes of the state.
-    flash
-        Bytes of code and constants, compiled for this machine; None without a compiler.
-    """
-
-    state: int
-    flash: int | None
+    state: int  # Bytes of the state
+    flash: int | None  # Bytes of code and constants, compiled for this machine; None without a compiler
 
 
 def write_folder(
     exported: Exported, folder: str | Path, sources: Sequence[str | Path] = (), plant: Exported | None = None
 ) -> list[Path]:
-    """Write everything; the same program gives the same bytes.
-
-    Parameters
-    ----------
-    exported
-        Program, and the same in Python.
-    folder
-        Created where it is missing.
-    sources
-        Files it was made from, whose hashes stand in the header.
-    plant
-        Simulator against which a program closes the loop of a controller on the wall clock; None: no such program.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
-    """
+    """Write everything; the same program gives the same bytes."""
     hashes = [f"{Path(path).name}: SHA-256 {hashlib.sha256(Path(path).read_bytes()).hexdigest()}" for path in sources]
     program = replace(exported.program, facts=(*exported.program.facts, *hashes))
     folder = Path(folder)
@@ -121,13 +92,7 @@ def _loop(exported: Exported, plant: Exported, values: Mapping[str, object]) -> 
 
 
 def golden(exported: Exported) -> str:
-    """Golden vectors as a header: inputs, and what Python makes of them.
-
-    Parameters
-    ----------
-    exported
-        Program, and the same in Python.
-    """
+    """Golden vectors as a header: inputs, and what Python makes of them."""
     rows, outputs = _golden_rows(exported)
 
     def table(name: str, values: Array) -> list[str]:
@@ -171,14 +136,8 @@ def _reals(exported: Exported) -> str:
     return "0 1"
 
 
-def golden_inputs(spans: Array) -> Array:
-    """Inputs (`ROWS`, I) of the golden vectors: smooth loops within loops, then a walk with holds and reversals, then both ends.
-
-    Parameters
-    ----------
-    spans
-        Lower and upper value (I, 2).
-    """
+def golden_inputs(spans: Annotated[Array, "I 2"]) -> Array:
+    """Inputs (`ROWS`, I) of the golden vectors: smooth loops within loops, then a walk with holds and reversals, then both ends."""
     random = np.random.default_rng(25)
     count, columns = ROWS // 2, len(spans)
     time, phase = np.arange(count)[:, None] / count, np.arange(columns)[None, :]
@@ -193,13 +152,7 @@ def golden_inputs(spans: Array) -> Array:
 
 
 def sizes(program: Program) -> Size:
-    """Memory that a program takes.
-
-    Parameters
-    ----------
-    program
-        As it is written.
-    """
+    """Memory that a program takes."""
     try:
         compiler = c_compiler()
     except InputError:

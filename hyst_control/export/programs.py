@@ -11,18 +11,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.parameter import Array
-from hyst_control.control.feedforward import RATE_FILTER, Compensator, build_compensator
-from hyst_control.control.pi import PI
-from hyst_control.control.static_gain import Proportional
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import RATE_FILTER, Compensator, build_compensator
+from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
-from hyst_control.yaml_files import read_yaml
 
 
 class Running(Protocol):
@@ -37,33 +37,16 @@ class Running(Protocol):
 
 @dataclass(frozen=True)
 class Exported:
-    """A program, and the same in Python.
+    """A program, and the same in Python."""
 
-    Parameters
-    ----------
-    program
-        To be written as C.
-    python
-        Running filter, whose outputs are the golden vectors.
-    spans
-        Lower and upper value (inputs, 2) between which the golden vectors' inputs lie.
-    """
-
-    program: Program
-    python: Running
+    program: Program  # To be written as C
+    python: Running  # Running filter, whose outputs are the golden vectors
+    # Lower and upper value (inputs, 2) between which the golden vectors' inputs lie
     spans: Array = field(compare=False)
 
 
 class Twin(Filter):
-    """The model beside a running system: command and measurement in, what the measurement has beyond the prediction out.
-
-    Parameters
-    ----------
-    model
-        Nominal model.
-    sample_time
-        s.
-    """
+    """The model beside a running system: command and measurement in, what the measurement has beyond the prediction out."""
 
     def __init__(self, model: Model, sample_time: float) -> None:
         self.axes = len(model.axes)
@@ -99,14 +82,10 @@ class Twin(Filter):
 
 @dataclass(frozen=True)
 class FeedforwardOptions:
-    """Choices of `control.feedforward.build_compensator`, named as the parameters of the feedforward nodes.
+    """Choices of `control.feedforward.build_compensator`, named as the parameters of the feedforward nodes."""
 
-    Parameters
-    ----------
-    kind, inverse, discretisation, iterations, smoothing, inverse_model, rate_filter, limits, preview
-        As there; `limits` lower and upper in V, `inverse_model` the path of a model file.
-    """
-
+    # kind, inverse, discretisation, iterations, smoothing, inverse_model, rate_filter, limits, preview: As there; `limits` lower
+    # and upper in V, `inverse_model` the path of a model file
     kind: str
     inverse: str = "zpetc"
     discretisation: str = "zoh"
@@ -135,31 +114,13 @@ class FeedforwardOptions:
 
 
 def is_model(path: str | Path) -> bool:
-    """Tell a model file from a file of nodes' parameters.
-
-    Parameters
-    ----------
-    path
-        Of a YAML file.
-    """
+    """Tell a model file from a file of nodes' parameters."""
     document = read_yaml(path, "give a model file or a file of nodes' parameters (YAML)")
     return isinstance(document, Mapping) and document.get("format") == FORMAT
 
 
 def simulator(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
-    """A model as the plant: a command in, the measurement at the following tick out.
-
-    Parameters
-    ----------
-    model
-        To be exported.
-    sample_time
-        s; the model's by default.
-    real
-        "double" or "float".
-    name
-        Prefix in C; the model's name by default.
-    """
+    """A model as the plant: a command in, the measurement at the following tick out."""
     time = sample_time or model.sample_time
     running = model.chain.filter(Sampling(time, len(model.axes), "zoh"))
     unit = model.units["measurement"]
@@ -171,13 +132,7 @@ def simulator(model: Model, sample_time: float | None = None, real: str = "doubl
 
 
 def twin(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
-    """A model beside the running system: command and measurement in, residual out.
-
-    Parameters
-    ----------
-    model, sample_time, real, name
-        As for `simulator`.
-    """
+    """A model beside the running system: command and measurement in, residual out."""
     time = sample_time or model.sample_time
     running = Twin(model, time)
     unit = model.units["measurement"]
@@ -197,18 +152,7 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
 
 
 def stated_error(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
-    """The error that a model states of itself: a command in, mean and standard deviation of the model's error out.
-
-    Parameters
-    ----------
-    model, sample_time, real, name
-        As for `simulator`.
-
-    Raises
-    ------
-    InputError
-        The model states no error.
-    """
+    """The error that a model states of itself: a command in, mean and standard deviation of the model's error out."""
     time = sample_time or model.sample_time
     running = StatedError(model, time)
     unit = model.units["measurement"]
@@ -237,22 +181,7 @@ def feedforward(
     name: str = "",
     reference_ahead: bool = False,
 ) -> Exported:
-    """A compensator: a reference in, the command out.
-
-    Parameters
-    ----------
-    model, sample_time, real, name
-        As for `simulator`.
-    options
-        Of the compensator.
-    reference_ahead
-        Whether the reference is known as many ticks ahead as the compensator looks.
-
-    Raises
-    ------
-    InputError
-        The compensator looks ahead, and the reference is not known so far ahead.
-    """
+    """A compensator: a reference in, the command out."""
     time = sample_time or model.sample_time
     running = options.compensator(model, time)
     check_preview(running.preview, reference_ahead)
@@ -274,20 +203,7 @@ def feedforward(
 
 
 def check_preview(preview: int, reference_ahead: bool) -> None:
-    """Refuse a preview that is not there in real time.
-
-    Parameters
-    ----------
-    preview
-        Ticks that the compensator looks ahead.
-    reference_ahead
-        Whether the reference is known so far ahead.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
+    """Refuse a preview that is not there in real time."""
     if preview and not reference_ahead:
         raise InputError(
             f"preview: the feedforward looks {preview} ticks ahead, where a reference in real time is not known: give --causal "
@@ -296,20 +212,7 @@ def check_preview(preview: int, reference_ahead: bool) -> None:
 
 
 def controller(path: str | Path, real: str = "double", name: str = "", reference_ahead: bool = False) -> Exported:
-    """The controller that a file of nodes' parameters describes: its `pi_feedback` and its feedforward node.
-
-    Parameters
-    ----------
-    path
-        Of the file.
-    real, name, reference_ahead
-        As for `feedforward`.
-
-    Raises
-    ------
-    InputError
-        There is no `pi_feedback` in the file, or something in it cannot be exported.
-    """
+    """The controller that a file of nodes' parameters describes: its `pi_feedback` and its feedforward node."""
     document = read_yaml(path, "give a model file or a file of nodes' parameters (YAML)")
     try:
         return _controller(document, Path(path), real, name, reference_ahead)

@@ -10,11 +10,13 @@ begins at 0 where the filter has settled, and counts from there. An axis without
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.command_features import (
@@ -30,52 +32,30 @@ from hyst_control.chain.command_features import (
     features_of_tick,
 )
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
 
 @njit(cache=True, error_model="numpy")
 def stated_errors(
-    command: Array,
-    scale: Array,
+    command: Annotated[Array, "N A"],
+    scale: Annotated[Array, "A 3"],
     ticks: NDArray[np.int64],
-    half_widths: Array,
-    keeps: Array,
-    mean: Array,
-    factor: Array,
-    rest: Array,
+    half_widths: Annotated[Array, "P"],
+    keeps: Annotated[Array, "P"],
+    mean: Annotated[Array, "A F"],
+    factor: Annotated[Array, "A F"],
+    rest: Annotated[Array, "A F"],
     position: NDArray[np.int64],
-    ring: Array,
-    turning: Array,
-    plays: Array,
-    slow: Array,
-    begin: Array,
-    error: Array,
+    ring: Annotated[Array, "1"],
+    turning: Annotated[Array, "A 3"],
+    plays: Annotated[Array, "A 3"],
+    slow: Annotated[Array, "A 3"],
+    begin: Annotated[Array, "A F"],
+    error: Annotated[Array, "N 2 A"],
 ) -> None:
-    """Follow the features over a block and state the error.
-
-    Parameters
-    ----------
-    command
-        (N, A), V.
-    scale
-        (A, 3): center and span, V, and the change of the scaled command over the rate's difference at the largest rate.
-    ticks
-        (A, 5): ticks that all is late, ticks to either side of the rate's difference, ticks of the lagged copies.
-    half_widths, keeps
-        (P,), (A, 2): of the play operators and low-passes.
-    mean, factor, rest
-        (A, F), (A, F, K), (A,): `LearnedDiscrepancy`.
-    position, ring
-        (1,), (A, L): place of the newest scaled command, and these; changed.
-    turning, plays, slow
-        (A, 3), (A, P), (A, 2), as for `features_of_tick`; changed.
-    begin
-        (A, F), features where it has settled.
-    error
-        (N, 2 A), means, then standard deviations; filled.
-    """
+    """Follow the features over a block and state the error."""
+    # scale: (A, 3): center and span, V, and the change of the scaled command over the rate's difference at the largest rate
     axes, length = ring.shape
     features = np.empty(mean.shape[1])
     for row in range(command.shape[0]):
@@ -102,20 +82,7 @@ def stated_errors(
 
 
 class StatedError(Filter):
-    """The error that a model states of itself, beside a command: means (A) and standard deviations (A) in one row.
-
-    Parameters
-    ----------
-    model
-        Model with a stated error.
-    sample_time
-        s.
-
-    Raises
-    ------
-    InputError
-        It states none.
-    """
+    """The error that a model states of itself, beside a command: means (A) and standard deviations (A) in one row."""
 
     hold = "zoh"
 

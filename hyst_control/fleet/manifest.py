@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 TABLES = (".csv", ".parquet")
 OWN = ("bag", "unit", "time", "model", "baseline")

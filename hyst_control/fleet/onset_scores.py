@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Table
 
 NEAR = 1.0

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 
-from hyst_control.files import write_json
+from hyst_control.base.files import write_json
 from hyst_control.fleet.change_points import Trend
 from hyst_control.fleet.common_causes import CommonCause
 from hyst_control.fleet.overview import Overview

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 Array = NDArray[np.float64]
 

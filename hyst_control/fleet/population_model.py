@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
-from hyst_control.errors import InputError
 from hyst_control.fleet.population import Population, find_population
 from hyst_control.fleet.results import DONE, Results
 from hyst_control.model_file import DISCREPANCY_VERSION, Model, load_model, save_model

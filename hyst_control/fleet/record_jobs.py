@@ -114,13 +114,13 @@ def _screened(job: RecordJob, verdict: bool) -> dict[str, Any] | None:
     """Results of a record without trying any effect; None for one that shows something else than the plant's answer."""
     from hyst_control.diagnose.live.screening import screen
     from hyst_control.diagnose.report.invalid_records import invalid_report
-    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.bags.bag_reader import read_bag
 
     entry = job.entry
     where = (job.options.get("namespace"), job.options.get("unit", "unknown"))
     records = [read_bag(entry.bag, *where)]
     model = _model(entry.model, bag_stamp(entry.model)) if entry.model else None
-    if model is not None and invalid_report(records, model, []) is not None:
+    if model is not None and invalid_report(records, model) is not None:
         return None
     found = screen(records, model, [_clean(bag, bag_stamp(bag), *where) for bag in entry.baseline], verdict)
     return {
@@ -146,7 +146,7 @@ def _model(path: str, stamp: str) -> Model:
 @lru_cache(maxsize=16)
 def _clean(bag: str, stamp: str, namespace: str | None, unit: str) -> Record:
     """A clean record, which all nights of a unit share."""
-    from hyst_control.records.bag_reader import read_bag
+    from hyst_control.records.bags.bag_reader import read_bag
 
     return read_bag(bag, namespace, unit)
 

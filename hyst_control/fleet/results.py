@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
-from hyst_control.files import replacing
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import replacing
 
 ROWS_PER_PART = 256
 SECONDS_PER_PART = 10.0

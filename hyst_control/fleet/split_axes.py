@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.record_jobs import bag_stamp
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 AXIS = "x"
 """Name of the axis of a record of one axis, as in models of one axis."""

@@ -16,15 +16,15 @@ from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
-from hyst_control.files import read_json, write_json
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import read_json, write_json
+from hyst_control.base.parallel import Outcome, Workers, outcomes
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import Overview, overview
 from hyst_control.fleet.overview_page import write_overview
 from hyst_control.fleet.record_jobs import GAPS, KINDS, ONSETS, OPEN, RecordJob, compute, mark
 from hyst_control.fleet.results import DONE, FAILED, Results, schema
 from hyst_control.fleet.split_axes import split_axes
-from hyst_control.parallel import Outcome, Workers, outcomes
 
 SCHEMA = "hyst_control/fleet"
 SUMMARY = "summary.json"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hyst_control.hardware.stage_node import StageNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main
+from hyst_control.nodes.execution.run import main
+from hyst_control.nodes.signal_node.parameters import Setting
 
 __all__ = ["Setting", "StageNode", "main"]

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.parameters import Setting
 
 Array = NDArray[np.float64]
 
@@ -24,15 +24,7 @@ MILLI = 1e-3
 
 
 class IioChannel:
-    """One channel of an IIO device; its file stays open.
-
-    Parameters
-    ----------
-    device : Path
-        Folder of the device, such as /sys/bus/iio/devices/iio:device0.
-    name : str
-        Channel, such as in_voltage0 or out_voltage1.
-    """
+    """One channel of an IIO device; its file stays open."""
 
     def __init__(self, device: Path, name: str) -> None:
         self._raw = device / f"{name}_raw"
@@ -90,13 +82,7 @@ class IioStage(StageNode):
     )
 
     def connect(self) -> None:
-        """Open the channels.
-
-        Raises
-        ------
-        InputError
-            When a device or a channel does not exist, or there is not one for every axis.
-        """
+        """Open the channels."""
         given = self.settings
         self._outputs: list[IioChannel] = []
         self._inputs: list[IioChannel] = []

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.parameters import Setting
 
 Array = NDArray[np.float64]
 
@@ -31,22 +31,7 @@ that of the next question; voltages, which have no answer, can still be set."""
 
 
 class GcsController:
-    """Connection with one controller; all that is used of `pipython` is here. A question without an answer raises `ConnectionError`.
-
-    Parameters
-    ----------
-    host : str
-        Its address.
-    port : int
-        Its port.
-    axes : list of str
-        The controller's names of the axes.
-
-    Raises
-    ------
-    InputError
-        When there is no such controller or axis.
-    """
+    """Connection with one controller; all that is used of `pipython` is here. A question without an answer raises `ConnectionError`."""
 
     identity: str
     """The controller's own name and version."""
@@ -136,13 +121,7 @@ class PhysikInstrumenteStage(StageNode):
     )
 
     def connect(self) -> None:
-        """Connect, and switch the servo off.
-
-        Raises
-        ------
-        InputError
-            When there is no such controller or axis.
-        """
+        """Connect, and switch the servo off."""
         given = self.settings
         if not given.host:
             raise InputError("parameter host: give the address of the controller")

@@ -7,29 +7,17 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.parameters import Setting
 
 Array = NDArray[np.float64]
 
 
 class Converter:
-    """Simulated digital-to-analog and analog-to-digital converters with a stage between them, which runs as time passes.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        The stage.
-    axes : int
-        Number of its axes.
-    period : float
-        Time in s between two of its samples.
-    output_step, input_step : float
-        Steps of the voltage (V) and of the measurement (um or mrad), 0 for none.
-    """
+    """Simulated digital-to-analog and analog-to-digital converters with a stage between them, which runs as time passes."""
 
     MOST_STEPS = 10_000
     """Samples computed at once; after a longer pause the stage has settled."""
@@ -73,13 +61,7 @@ class SimulatedStage(StageNode):
     )
 
     def connect(self) -> None:
-        """Load the model.
-
-        Raises
-        ------
-        InputError
-            When there is none, or it has other axes or another unit.
-        """
+        """Load the model."""
         given = self.settings
         if not given.model:
             raise InputError("parameter model: give a model file")

@@ -7,24 +7,24 @@ import threading
 import time
 from collections import Counter
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.hardware.driver_thread import Call, DriverThread
-from hyst_control.nodes import interrupts
-from hyst_control.nodes.actuator import SAFE_SETTINGS, Actuator
-from hyst_control.nodes.common_parameters import TIMER
-from hyst_control.nodes.duration_histogram import Durations
-from hyst_control.nodes.loop_latency import LoopLatency
-from hyst_control.nodes.managed import AUTOSTART, UNCONFIGURED, ManagedNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import LONGEST_WIND_DOWN
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.records.foreign_rows import LARGEST_VALUE
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.run import LONGEST_WIND_DOWN
+from hyst_control.nodes.loop.actuator import SAFE_SETTINGS, Actuator
+from hyst_control.nodes.signal_node.common_parameters import TIMER
+from hyst_control.nodes.signal_node.duration_histogram import Durations
+from hyst_control.nodes.signal_node.loop_latency import LoopLatency
+from hyst_control.nodes.signal_node.managed import AUTOSTART, UNCONFIGURED, ManagedNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 Array = NDArray[np.float64]
 
@@ -53,13 +53,6 @@ class StageNode(ManagedNode):
     the feedback goes to its safe value when measurements stay away. After `failures` in a row the node goes to `safe_command` itself,
     as long as `write` works, disconnects, and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
     With `failures` 0 it never does. While one does not return, the node says so and calls nothing else of the device.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node; default: `NAME`.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     NAME = "stage"
@@ -95,7 +88,7 @@ class StageNode(ManagedNode):
         self._connected = self._ending = False
         self._cut = threading.Event()  # ends the way to the safe value
         self.begin()
-        self.start_timer(READ_PHASE)
+        self.schedule.start(READ_PHASE)
 
     def connect(self) -> None:
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
@@ -111,33 +104,15 @@ class StageNode(ManagedNode):
         return self._actuator.watchdog.applied
 
     def read(self) -> ArrayLike | None:
-        """Read the sensor.
-
-        Returns
-        -------
-        array_like, shape (A,), or None
-            Measurement of the present moment in the node's `unit`, one value per axis; None when the device has no new one.
-        """
+        """Read the sensor."""
         raise NotImplementedError(f"{type(self).__name__} has no read()")
 
-    def write(self, command: Array) -> None:
-        """Write a voltage to the converter.
-
-        Parameters
-        ----------
-        command : ndarray, shape (A,)
-            Voltage of each axis, V; held until the next call.
-        """
+    def write(self, command: Annotated[Array, "A"]) -> None:
+        """Write a voltage to the converter."""
         raise NotImplementedError(f"{type(self).__name__} has no write()")
 
     def configure(self) -> None:
-        """Connect, start from the voltage that the actuator has, and read once.
-
-        Raises
-        ------
-        InputError
-            When the device does not answer, or gives a voltage or a measurement that cannot be one.
-        """
+        """Connect, start from the voltage that the actuator has, and read once."""
         if not self._driver.ended(LONGEST_ANSWER):
             raise InputError(self._silence or "is still on the way to its safe command: try again")
         self._driver = DriverThread()
@@ -322,12 +297,12 @@ class StageNode(ManagedNode):
     @property
     def _patience(self) -> float:
         """Time in s for which a tick waits for the driver."""
-        return float(max(2.0 * self.tick_timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
+        return float(max(2.0 * self.timer.interval, min(self.settings.timeout, LONGEST_ANSWER)))
 
     @property
     def _gone(self) -> bool:
         """True when the driver has not answered for so long that the node ends without it."""
-        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.tick_timer.interval)
+        return self._driver.silent_for > max(LONGEST_SILENCE, 2.0 * self.timer.interval)
 
     @property
     def _silence(self) -> str:

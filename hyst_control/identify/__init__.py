@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hyst_control import progress
-from hyst_control.errors import InputError
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.fit_report import with_jump
 from hyst_control.identify.data.dataset import Dataset, Fit, Report, check_records
 from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, model_to_document, simulate
 from hyst_control.records.record_against_model import Simulation
 from hyst_control.records.record_validity import Trial

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
@@ -18,13 +18,13 @@ from hyst_control.identify.data.record_segmentation import stretches_between_res
 from hyst_control.identify.trial_beside_model import trial_beside
 from hyst_control.identify.workflow import LONGEST_JUDGED, TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record
 from hyst_control.records.record_validity import examined
-from hyst_control.records.row_store import blocks, largest_size, mean_square
 from hyst_control.records.session_zero import SHAPES, without_zero
+from hyst_control.records.stream.clock_alignment import aligned_by_reception
+from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
 from hyst_control.reporting.tables import Table
 
 NOT_DESCRIBED = 20.0
@@ -35,25 +35,14 @@ MOST_MOTIONS = 24
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion between two rests.
+    """Motion between two rests."""
 
-    Parameters
-    ----------
-    frequency, amplitude
-        Of the command, Hz and V.
-    span
-        Range of the measurement, its unit.
-    error
-        Rms, the same unit.
-    rows
-        Their number.
-    """
-
+    # frequency, amplitude: Of the command, Hz and V
     frequency: float
     amplitude: float
-    span: float
-    error: float
-    rows: int
+    span: float  # Range of the measurement, its unit
+    error: float  # Rms, the same unit
+    rows: int  # Their number
 
 
 def validate_bags(
@@ -68,34 +57,7 @@ def validate_bags(
     shift: float = 0.0,
     strict: bool = False,
 ) -> Table:
-    """Score every model on every record.
-
-    Parameters
-    ----------
-    models
-        Model files.
-    bags
-        Bags with command and measurement.
-    source
-        Name of the table.
-    hold, start, namespace, unit, columns
-        How the bags are read: see `datasets_of` and `read_bag`.
-    shift
-        Time in s by which the measurement is taken later.
-    strict
-        Exit status 3 of the table where it has notes.
-
-    Returns
-    -------
-    Table
-        NRMSE and NME in % of the record's range (HAMPI paper Eq. 26), RMSE in its unit: `nrmse` as it is, `nrmse_centered` without
-        the mean, `nrmse_own_zero` without the record's own zero, drift and curvature, which stand beside it.
-
-    Raises
-    ------
-    InputError
-        A model and a record differ in axes or unit: names both.
-    """
+    """Score every model on every record."""
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)
     for bag in bags_in(bags):
@@ -151,22 +113,7 @@ def compared_stretches(record: Record, hold: str | None = None, start: str = "au
 
 
 def check_pair(name: str, model: Model, data: Dataset) -> None:
-    """Check that model and record have the same axes and unit.
-
-    Parameters
-    ----------
-    name
-        Name of the model.
-    model
-        The model.
-    data
-        The record.
-
-    Raises
-    ------
-    InputError
-        They do not.
-    """
+    """Check that model and record have the same axes and unit."""
     if model.axes != data.axes or model.units != {"command": data.command_unit, "measurement": data.unit}:
         raise InputError(
             f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']} of {model.units['command']}, the record "
@@ -175,19 +122,7 @@ def check_pair(name: str, model: Model, data: Dataset) -> None:
 
 
 def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
-    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude.
-
-    Parameters
-    ----------
-    table
-        Table to add to.
-    name
-        Name of the model.
-    model
-        The model.
-    data
-        The record.
-    """
+    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude."""
     error = residual(model, data)
     skipped = len(data.command) - len(error)
     rest, own = without_zero(error)
@@ -226,18 +161,7 @@ def _motions(data: Dataset, axis: int, error: Array, skipped: int) -> list[Motio
 
 
 def by_motion(motions: Sequence[Motion]) -> list[tuple[str, float, int]]:
-    """Errors of motions one by one, or, where there are more than `MOST_MOTIONS`, by octave of frequency and of amplitude.
-
-    Parameters
-    ----------
-    motions
-        In the order of the record.
-
-    Returns
-    -------
-    list of (str, float, int)
-        Frequency and amplitude in words, rms error as a share of the motion's range (the rms of the motions' shares), rows.
-    """
+    """Errors of motions one by one, or, where there are more than `MOST_MOTIONS`, by octave of frequency and of amplitude."""
     if len(motions) <= MOST_MOTIONS:
         return [(f"{one.frequency:.4g} Hz, {one.amplitude:.4g} V", one.error / one.span, one.rows) for one in motions]
     groups: dict[tuple[int, int], list[Motion]] = {}
@@ -258,22 +182,7 @@ def _octave(value: float) -> int:
 
 
 def fraction_outside(model: Model, data: Dataset, axis: int) -> float:
-    """Fraction of a record's command outside the range over which the model was fitted.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        The record.
-    axis
-        Index of the axis.
-
-    Returns
-    -------
-    float
-        Fraction, 0 to 1.
-    """
+    """Fraction of a record's command outside the range over which the model was fitted."""
     valid = model.valid.get("command")
     if valid is None:
         return 0.0

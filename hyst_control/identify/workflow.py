@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import check_writable, write_json
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
-from hyst_control.files import check_writable, write_json
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.assess.attainable import poorly_explained
 from hyst_control.identify.assess.explained_share import (
@@ -32,12 +32,12 @@ from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Aligned, Record
 from hyst_control.records.record_validity import Trial, examined, refuse_invalid
-from hyst_control.records.units import refusal_of_unit
+from hyst_control.records.stream.clock_alignment import aligned_by_reception
+from hyst_control.records.tables.units import refusal_of_unit
 
 AUTO = "auto"
 """In place of a family: the best one."""
@@ -58,21 +58,11 @@ SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
 
 @dataclass(frozen=True)
 class Result:
-    """An identified model and its file.
+    """An identified model and its file."""
 
-    Parameters
-    ----------
-    fit
-        Model and report.
-    output
-        The file it was written to; None where the model explains nothing and was not.
-    strict
-        Whether a verdict other than "explains" is a failure of the command.
-    """
-
-    fit: Fit
-    output: Path | None
-    strict: bool = False
+    fit: Fit  # Model and report
+    output: Path | None  # The file it was written to; None where the model explains nothing and was not
+    strict: bool = False  # Whether a verdict other than "explains" is a failure of the command
 
     @property
     def exit_status(self) -> int:
@@ -146,43 +136,7 @@ def identify_bags(
     shift: float = 0.0,
     **options: object,
 ) -> Result:
-    """Identify a model from bags and write it. No model is written that explains less of the records than a constant and a gain.
-
-    Parameters
-    ----------
-    bags
-        rosbag2 directories, or .mcap or .db3 files, with command and measurement.
-    family
-        Model family; None or "auto": the best on held-out data of those that have the options given.
-    output
-        Model file to write.
-    json_path
-        Fit report to write.
-    method
-        "joint" or, where the family has it, "paper".
-    hold, start, allow_gaps, namespace, unit, columns
-        How the bags are read: see `datasets_of` and `read_bag`.
-    force
-        Fit records, too, that are no measurement of their command, or of several plants, and write the model whatever it explains.
-    figure
-        Figure of the choice between families to write.
-    strict
-        Of the result: see `Result.exit_status`.
-    shift
-        Time in s by which the measurement is taken later.
-    **options
-        Options of the family, as values or texts; None: not given.
-
-    Returns
-    -------
-    Result
-        The fit and where it was written.
-
-    Raises
-    ------
-    InputError
-        Names file, field or option, and remedy.
-    """
+    """Identify a model from bags and write it. No model is written that explains less of the records than a constant and a gain."""
     check_writable(output)
     if json_path is not None:
         check_writable(json_path)
@@ -256,29 +210,7 @@ def identify_records(
 
 
 def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
-    """Identify a model with its own error, the best family unless one is named.
-
-    Parameters
-    ----------
-    datasets
-        Clean records.
-    family
-        Model family; None or "auto": the best on held-out data of those that have the options given.
-    method
-        "joint" or, where the family has it, "paper".
-    **options
-        Options of the family.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-
-    Raises
-    ------
-    InputError
-        A family, a method or an option does not exist, or the records do not determine a model.
-    """
+    """Identify a model with its own error, the best family unless one is named."""
     chosen = chosen_families(family, method, options)
     begun = [with_beginning(data) for data in datasets]
     if family not in (None, AUTO):
@@ -323,27 +255,7 @@ def discrepancy(model: Model, datasets: Sequence[Dataset], left: Sequence[Array]
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
-    """Choose the families to identify: the one named, or all that are compared and have the options given.
-
-    Parameters
-    ----------
-    family
-        Model family; None: those that are compared.
-    method
-        Method of the fit.
-    options
-        Options by name.
-
-    Returns
-    -------
-    list[str]
-        Names of families.
-
-    Raises
-    ------
-    InputError
-        A family, a method or an option does not exist, or an option has no such value.
-    """
+    """Choose the families to identify: the one named, or all that are compared and have the options given."""
     if family is not None and family != AUTO:
         estimator_of(family).options(method=method, **options)
         return [family]
@@ -363,32 +275,11 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
 def datasets_of(
     record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False, notes: list[str] | None = None
 ) -> list[Dataset]:
-    """Cut a record into its gapless stretches.
-
-    Parameters
-    ----------
-    record
-        Command and measurement, and possibly other signals.
-    hold
-        "zoh" or "foh"; None or "auto": that of the record, or, where it states none, what explains its held-out rows.
-    start
-        "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what follows
-        a gap is unknown.
-    allow_gaps
-        Use the stretches between lost samples instead of raising an error; those that are short beside the longest are left out.
-    notes
-        List to which a sentence is added on what was left out.
-
-    Returns
-    -------
-    list of Dataset
-        A dataset a stretch.
-
-    Raises
-    ------
-    InputError
-        Topics, units or samples are unusable: names the record and the remedy.
-    """
+    """Cut a record into its gapless stretches."""
+    # start: "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what
+    # follows a gap is unknown
+    # allow_gaps: use the stretches between lost samples instead of raising an error; those that are short beside the longest are
+    # left out
     command, measurement = (record.signal(topic) for topic in TOPICS)
     for topic, usual in USUAL_UNITS.items():
         if reason := refusal_of_unit(record.signal(topic).unit, usual):

@@ -30,13 +30,13 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from hyst_control.base.errors import InputError
 from hyst_control.dashboard.live_state import LiveState, NodeState
-from hyst_control.errors import InputError
-from hyst_control.nodes import interrupts
-from hyst_control.nodes.ending_node import EndingNode
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import close, spin
 from hyst_control.nodes.live_view import LiveView
-from hyst_control.nodes.message_io import CallbackSubscription
-from hyst_control.nodes.run import close, spin
+from hyst_control.nodes.signal_node.message_io import CallbackSubscription
 from hyst_control.processes import environment
 from hyst_control.processes.node_processes import Processes
 
@@ -59,27 +59,13 @@ ASKED = {
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Settings of the loop that a page shows.
+    """Settings of the loop that a page shows."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Sample rate of its signals, Hz.
-    schedule : str
-        "timer" or "lockstep".
-    axes : tuple of str
-        Names of its axes.
-    unit : str
-        Unit of the measurement, "um" or "mrad".
-    namespace : str
-        Namespace of its topics; "" for none.
-    """
-
-    rate_hz: float = 1000.0
-    schedule: str = "timer"
-    axes: tuple[str, ...] = ("x",)
-    unit: str = "um"
-    namespace: str = ""
+    rate_hz: float = 1000.0  # Sample rate of its signals, Hz
+    schedule: str = "timer"  # "timer" or "lockstep"
+    axes: tuple[str, ...] = ("x",)  # Names of its axes
+    unit: str = "um"  # Unit of the measurement, "um" or "mrad"
+    namespace: str = ""  # Namespace of its topics; "" for none
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -98,15 +84,6 @@ class DashboardNode(EndingNode):
     """Node that listens to `live`, `live_turn`, `gap` and `/diagnostics`, and calls services of the nodes that drive the actuator.
 
     Everything is done on the thread that spins it; `ask` and `leave` may be called from another one.
-
-    Parameters
-    ----------
-    state : LiveState
-        Written by this node.
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     def __init__(self, state: LiveState, name: str = "dashboard", **options: Any) -> None:
@@ -129,23 +106,11 @@ class DashboardNode(EndingNode):
         self.every(POLL_INTERVAL, self._poll)
 
     def ask(self, what: str) -> None:
-        """Ask the nodes that drive the actuator to do something.
-
-        Parameters
-        ----------
-        what : str
-            A key of `ASKED`.
-        """
+        """Ask the nodes that drive the actuator to do something."""
         self._asked.put(what)
 
     def say(self, words: str) -> None:
-        """Show a line on the page.
-
-        Parameters
-        ----------
-        words : str
-            The line.
-        """
+        """Show a line on the page."""
         self._state.answers.append(words)
 
     def forget(self, name: str) -> None:
@@ -223,19 +188,7 @@ class DashboardNode(EndingNode):
 
 
 class LoopActions:
-    """Requests of a page: services by the node, recordings as processes.
-
-    Parameters
-    ----------
-    node : DashboardNode
-        The node.
-    processes : Processes
-        Where the recorder is started.
-    loop : LoopSettings
-        Settings of the loop.
-    folder : Path
-        Folder of the recordings.
-    """
+    """Requests of a page: services by the node, recordings as processes."""
 
     def __init__(self, node: DashboardNode, processes: Processes, loop: LoopSettings, folder: Path) -> None:
         self._node, self._processes, self._loop, self._folder = node, processes, loop, folder
@@ -243,13 +196,7 @@ class LoopActions:
         self._count = 0
 
     def ask(self, what: str) -> None:
-        """Ask the nodes that drive the actuator.
-
-        Parameters
-        ----------
-        what : str
-            `enable`, `stop` or `reset`.
-        """
+        """Ask the nodes that drive the actuator."""
         self._node.ask(what)
 
     @property
@@ -308,22 +255,6 @@ def live_loop(loop: LoopSettings, state: LiveState, folder: Path, context: Conte
 
     A live view that runs beside the loop is used; where there is none, one is run on this thread, and the middleware carries all signals
     to it.
-
-    Parameters
-    ----------
-    loop : LoopSettings
-        Its settings.
-    state : LiveState
-        Kept up to date.
-    folder : Path
-        Folder of the recordings.
-    context : Context
-        ROS context, initialized with `loop.arguments`.
-
-    Returns
-    -------
-    LoopActions
-        Requests to its nodes.
     """
     domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
     namespace = f"/{loop.namespace.strip('/')}" if loop.namespace.strip("/") else ""
@@ -363,31 +294,7 @@ def live_loop(loop: LoopSettings, state: LiveState, folder: Path, context: Conte
 
 
 def serve(loop: LoopSettings, port: int, folder: Path, window: float, opened: Callable[[str], None]) -> int:
-    """Show a loop on a page until Ctrl-C.
-
-    Parameters
-    ----------
-    loop : LoopSettings
-        Its settings.
-    port : int
-        Port; 0 for a free one.
-    folder : Path
-        Folder of the recordings.
-    window : float
-        Time in s that the curves cover.
-    opened : callable
-        Called with the page's address once it is served.
-
-    Returns
-    -------
-    int
-        Exit status 0.
-
-    Raises
-    ------
-    InputError
-        When the extra is not installed, a setting is not allowed, or the port cannot be used.
-    """
+    """Show a loop on a page until Ctrl-C."""
     try:
         from hyst_control.dashboard.page import LivePage
         from hyst_control.dashboard.server import LiveServer

@@ -19,19 +19,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.diagnose.model_error.baseline import error_on
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.message_io import Sender
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.watched_signal import WatchedSignal
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.message_io import Sender
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.actuator_following import APPLIED, FollowingWatch
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder, label_for
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder, label_for
 
 Array = NDArray[np.float64]
 
@@ -63,13 +63,6 @@ class DiagnosisNode(SignalNode):
     `~/diagnose` starts `hyst diagnose` on the rows in the buffer, in a process of lower priority than the loop, and answers
     immediately. A call during the diagnosis returns its progress, the first call afterwards its result. A new folder below `output`
     gets the bag, gap.json, augmented.yaml (if there is an effect to add) and the printed report.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
@@ -352,17 +345,7 @@ class DiagnosisNode(SignalNode):
 
 
 class Job:
-    """Diagnosis in a process of its own.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder with the bag `record`, which gets the results.
-    model : Path
-        Model file.
-    baseline : sequence of Path
-        Bags of clean records.
-    """
+    """Diagnosis in a process of its own."""
 
     def __init__(self, folder: Path, model: Path, baseline: Sequence[Path] = ()) -> None:
         self.folder, self.reported = folder, False
@@ -421,13 +404,7 @@ class Job:
 
 @contextmanager
 def as_input_error(path: str) -> Iterator[None]:
-    """Raise `InputError` for a folder or disk that cannot be written to.
-
-    Parameters
-    ----------
-    path : str
-        Path that the message names.
-    """
+    """Raise `InputError` for a folder or disk that cannot be written to."""
     try:
         yield
     except OSError as error:

@@ -6,37 +6,27 @@ from typing import Any, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator
-from hyst_control.control.loop import Compensator
-from hyst_control.control.slope_demand import SlopeDemand
-from hyst_control.control.static_gain import Proportional
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.loop import Compensator
+from hyst_control.control.feedback.slope_demand import SlopeDemand
+from hyst_control.control.feedforward.compensator import KINDS, RATE_FILTER, build_compensator
+from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.backend import CompiledFeedforward
 from hyst_control.export.controller import Feedforward as WithC
 from hyst_control.model_file import load_model
-from hyst_control.nodes import feedforward_learning
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.common_parameters import BACKEND, C
-from hyst_control.nodes.feedforward_learning import FeedforwardLearning
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.records.foreign_rows import LARGEST_VALUE
+from hyst_control.nodes.loop import feedforward_learning
+from hyst_control.nodes.loop.feedforward_learning import FeedforwardLearning
+from hyst_control.nodes.loop.slope_warning import warn_of_slope
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.common_parameters import BACKEND, C
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 
 def settings_of(kind: str) -> tuple[Setting, ...]:
-    """Parameters of a feedforward node.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of compensator that it has by default.
-
-    Returns
-    -------
-    tuple of Setting
-        The parameters.
-    """
+    """Parameters of a feedforward node."""
     return (
         *feedforward_learning.SETTINGS,
         Setting("model", "", "", "model file that the compensator inverts"),
@@ -94,17 +84,7 @@ class Feedforward(SignalNode):
         cls.SETTINGS = settings_of(cls.KIND)
 
     def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
-        """Create the node.
-
-        Parameters
-        ----------
-        name : str
-            Name of the node.
-        compensator : Compensator, optional
-            Used instead of the one that the parameters describe.
-        **options : object
-            Passed on to `rclpy.node.Node`.
-        """
+        """Create the node."""
         super().__init__(name, **options)
         self._compensator = compensator or self._described()
         if self.settings.backend == C:
@@ -121,7 +101,7 @@ class Feedforward(SignalNode):
         except InputError as error:
             raise InputError(f"{self.get_name()}: parameter {error}") from None
         self._learning = FeedforwardLearning(self, learner, self._publish) if learner else None
-        self.start_timer(0.3)
+        self.schedule.start(0.3)
 
     def advance(self) -> None:
         if self.reference.rows.available:
@@ -150,7 +130,7 @@ class Feedforward(SignalNode):
 
     def _publish(self, start: int, rows: Array) -> None:
         """Send rows within what other nodes take: in lockstep they would wait for ever for one that they dropped."""
-        self.look_at_slope(self._demand.exceeds(start, rows, self.settings.slew_limit * self.period))
+        warn_of_slope(self, self._demand.exceeds(start, rows, self.settings.slew_limit * self.period))
         self.feedforward.send(start, np.clip(rows, -LARGEST_VALUE, LARGEST_VALUE))
 
     def tick(self, tick: int) -> None:

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.run import main as run_main
 
 
 class HampiFeedforward(Feedforward):
-    """Feedforward node whose default compensator is of the kind `hampi`.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `Feedforward`.
-    """
+    """Feedforward node whose default compensator is of the kind `hampi`."""
 
     KIND = "hampi"
 

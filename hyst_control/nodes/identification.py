@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.identify.families.options import Option
 from hyst_control.identify.workflow import identify_bags
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.parameters import Setting, declare
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.parameters import Setting, declare
 
 
 @dataclass(frozen=True)
@@ -22,33 +22,12 @@ class FamilyOption(Setting):
     """Parameter for an option of one or several model families.
 
     Its value has any type that one of the families accepts, or is the text of such a value; an empty text means not given.
-
-    Attributes
-    ----------
-    families : mapping of str to Option
-        The option as each family declares it.
     """
 
-    families: Mapping[str, Option] = field(default_factory=dict)
+    families: Mapping[str, Option] = field(default_factory=dict)  # The option as each family declares it
 
     def convert(self, value: object) -> object:
-        """Check a value.
-
-        Parameters
-        ----------
-        value : object
-            The value as given.
-
-        Returns
-        -------
-        object
-            The value, a list as a tuple.
-
-        Raises
-        ------
-        InputError
-            When no family accepts it.
-        """
+        """Check a value."""
         if isinstance(value, str) and value == "":
             return value
         given = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else value
@@ -76,13 +55,6 @@ class Identification(EndingNode):
     The service answers with the summary of the fit, or with the reason of a failure. A fit takes seconds, in which this node does
     nothing else; the nodes of the loop are not affected. Whoever reaches the node may set its parameters and call it, so it writes
     within one folder only, which is set at its start.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (

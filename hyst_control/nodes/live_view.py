@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.duration_histogram import Durations
-from hyst_control.nodes.message_io import Sender
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.watched_signal import WatchedSignal
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.duration_histogram import Durations
+from hyst_control.nodes.signal_node.message_io import Sender
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.extremes import ExtremeRows
 
 Array = NDArray[np.float64]
@@ -56,13 +56,6 @@ class LiveView(SignalNode):
     within `bin` s, so that every peak is there and every row holds values of one tick. On `live_turn` it publishes the newest `turn` s
     of command and measurement, evenly spaced, for a picture of the loop. It only listens: no other node waits for it. Composed with
     the loop it takes messages within the process, which costs the loop less than a subscription from outside.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (

@@ -11,20 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 
-from hyst_control.control.pi import PI, RunningPI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import MOTION, MeasurementWatch
-from hyst_control.control.slope_demand import SlopeDemand
-from hyst_control.errors import InputError
-from hyst_control.nodes.common_parameters import BACKEND, TIMER, C
-from hyst_control.nodes.managed import AUTOSTART, ManagedNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.rival_watch import RivalWatch
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.nodes.takeover import Takeover
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI, RunningPI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import MOTION, MeasurementWatch
+from hyst_control.control.feedback.slope_demand import SlopeDemand
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.loop.rival_watch import RivalWatch
+from hyst_control.nodes.loop.slope_warning import warn_of_slope
+from hyst_control.nodes.loop.takeover import Takeover
+from hyst_control.nodes.signal_node.common_parameters import BACKEND, TIMER, C
+from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.actuator_following import CLOSE
-from hyst_control.records.signal_message import label_for
+from hyst_control.records.stream.signal_message import label_for
 
 Array = NDArray[np.float64]
 
@@ -45,13 +46,6 @@ class PiFeedback(ManagedNode):
     `safe_command` at `safe_rate`. It returns by itself when the fault is over, or with `recovery: manual` after `~/reset`, in both
     cases without a jump. A node that is started during a run takes over from what the plant says on `applied`. `control.safe_loop` has
     the states.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
@@ -205,7 +199,7 @@ class PiFeedback(ManagedNode):
         self._waking = self.every(TAKEOVER_INTERVAL, self._wake) if self.lockstep else None
         self.reset()
         self.begin()
-        self.start_timer(0.5)
+        self.schedule.start(0.5)
 
     def advance(self) -> None:
         if not self.ever_active:
@@ -242,7 +236,7 @@ class PiFeedback(ManagedNode):
         self._report()
 
     def tick(self, tick: int) -> None:
-        self._fill(tick - self.tick_timer.missed)
+        self._fill(tick - self.timer.missed)
         rows = self.feedforward.rows
         if self._waiting:
             if any(signal.rows.end is None for signal in self.inputs) or not self._takes_over():
@@ -430,7 +424,7 @@ class PiFeedback(ManagedNode):
 
     def _timing_fault(self, tick: int) -> str:
         """Fault of the loop as a whole, of its inputs or of the timing, under the timer; "" when there is none."""
-        fault, longest = self._fault_of_loop(), self.longest_age
+        fault, longest = self._fault_of_loop(), self.timer.longest_age
         if fault:
             return fault
         stale = [signal.topic for signal in self.inputs if signal.age > longest]
@@ -443,7 +437,7 @@ class PiFeedback(ManagedNode):
         contradictory = [signal.topic for signal in self.inputs if now - signal.rows.conflicted < longest]
         if contradictory:
             return f"two sources of {' and '.join(contradictory)}"
-        if 0 < self.settings.overrun_ticks <= self.tick_timer.overrun_streak:
+        if 0 < self.settings.overrun_ticks <= self.timer.overrun_streak:
             return "ticks take longer than their time"
         return ""
 
@@ -458,11 +452,11 @@ class PiFeedback(ManagedNode):
     def _ask(self, first: int, ahead: Array, reference: Array | None = None) -> None:
         """Warn once of a reference that asks for more slope than the slew limit, by its feedforward and by the proportional part."""
         asked = ahead if reference is None else ahead + self.settings.kp * reference
-        self.look_at_slope(self._demand.exceeds(first, asked, self.settings.slew_limit * self.period))
+        warn_of_slope(self, self._demand.exceeds(first, asked, self.settings.slew_limit * self.period))
 
     def _fill(self, first: int) -> None:
         """Publish the command that was held during missed ticks, so that the record is complete, under the timer."""
-        missed = self.tick_timer.missed
+        missed = self.timer.missed
         if missed and self._newest is not None and self._newest[0] + 1 == first:
             _, command, feedback = self._newest
             self._publish(first, np.repeat(command, missed, axis=0), np.repeat(feedback, missed, axis=0))

@@ -7,9 +7,9 @@ import importlib
 import sys
 from collections.abc import Callable
 
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.command_line import help_text
-from hyst_control.nodes.run import main as run_main
+from hyst_control.nodes.execution.command_line import help_text
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.processes.node_list import NODES
 
 COMPOSABLE = tuple(name for name, node in NODES.items() if node.node_class)
@@ -17,18 +17,7 @@ DEFAULT = ("reference_generator", "hampi_feedforward", "pi_feedback", "plant", "
 
 
 def node_class(name: str) -> Callable[..., SignalNode]:
-    """Import the class of a node that can be composed.
-
-    Parameters
-    ----------
-    name : str
-        Name in `NODES`.
-
-    Returns
-    -------
-    callable
-        The class.
-    """
+    """Import the class of a node that can be composed."""
     entry = NODES[name]
     found: Callable[..., SignalNode] = getattr(importlib.import_module(entry.module), entry.node_class)
     return found

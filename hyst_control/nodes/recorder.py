@@ -7,16 +7,16 @@ from typing import Any
 
 from std_msgs.msg import Int64
 
-from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.interrupts import delayed
-from hyst_control.nodes.message_io import QUEUE
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.recorded_topic import RecordedTopic
-from hyst_control.nodes.run import main as run_main
+from hyst_control.base.errors import InputError
+from hyst_control.nodes.execution.interrupts import delayed
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.loop.recorded_topic import RecordedTopic
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.message_io import QUEUE
+from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 PROGRESS_INTERVAL = 64  # ticks
@@ -36,13 +36,6 @@ class Recorder(SignalNode):
 
     Under the timer, what the plant says on `applied` is stored beside `command`: rows at which the actuator did not follow it are no
     answer to it. Nothing is said there while it does, so no run waits for this topic.
-
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    **options : object
-        Passed on to `rclpy.node.Node`.
     """
 
     SETTINGS = (
@@ -81,17 +74,7 @@ class Recorder(SignalNode):
             self.every(self.settings.duration, self._time_is_up)
 
     def store(self, topic: str, message: bytes, stamp: int) -> None:
-        """Write a serialized message; when that fails, as on a full disk, the recorder ends and keeps the bag so far.
-
-        Parameters
-        ----------
-        topic : str
-            Name of the topic.
-        message : bytes
-            The message.
-        stamp : int
-            Time of reception in ns since the epoch.
-        """
+        """Write a serialized message; when that fails, as on a full disk, the recorder ends and keeps the bag so far."""
         if not self.finished.done():
             try:
                 self._writer.write(topic, message, stamp)
@@ -103,13 +86,7 @@ class Recorder(SignalNode):
         self.progress(repeat=True)
 
     def progress(self, repeat: bool = False) -> None:
-        """Publish the last tick up to which every topic is complete, if it has advanced enough.
-
-        Parameters
-        ----------
-        repeat : bool
-            Publish it also if it has not advanced.
-        """
+        """Publish the last tick up to which every topic is complete, if it has advanced enough."""
         if not all(topic.rows.joined for topic in self._topics):
             return
         last = min(topic.rows.awaited for topic in self._topics) - 1
@@ -140,8 +117,8 @@ class Recorder(SignalNode):
                 topic.drain()
                 topic.close()
             if not self.lockstep:
-                clock = "simulated" if self._simulated else "CLOCK_MONOTONIC"
-                self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.offset_to_ros_time:.6f}"}
+                clock = "simulated" if self.timer.simulated else "CLOCK_MONOTONIC"
+                self._writer.custom_data = {"clock": clock, "offset_to_ros_time": f"{self.timer.offset_to_ros_time:.6f}"}
             self._writer.close()
             self._say_recorded()
         except OSError as error:

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
-from hyst_control.nodes.base import SignalNode
-from hyst_control.nodes.parameters import Setting
-from hyst_control.nodes.run import main as run_main
-from hyst_control.nodes.signal_ports import Input
-from hyst_control.nodes.signal_settings import NOT_GIVEN, signal_settings
-from hyst_control.nodes.takeover import DISCOVERY
-from hyst_control.records import excitation
-from hyst_control.records.array_files import read_array
-from hyst_control.records.foreign_rows import LARGEST_VALUE
-from hyst_control.records.row_repetition import KEPT_ROWS
-from hyst_control.records.signal_change import ChangingSignal
-from hyst_control.yaml_files import read_yaml
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
+from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.loop.takeover import DISCOVERY
+from hyst_control.nodes.signal_node.base import SignalNode
+from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.signal_ports import Input
+from hyst_control.nodes.signal_node.signal_settings import NOT_GIVEN, signal_settings
+from hyst_control.records.excitation import excitation
+from hyst_control.records.excitation.signal_change import ChangingSignal
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.row_repetition import KEPT_ROWS
+from hyst_control.records.tables.array_files import read_array
 
 Array = NDArray[np.float64]
 
@@ -81,17 +81,7 @@ class ReferenceGenerator(SignalNode):
     )
 
     def __init__(self, name: str = "reference_generator", signal: Array | None = None, **options: Any) -> None:
-        """Create the node.
-
-        Parameters
-        ----------
-        name : str
-            Name of the node.
-        signal : ndarray, shape (N, A), optional
-            Rows used instead of the signal that the parameters describe.
-        **options : object
-            Passed on to `rclpy.node.Node`.
-        """
+        """Create the node."""
         self._next: Array | None = None  # signal of parameters that are being changed
         super().__init__(name, **options)
         rows = self._checked(self._described() if signal is None else signal)
@@ -106,21 +96,10 @@ class ReferenceGenerator(SignalNode):
         self.measurement = self.input("measurement", self.unit, every_row=False)
         if self.lockstep:
             self.every(self.settings.retry, self._start_off)
-        self.start_timer(0.1)
+        self.schedule.start(0.1)
 
     def rows(self, first: int, count: int) -> Array:
-        """Rows of the signal.
-
-        Parameters
-        ----------
-        first, count : int
-            Tick of the first row, and number of rows.
-
-        Returns
-        -------
-        ndarray, shape (count, A)
-            The rows.
-        """
+        """Rows of the signal."""
         return self._signal.rows(first, count)
 
     def advance(self) -> None:
@@ -146,7 +125,7 @@ class ReferenceGenerator(SignalNode):
                 return
             self._origin = tick
         lead, block = self.settings.lead, self.settings.block
-        first = max(tick - self.tick_timer.missed, self._origin)
+        first = max(tick - self.timer.missed, self._origin)
         self._sent = tick + block - self._origin
         self.reference.send(first + lead, self.rows(first - self._origin, tick + block - first))
 
@@ -239,7 +218,7 @@ class ReferenceGenerator(SignalNode):
                 f"{self.get_name()}: signal: row {row} is beyond {LARGEST_VALUE:g} {self.unit}: give values in {self.unit}"
             )
         if self.settings.model:
-            from hyst_control.control.reachable_stroke import check_reachable  # these import every stage, and numba
+            from hyst_control.control.feedforward.reachable_stroke import check_reachable  # these import every stage, and numba
             from hyst_control.model_file import load_model
 
             limits = self.settings.limits

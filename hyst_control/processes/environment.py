@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
 
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
+from hyst_control.processes import middleware
 
 LIFELINE = "HYST_CONTROL_LIFELINE"
 """Variable with the number of an open pipe that ends when the process that started the nodes does."""
-
-PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""Variables that name a file with settings of Fast DDS."""
 
 
 def exposure() -> str:
@@ -21,6 +16,11 @@ def exposure() -> str:
 
     To be asked before `prepare`, which sets what the user has not.
     """
+    if not (used := middleware.chosen()).keeps_discovery_range:
+        return (
+            f"every machine that reaches the router of {used.name} can hear these nodes and command the actuator: this middleware does "
+            "not keep ROS_AUTOMATIC_DISCOVERY_RANGE, so let the router listen on localhost alone (docs/middleware.md)"
+        )
     if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true" and os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
         return ""
     chosen = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
@@ -41,8 +41,6 @@ def prepare() -> None:
     """Keep DDS traffic on this machine and let ROS from wheels find its packages, unless the user has chosen otherwise."""
     if "ROS_LOCALHOST_ONLY" not in os.environ:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if not any(variable in os.environ for variable in PROFILES):
-        with suppress(InputError):  # an installation without its files
-            os.environ[PROFILES[0]] = str(config_path("fastdds/loop.xml"))
     if os.path.isdir(os.path.join(sys.prefix, "share", "ament_index")):
         os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    middleware.chosen().set_defaults()  # which looks for ROS where AMENT_PREFIX_PATH leads

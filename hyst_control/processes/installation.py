@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control.processes import environment
+from hyst_control.processes import environment, middleware
 from hyst_control.processes.ros_domain import own_domain
 
 PACKAGES = ("numpy", "scipy", "numba")
@@ -129,18 +129,24 @@ def packages() -> Check:
 
 def ros() -> Check:
     """Presence of ROS; without it everything but the nodes works."""
-    remedy = "source a ROS 2 Jazzy installation, or use the environment that make env builds; all but the nodes works without it"
+    remedy = "source a ROS 2 installation, or use the environment that make env builds; all but the nodes works without it"
     missing = [name for name in ("rclpy", "std_msgs", "diagnostic_msgs") if importlib.util.find_spec(name) is None]
     if missing:
         return Check("ROS", Verdict.NOTE, f"{', '.join(missing)} not found", remedy)
     distribution = os.environ.get("ROS_DISTRO", "from wheels, no ROS_DISTRO set")
-    return Check("ROS", Verdict.GOOD, f"{distribution}, {os.environ.get('RMW_IMPLEMENTATION', 'default middleware')}")
+    used = middleware.chosen()
+    found = f"{distribution}, {os.environ.get('RMW_IMPLEMENTATION', 'default middleware')}"
+    if used.tried:
+        return Check("ROS", Verdict.GOOD, found)
+    return Check("ROS", Verdict.NOTE, f"{found}, on which this package was never tried", f"RMW_IMPLEMENTATION={middleware.DEFAULT}")
 
 
 def discovery() -> Check:
     """Reach of the nodes on the network: every computer in it can command the actuator."""
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    if not middleware.chosen().keeps_discovery_range:
+        return Check("discovery", Verdict.NOTE, f"domain {domain}, {environment.exposure()}", "see docs/middleware.md")
     if not {"ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"} & set(os.environ):  # what `environment.prepare` goes by
         return Check(
             "discovery", Verdict.GOOD, f"domain {domain}, this computer alone: nothing is set, and the nodes take LOCALHOST"
@@ -160,10 +166,10 @@ def loopback() -> Check:
     """Messages between two participants of this computer, and how long one takes there and back."""
     if importlib.util.find_spec("rclpy") is None:
         return Check("messages", Verdict.NOTE, "not tried without ROS")
-    remedy = "allow UDP and multicast on lo (a firewall? a VPN?), and see that /dev/shm is not full"
+    remedy = middleware.chosen().remedy
     with own_domain() as domain:
         surroundings = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        command = [sys.executable, "-m", "hyst_control.nodes.loopback_check"]
+        command = [sys.executable, "-m", "hyst_control.nodes.execution.loopback_check"]
         try:
             ended = subprocess.run(command, env=surroundings, capture_output=True, text=True, timeout=LOOPBACK_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -33,5 +33,5 @@ NODES = {
     "diagnosis": NodeEntry("hyst_control.nodes.diagnosis", "DiagnosisNode"),
     "live_view": NodeEntry("hyst_control.nodes.live_view", "LiveView"),
     "pipeline": NodeEntry("hyst_control.nodes.pipeline"),
-    "monitor": NodeEntry("hyst_control.nodes.diagnostics_monitor", installed=False),
+    "monitor": NodeEntry("hyst_control.nodes.signal_node.diagnostics_monitor", installed=False),
 }

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.processes import environment
 from hyst_control.processes.node_list import NODES
 from hyst_control.processes.ros_domain import lock_of

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 DOMAINS = range(1, 102)  # above 101 the ports of a domain reach into the ephemeral ones of Linux
 

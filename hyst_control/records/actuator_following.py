@@ -33,22 +33,6 @@ def ticks_not_followed(
 
     At a tick it has the command of that tick, or the one before where the loop is a tick late. A plant that always says what it applies
     does not follow where it is neither of them.
-
-    Parameters
-    ----------
-    command
-        Sample times (N,), s, and values (N, A), V.
-    applied
-        The same (M,), (M, A) of what is on the actuator.
-    step
-        Sample time of the command, s.
-    close
-        (A,): difference up to which a voltage is the command, V; default: `CLOSE` of the command's range.
-
-    Returns
-    -------
-    list[range]
-        Ticks round(t / step), in order: from the first command that was not applied to where the next message would be due.
     """
     time, values = command
     said, voltages = applied
@@ -73,15 +57,7 @@ def _interval(step: float) -> int:
 
 
 class FollowingWatch:
-    """Ticks of a running loop at which its actuator does not follow its command, found as the rows come.
-
-    Parameters
-    ----------
-    step
-        Sample time, s.
-    axes
-        Number of axes.
-    """
+    """Ticks of a running loop at which its actuator does not follow its command, found as the rows come."""
 
     def __init__(self, step: float, axes: int) -> None:
         self._step, self._axes, self._patience = step, axes, (LOST + 1) * _interval(step)
@@ -97,22 +73,7 @@ class FollowingWatch:
     def look(
         self, command: tuple[NDArray[np.int64], Array], applied: tuple[NDArray[np.int64], Array]
     ) -> tuple[NDArray[np.bool_], Array]:
-        """Find the ticks at which the actuator does not follow its command, and its voltage at every tick.
-
-        Parameters
-        ----------
-        command
-            Ticks (N,) in order, and values (N, A), V.
-        applied
-            The same (M,), (M, A) of all that is said of these ticks.
-
-        Returns
-        -------
-        not_followed : ndarray, shape (N,)
-            Mask of the ticks at which it does not.
-        voltages : ndarray, shape (N, A)
-            V: the command where the actuator follows it; elsewhere on a straight line between two messages.
-        """
+        """Find the ticks at which the actuator does not follow its command, and its voltage at every tick."""
         ticks, commands = command
         found = np.zeros(len(ticks), bool)
         if not len(ticks):

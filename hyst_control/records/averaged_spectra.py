@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,25 +42,10 @@ class Spectra:
     power: Array
 
     @classmethod
-    def of(cls, command: Array, measurement: Array, length: int, periodic: bool = False) -> Spectra:
-        """Spectra averaged over segments of `length` samples that overlap by half, after the mean of the whole record is removed.
-
-        Parameters
-        ----------
-        command
-            Command (N, A), V.
-        measurement
-            Measurement (N, A), measurement unit.
-        length
-            Samples per segment.
-        periodic
-            A segment is a period of both: none overlaps another, and there is no window, so that nothing leaks.
-
-        Returns
-        -------
-        Spectra
-            Auto, cross and power spectra at length // 2 + 1 frequencies.
-        """
+    def of(
+        cls, command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"], length: int, periodic: bool = False
+    ) -> Spectra:
+        """Spectra averaged over segments of `length` samples that overlap by half, after the mean of the whole record is removed."""
         command, measurement = command - command.mean(axis=0), measurement - measurement.mean(axis=0)
         window = np.ones((length, 1)) if periodic else np.hanning(length)[:, None]
         step = length if periodic else max(length // 2, 1)

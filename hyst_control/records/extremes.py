@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,16 +16,6 @@ class ExtremeRows:
 
     Bins are `bin_ticks` ticks long and begin at multiples of that, so that the selection does not depend on how the table is cut into
     blocks. A bin of N rows and C columns leaves at most min(N, 2 C) rows; as whole rows are kept, values of one tick stay together.
-
-    Parameters
-    ----------
-    bin_ticks : int
-        Length of a bin, ≥ 1.
-
-    Raises
-    ------
-    ValueError
-        When the length is below 1.
     """
 
     def __init__(self, bin_ticks: int) -> None:
@@ -37,23 +29,8 @@ class ExtremeRows:
         """Forget the rows of the bin that is not complete."""
         self._ticks, self._rows = np.zeros(0, np.int64), np.zeros((0, 0))
 
-    def add(self, ticks: Ticks, rows: Array) -> tuple[Ticks, Array]:
-        """Take in rows; return those kept of the bins that are complete.
-
-        Parameters
-        ----------
-        ticks : ndarray, shape (N,)
-            Increasing ticks, greater than all before; some may be missing.
-        rows : ndarray, shape (N, C)
-            Values of these ticks; NaN is neither least nor greatest.
-
-        Returns
-        -------
-        ticks : ndarray, shape (M,)
-            Ticks kept.
-        rows : ndarray, shape (M, C)
-            Their rows.
-        """
+    def add(self, ticks: Ticks, rows: Annotated[Array, "N C"]) -> tuple[Ticks, Array]:
+        """Take in rows; return those kept of the bins that are complete."""
         if len(self._ticks):
             ticks, rows = np.concatenate([self._ticks, ticks]), np.concatenate([self._rows, rows])
         if not len(ticks):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.chain.parameter import Array
-from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
 LEVELS = 4
 """Fewest levels of a lattice."""
@@ -28,7 +30,7 @@ virgin curve the first time)."""
 
 
 def quantization_step(
-    values: Array,
+    values: Annotated[Array, "N"],
     *,
     fewest: float = LEVELS,
     crowding: float = CROWDING,
@@ -36,28 +38,7 @@ def quantization_step(
     off: float = OFF,
     share: float = SHARE,
 ) -> float:
-    """Step of the lattice that all values lie on.
-
-    Parameters
-    ----------
-    values
-        Signal (N,) in any unit.
-    fewest
-        Levels that there must be at least.
-    crowding
-        Most levels, per sample.
-    spread
-        Distances of neighboring levels up to which they are one step, in smallest ones.
-    off
-        Distance from the lattice up to which a level lies on it, in steps.
-    share
-        Share of the levels that must lie on it.
-
-    Returns
-    -------
-    float
-        In the values' unit; 0 where there is no lattice.
-    """
+    """Step of the lattice that all values lie on."""
     levels = np.unique(values)
     if len(levels) < fewest or len(levels) > crowding * len(values):
         return 0.0
@@ -70,24 +51,12 @@ def quantization_step(
     return step if np.mean(distance < off) > share else 0.0
 
 
-def rounding_weights(command: Array, values: Array) -> Array | None:
+def rounding_weights(command: Annotated[Array, "N"], values: Annotated[Array, "N"]) -> Array | None:
     """Weights of rounded samples by what they tell.
 
     A run of equal readings says once that the signal was within half a step, not as often as it is long; and where a repeated command
     finds the readings of the time before, without noise that would make them differ, they say nothing new. Where the noise is larger
     than the step there are no long runs and few such repetitions, and every sample counts as it is.
-
-    Parameters
-    ----------
-    command
-        Command (N,).
-    values
-        Measurement (N,).
-
-    Returns
-    -------
-    Array | None
-        Weights (N,), 1 on average; None where the values lie on no lattice.
     """
     if not quantization_step(values[:LONGEST]):
         return None

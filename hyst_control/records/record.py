@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
-from hyst_control.records.foreign_rows import admissible
-from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.stream.foreign_rows import admissible
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
 Array = NDArray[np.float64]
 

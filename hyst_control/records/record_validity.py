@@ -15,7 +15,7 @@ from itertools import combinations, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import FEWEST_LINES, LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra, segment_length
 from hyst_control.records.record_against_model import LONGEST as LONGEST_SIMULATED
 from hyst_control.records.record_against_model import MIN_SHIFT, Simulation, best_order, growing_shift, meant, time_shift
@@ -217,18 +217,9 @@ NOTES = (
 
 
 def check_records(trials: Sequence[Trial]) -> list[Finding]:
-    """Everything that shows records to be no measurement of their commands, or of several plants.
-
-    Parameters
-    ----------
-    trials
-        Stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors only.
-
-    Returns
-    -------
-    list of Finding
-        Empty where nothing is found: then the records may still be unusable, but not for one of these reasons.
-    """
+    """Everything that shows records to be no measurement of their commands, or of several plants."""
+    # trials: stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors
+    # only
     return examined(trials)[0]
 
 

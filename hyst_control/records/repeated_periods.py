@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,22 +13,8 @@ SAME = 1e-3
 """Rms difference of two commands, in the range of the first, up to which they are the same."""
 
 
-def period_of(command: Array, same: float = SAME) -> int | None:
-    """Find the period of a command.
-
-    Parameters
-    ----------
-    command : ndarray, shape (N, A)
-        Command, V.
-    same : float
-        Rms difference between periods, in the command's range, up to which they are the same.
-
-    Returns
-    -------
-    int or None
-        Samples; None where the command does not repeat, or holds fewer than two periods.
-
-    """
+def period_of(command: Annotated[Array, "N A"], same: float = SAME) -> int | None:
+    """Find the period of a command."""
     from scipy.signal import correlate  # takes a second
 
     rows, count = command - command.mean(axis=0), len(command)
@@ -48,20 +36,7 @@ def period_of(command: Array, same: float = SAME) -> int | None:
     return first + int(np.argmin(difference[first:end]))
 
 
-def is_same(one: Array, other: Array, same: float = SAME) -> bool:
-    """Compare two commands.
-
-    Parameters
-    ----------
-    one, other : ndarray, shape (N, A)
-        Commands, V.
-    same : float
-        Rms difference, in the range of the first, up to which they are the same.
-
-    Returns
-    -------
-    bool
-
-    """
+def is_same(one: Annotated[Array, "N A"], other: Annotated[Array, "N A"], same: float = SAME) -> bool:
+    """Compare two commands."""
     span = max(float(np.ptp(one)), 1e-300)
     return bool(np.sqrt(np.mean((one - other) ** 2)) <= same * span)

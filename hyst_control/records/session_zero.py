@@ -7,11 +7,12 @@ parabola over the record take that off, and leave what follows the command.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.records.row_store import blocks, empty_rows
+from hyst_control.records.stream.row_store import blocks, empty_rows
 
 Array = NDArray[np.float64]
 
@@ -22,21 +23,8 @@ USUAL = 0.99
 """Probability with which the next session lies within what is called usual."""
 
 
-def without_zero(rows: Array) -> tuple[Array, Array]:
-    """Take zero, drift and curvature off an error.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N, A)
-        Measured minus simulated over one record, measurement unit.
-
-    Returns
-    -------
-    rest : ndarray, shape (N, A)
-        Measurement unit.
-    coefficients : ndarray, shape (A, 3)
-        Of the Legendre polynomials, measurement unit.
-    """
+def without_zero(rows: Annotated[Array, "N A"]) -> tuple[Array, Array]:
+    """Take zero, drift and curvature off an error."""
     coefficients = zero_of(((part, rows[part]) for part in blocks(len(rows))), len(rows))
     rest = empty_rows(*rows.shape)
     for part in blocks(len(rows)):
@@ -44,21 +32,8 @@ def without_zero(rows: Array) -> tuple[Array, Array]:
     return rest, np.asarray(coefficients.T, dtype=np.float64)
 
 
-def zero_of(rows: Iterable[tuple[slice, Array]], count: int) -> Array:
-    """Zero, drift and curvature of rows that come block by block.
-
-    Parameters
-    ----------
-    rows
-        Where each block lies in the record, and the block (n, A), any unit.
-    count
-        Rows of the record.
-
-    Returns
-    -------
-    ndarray, shape (3, A)
-        Coefficients of `basis`, in the rows' unit.
-    """
+def zero_of(rows: Iterable[tuple[slice, Array]], count: int) -> Annotated[Array, "3 A"]:
+    """Zero, drift and curvature of rows that come block by block."""
     gram: Array = np.zeros((len(SHAPES), len(SHAPES)))
     product: Array | float = 0.0
     for part, block in rows:
@@ -74,21 +49,11 @@ def basis(part: slice, count: int) -> Array:
     return np.asarray(np.polynomial.legendre.legvander(place, len(SHAPES) - 1), dtype=np.float64)
 
 
-def usual_zero(coefficients: Array) -> Array:
+def usual_zero(coefficients: Annotated[Array, "R A 3"]) -> Annotated[Array, "A 3"]:
     """Bound of what is usual: the prediction interval of the next session, from those of clean records.
 
     For n normal values with mean m and standard deviation s, the next one lies within m +- t s sqrt(1 + 1/n) with probability `USUAL`,
     t being the quantile of Student's distribution with n - 1 degrees of freedom. Two records say little (t = 64), five a good deal (5).
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (R, A, 3)
-        Zero, drift and curvature of clean records, measurement unit; see `without_zero`.
-
-    Returns
-    -------
-    ndarray, shape (A, 3)
-        Largest usual size, measurement unit; NaN for a single record, which does not say what is usual.
     """
     count = len(coefficients)
     if count < 2:

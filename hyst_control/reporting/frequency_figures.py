@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra, segment_length
 from hyst_control.records.record import Record
 from hyst_control.records.repeated_periods import period_of

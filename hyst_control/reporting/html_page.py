@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from hyst_control.files import write_text
+from hyst_control.base.files import write_text
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.templates import render
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.errors import InputError
-from hyst_control.files import replacing
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import replacing
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.html_page import COLORS, Page
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hyst_control.files import write_json
+from hyst_control.base.files import write_json
 
 SCHEMA = "hyst_control/table"
 VERSION = 1

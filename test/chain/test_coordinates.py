@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.linear.rational_factors import factors, rational
-from hyst_control.config_files import config_path
 from hyst_control.model_file import load_model, simulate
 
 MODE = [1.0, 2 * 0.05 * 2 * np.pi * 900.0, (2 * np.pi * 900.0) ** 2]

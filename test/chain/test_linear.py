@@ -8,6 +8,7 @@ from scipy.signal import StateSpace as ScipyStateSpace
 from scipy.signal import TransferFunction as ScipyTransferFunction
 from scipy.signal import lsim
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.chain import arrange
 from hyst_control.chain.hysteresis.madelung import Madelung
@@ -24,7 +25,6 @@ from hyst_control.chain.linear.linear_stages import (
 )
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.effects.sensor_lowpass import SensorLowpass
-from hyst_control.errors import InputError
 
 TS = 1e-4
 FINE = 200

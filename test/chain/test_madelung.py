@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.errors import InputError
 
 PUBLISHED_ASCENDING = np.array([-0.4624, 1.788, -2.398, 2.037, 2.228])
 PUBLISHED_DESCENDING = np.array([0.9457, -3.005, 3.248, -2.083, 4.104])

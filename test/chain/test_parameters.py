@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from docs.reference.stages import stage_pages
+from hyst_control.base.errors import InputError
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import TransferFunction
@@ -17,7 +18,6 @@ from hyst_control.chain.stage import Stage, register
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES
 from hyst_control.effects.random_stages import RandomStage
-from hyst_control.errors import InputError
 from test.chain.test_every_stage import BEFORE, CASES, SAMPLE_TIME, command
 
 SPLIT = {

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.errors import InputError
 
 TS = 1e-3
 THRESHOLDS, WEIGHTS, W0 = [0.5, 5.5, 22.0], [0.58, 0.28, 0.4], 0.3

@@ -12,9 +12,9 @@ import sys
 import numpy as np
 import pytest
 
-from hyst_control import progress
+from hyst_control.base import progress
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main, parser
-from hyst_control.config_files import config_path
 
 MODEL = str(config_path("models/pea_hampi.yaml"))
 COMMANDS = next(action for action in parser()._actions if isinstance(action, argparse._SubParsersAction)).choices

@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from hyst_control.cli import main
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.excitation import KINDS, build
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.excitation.excitation import KINDS, build
 
 DELAYED_GAIN = """
 format: hyst_control/model

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 
 TUNE = ["tune", str(config_path("models/fsm_mhl.yaml"))]
 START = "import sys; from hyst_control.cli import main; sys.exit(main())"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hyst_control.cli import main
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 
 @pytest.fixture

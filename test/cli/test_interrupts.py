@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 
 HYST = "import sys; from hyst_control.processes.executables import hyst; print('begun', flush=True); sys.exit(hyst())"
 MODEL = str(config_path("models/pea_hampi.yaml"))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hyst_control.cli import main
-from hyst_control.control.iterative_learning import IterativeLearning
-from hyst_control.control.learning import run_learning_loop
-from hyst_control.control.learning_filter import model_filter
-from hyst_control.control.learning_trials import best_compensator
-from hyst_control.control.pi import PI
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.learning.iterative_learning import IterativeLearning
+from hyst_control.control.learning.learning_filter import model_filter
+from hyst_control.control.learning.learning_loop import run_learning_loop
+from hyst_control.control.learning.learning_trials import best_compensator
 from hyst_control.model_file import load_model
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 from hyst_plant_sim.physics import load_plant
 
 MODEL = str(Path(__file__).resolve().parents[2] / "config" / "models" / "fsm_mhl.yaml")

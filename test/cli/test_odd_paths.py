@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
 
 MODEL = str(config_path("models/pea_hampi.yaml"))
 

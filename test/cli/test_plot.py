@@ -13,9 +13,9 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
 from hyst_control.control.model_figures import bode_of
 from hyst_control.model_file import Model, save_model, simulate
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra, thinned
 
 RATE = 2000.0

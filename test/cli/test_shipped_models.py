@@ -6,8 +6,8 @@ import json
 
 import pytest
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import load_model
 

@@ -9,16 +9,16 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.learning import run_learning_loop
-from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI
-from hyst_control.control.static_gain import Proportional
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.feedforward.static_gain import Proportional
+from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning
+from hyst_control.control.learning.learning_loop import run_learning_loop
 from hyst_control.control.tuning import tune
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
 

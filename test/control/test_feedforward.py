@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.hysteresis.madelung import Madelung
@@ -15,16 +16,15 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshl
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.control.feedforward import KINDS, RATE_FILTER, build_compensator, split
-from hyst_control.control.loop import feedforward_rows
-from hyst_control.control.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
-from hyst_control.control.reachable_stroke import check_reachable
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.loop import feedforward_rows
+from hyst_control.control.feedforward.compensator import KINDS, RATE_FILTER, build_compensator, split
+from hyst_control.control.feedforward.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
+from hyst_control.control.feedforward.reachable_stroke import check_reachable
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.mhl.paper_mhl import inverse_model
 from hyst_control.model_file import Model, Simulator, load_model, simulate
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 
 MODELS = Path(__file__).resolve().parents[2] / "config" / "models"
 HAMPI, HAPI = load_model(MODELS / "pea_hampi.yaml"), load_model(MODELS / "pea_hapi.yaml")

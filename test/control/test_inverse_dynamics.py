@@ -6,9 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.control.inverse_dynamics import (
+from hyst_control.control.feedforward.inverse_dynamics import (
     METHODS,
     invert_dynamics,
     invert_system,
@@ -16,7 +17,6 @@ from hyst_control.control.inverse_dynamics import (
     tustin_systems,
     zero_phase_low_pass,
 )
-from hyst_control.errors import InputError
 
 FAST_PART = TransferFunction([-340.48, 340.48 * 1.249e4], [1.0, 8602.0, 5.982e7])  # Eq. 7 without the slow pole-zero pair
 EQUATION_7 = TransferFunction([-340.48, 4249823.6928, 34616124.928], [1.0, 8609.942, 59888317.084, 475090440.0])

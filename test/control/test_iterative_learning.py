@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.iterative_learning import IterativeLearning
-from hyst_control.control.learning import run_learning_loop
-from hyst_control.control.learning_filter import LearningFilter, model_filter
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.learning.iterative_learning import IterativeLearning
+from hyst_control.control.learning.learning_filter import LearningFilter, model_filter
+from hyst_control.control.learning.learning_loop import run_learning_loop
 from hyst_control.control.tuning import tune
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 from hyst_plant_sim.physics import load_plant
 

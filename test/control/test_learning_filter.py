@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.control.iterative_learning import IterativeLearning
-from hyst_control.control.learning import run_learning_loop
-from hyst_control.control.learning_filter import (
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.learning.iterative_learning import IterativeLearning
+from hyst_control.control.learning.learning_filter import (
     CONTRACTION,
     LearningFilter,
     feedback_response,
@@ -21,12 +22,11 @@ from hyst_control.control.learning_filter import (
     model_filter,
     robustness,
 )
+from hyst_control.control.learning.learning_loop import run_learning_loop
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
-from hyst_control.control.pi import PI
 from hyst_control.control.tuning import controller_response, tune
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model, simulate
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 
 MHL = load_model(Path(__file__).resolve().parents[2] / "config" / "models" / "fsm_mhl.yaml")
 TIME, PERIOD = 1e-3, 40

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import betainc
 
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import MeasurementWatch
-from hyst_control.errors import InputError
-from hyst_control.records.signal_change import ChangingSignal
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import MeasurementWatch
+from hyst_control.records.excitation.signal_change import ChangingSignal
 
 PERIOD, RATE = 1e-3, 500.0  # s, V/s
 BEFORE = PI(kp=0.8, ki=40.0, sample_time=PERIOD, lower=0.0, upper=100.0)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from hyst_control.control.pi import PI
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI
 
 
 def rows(seed: int, count: int = 40, axes: int = 2) -> np.ndarray:

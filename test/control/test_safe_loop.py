@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.control.command_watchdog import CommandWatchdog
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
-from hyst_control.control.sensor_watch import OUT_OF_RANGE, MeasurementWatch
+from hyst_control.control.feedback.command_limits import CommandLimits
+from hyst_control.control.feedback.command_watchdog import CommandWatchdog
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import OVERFLOW, AxisFaults, SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import OUT_OF_RANGE, MeasurementWatch
 
 PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 1e-2, -5.0, 20.0, 300.0, 100.0, 2.0
 STEP = SLEW * PERIOD * (1 + 1e-9)
@@ -229,6 +229,22 @@ def test_open_loop_stops_at_a_fault_and_comes_back():
     assert back[0, 0] == SAFE and back[-1, 0] == 10.0
     assert np.abs(np.diff(back[:, 0])).max() <= RATE * PERIOD * (1 + 1e-9)
     assert not loop.away and loop.faults.present == ["", ""]
+
+
+def test_what_happens_at_every_tick_and_in_long_blocks_takes_the_short_way(monkeypatch):
+    """A loop that is well is one step of its controller, and a block of a stopped one is one ramp."""
+    loop = made()
+    monkeypatch.setattr(loop, "_running", lambda *_: pytest.fail("the faults of a loop that is well are looked through"))
+    loop.closed(*np.full((3, 1, 2), 1.0))
+    loop.open(np.full((3, 2), 1.0))
+    monkeypatch.undo()
+    ramps = []
+    ramp = loop.controller.ramp
+    monkeypatch.setattr(loop.controller, "ramp", lambda *given: ramps.append(given) or ramp(*given))
+    assert len(loop.open(np.full((1000, 2), 10.0), "stale")[0]) == 1000 and len(ramps) == 1
+    saturated = loop.controller.saturated
+    loop.closed(*np.full((3, 1, 2), 1e6), "stale")
+    assert loop.controller.saturated == saturated, "a stopped controller is asked for nothing"
 
 
 def test_one_axis_in_open_loop_stops_alone_if_told_so():

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.pi import PI
-from hyst_control.control.safe_loop import SafeLoop, Safety
-from hyst_control.control.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, TURNED, MeasurementWatch
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, TURNED, MeasurementWatch
 
 
 def faults(measured, commands, frozen_ticks=3, motion=1.0, wanted=None, watch=None):
@@ -78,6 +78,13 @@ def test_axes_are_watched_one_by_one_and_afresh_when_their_number_changes_or_the
     assert watch.check(np.array([1.0]), np.array([9.0])) == ()
 
 
+def test_another_range_is_judged_by_from_the_next_sample_on():
+    watch = MeasurementWatch(-5.0, 5.0, 3, 1.0)
+    assert faults(np.full(2, 4.0), np.zeros(2), watch=watch) == ["", ""]
+    watch.judge_by(MeasurementWatch(-5.0, 3.0, 3, 1.0))
+    assert faults(np.full(2, 4.0), np.zeros(2), watch=watch) == [OUT_OF_RANGE] * 2
+
+
 def test_before_there_is_a_command_nothing_is_asked():
     watch = MeasurementWatch(-5.0, 5.0, 3, 1.0)
     assert [watch.check(np.array([1.0]), np.array([np.nan])) for _ in range(10)] == [()] * 10
@@ -85,6 +92,7 @@ def test_before_there_is_a_command_nothing_is_asked():
 
 
 WAY = np.concatenate([np.arange(40.0), 40.0 - np.arange(20.0)])
+STAIRS = np.concatenate([5.0 * step + np.minimum(np.arange(30.0), 5.0) for step in range(4)])
 
 
 def test_a_measurement_that_goes_against_its_command_has_turned_until_it_goes_with_it_again():
@@ -112,6 +120,7 @@ def test_a_measurement_that_goes_against_its_command_has_turned_until_it_goes_wi
         (np.repeat([0.5, -0.5], 30), WAY),  # a jump is none of the command's doing
         (-0.1 * (WAY % 6), WAY % 6),  # to and fro
         (-0.1 * WAY / 12, WAY / 12),  # slowly, as a drift
+        (-0.1 * STAIRS, STAIRS),  # slowly, step by step
     ],
 )
 def test_other_movements_are_those_of_disturbances(measured, commands):

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyst_control.control.slope_demand import SlopeDemand
+from hyst_control.control.feedback.slope_demand import SlopeDemand
 
 ROWS = st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=30)
 

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.feedback.pi import PI
 from hyst_control.control.linearization import hysteresis_slopes, linearised, sampled_response, with_first_mode
-from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI
 from hyst_control.control.tuning import _largest_scale, margins, tune
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import CrossCoupling, Delay, TransferFunction
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.loop import feedforward_rows
-from hyst_control.control.whole_inverse import lifted_inverse
-from hyst_control.errors import InputError
+from hyst_control.control.feedback.loop import feedforward_rows
+from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.model_file import Model, Simulator, load_model
 
 MODELS = Path(__file__).resolve().parents[2] / "config" / "models"

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from evaluation.blind_test.plant_setups import scatter
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.diagnose.run.diagnosis import Diagnosis
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import load_plant
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import TransferFunction
@@ -23,7 +24,6 @@ from hyst_control.diagnose.problem.problem import Piece
 from hyst_control.diagnose.report.document import sentence
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import all_but

@@ -8,8 +8,8 @@ from importlib.resources import files
 import pytest
 import yaml
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.configuration import CONFIGURATION, configuration_text, load_configuration
-from hyst_control.errors import InputError
 
 FILE = files("hyst_control.diagnose") / "configuration.yaml"
 

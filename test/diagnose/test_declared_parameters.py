@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
-from hyst_control.config_files import config_path
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem, split
 from hyst_control.diagnose.search.fit import Linearised

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from hyst_control import parallel
-from hyst_control.config_files import config_path
+from hyst_control.base import parallel
+from hyst_control.base.config_files import config_path
+from hyst_control.base.files import write_json
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
-from hyst_control.files import write_json
 from hyst_control.model_file import load_model, save_model, simulate
 from test.diagnose.conftest import all_but, nominal, record_of
 

@@ -14,18 +14,18 @@ from evaluation.blind_test.case import Case
 from evaluation.blind_test.case_records import record_of, run_case
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SETUPS
-from evaluation.blind_test.run import _add_realized_shrink, _diagnose_one, _make_one
+from evaluation.blind_test.run import _diagnose_one, _make_one, _realize_one
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.report.predicted_reduction import foresee, own_error_energy
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.learned_discrepancy import learn
 from hyst_control.model_file import save_model, simulate
-from hyst_control.records.importing import write_bag
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.tables.importing import write_bag
 
 pytestmark = pytest.mark.long_file
 
@@ -78,10 +78,12 @@ def test_a_line_is_in_the_gap_of_another_session_whatever_was_found(tmp_path):
     amplitude, frequency = 0.03, 50.0
     hum = {"name": "mains_hum", "amplitude": amplitude, "frequency": frequency}
     case = Case("case", "pea_published", "single", "rich", NOISE, 21, (hum,), off=0.0, duration=0.75)
-    document, report, file = _make_one((case, str(tmp_path), NOISE)), tmp_path / "case.json", tmp_path / "case" / "model.yaml"
-    save_model(nominal(case.plant, NOISE), file)
+    report, file = tmp_path / "reports" / "case.json", tmp_path / "case" / "model.yaml"
+    for name in ("reports", "evidence"):
+        (tmp_path / name).mkdir()
+    _make_one((case, tmp_path))
     _diagnose_one((str(tmp_path / "case"), str(report), tuple(name for name in EFFECTS if name not in ("mains_hum", "delay"))))
-    _add_realized_shrink((document, str(report), str(file)))
+    _realize_one((case, report, file))
     found = json.loads(report.read_text())
     assert [effect["name"] for effect in found["effects"]] == ["mains_hum"] and found["effects"][0]["shrink"] > 0.95
 

@@ -7,14 +7,14 @@ import re
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.report.document import in_words, named, sentence
 from hyst_control.diagnose.report.page import envelope, taken_off, write_page
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
 from hyst_control.reporting.provenance import provenance
 
 DELAY = (("name", "delay"), ("tau", 2e-4))

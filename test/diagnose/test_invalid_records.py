@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.report.invalid_records import invalid_report
 from hyst_control.identify import workflow as identification
 from hyst_control.model_file import load_model, model_from_document, save_model, simulate
-from hyst_control.records.excitation import build
-from hyst_control.records.importing import write_bag
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.record_validity import NAMES
+from hyst_control.records.tables.importing import write_bag
 
 MODEL = config_path("models/pea_hampi.yaml")
 

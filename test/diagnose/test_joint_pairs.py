@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control import parallel
+from hyst_control.base import parallel
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of

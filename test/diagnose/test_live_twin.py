@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, energy_quantile
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.model_file import load_model, simulate

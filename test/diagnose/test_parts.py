@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.report.block_replay import replay
 from hyst_control.diagnose.validate.cross_validation import shrink

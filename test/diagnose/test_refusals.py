@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main as hyst
-from hyst_control.config_files import config_path
 from hyst_control.diagnose.run.diagnosis import diagnose
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 COUNT = 400
 TIME = np.arange(COUNT) * 5e-5

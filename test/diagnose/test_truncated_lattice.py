@@ -15,7 +15,7 @@ from hyst_control.diagnose.run.diagnosis import problem_of
 from hyst_control.diagnose.run.prepare import without_truncation
 from hyst_control.diagnose.search.fit import Linearised
 from hyst_control.effects.effect import RecordCheck
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
 from hyst_plant_sim.physics import load_plant
 

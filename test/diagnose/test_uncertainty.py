@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances, scatter_of
@@ -15,7 +16,6 @@ from hyst_control.diagnose.problem.problem import Piece, Problem, split
 from hyst_control.diagnose.run.diagnosis import problem_of
 from hyst_control.diagnose.search.beam_search import inflated
 from hyst_control.diagnose.search.fit import Linearised
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model, model_from_document, model_to_document, save_model, simulate
 from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import nominal

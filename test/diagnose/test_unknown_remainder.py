@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.command_features import FEATURES, CommandFeatures, FeatureFilter
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.validate.predictability import learn_residual, predictability
 from hyst_control.effects.learned_residual import LearnedResidual
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, load_model, model_to_document, save_model, simulate
 
 STEP, NOISE = 1e-3, 0.01

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
@@ -33,7 +34,6 @@ from hyst_control.effects.hysteresis_rate import HysteresisRate
 from hyst_control.effects.hysteresis_shape import HysteresisShape
 from hyst_control.effects.hysteresis_width import HysteresisWidth
 from hyst_control.effects.resonance import Resonance
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 ROOT = Path(__file__).resolve().parents[2]

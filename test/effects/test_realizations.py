@@ -9,6 +9,7 @@ import pytest
 from scipy import signal
 from scipy.integrate import solve_ivp
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import TransferFunction
@@ -29,7 +30,6 @@ from hyst_control.effects.resonance import Resonance
 from hyst_control.effects.sensor_lowpass import SensorLowpass
 from hyst_control.effects.sensor_nonlinearity import SensorNonlinearity
 from hyst_control.effects.slew_limit import SlewLimit
-from hyst_control.errors import InputError
 
 STEP = 1e-4
 AROUND = Surroundings(STEP, 1.0, (-20.0, 30.0), 1e4, (-1.0, 2.0), 1)

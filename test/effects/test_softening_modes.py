@@ -7,12 +7,12 @@ import pytest
 from scipy import signal
 
 from evaluation.reproduction import fsm_cubespec_records as records
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.control.whole_inverse import lifted_inverse
+from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.effects import insert
 from hyst_control.effects.softening_modes import SofteningModes
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
 
 ROOT = Path(__file__).resolve().parents[2]

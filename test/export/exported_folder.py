@@ -5,8 +5,8 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
 
 
 def export(model: str, *options: str, output: Path) -> None:

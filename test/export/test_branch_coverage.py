@@ -14,9 +14,9 @@ import pytest
 from test_controller import LAWS, RATE, rows
 from test_odd_numbers import odd_rows
 
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.pi import PI
+from hyst_control.base.config_files import config_path
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.model_file import load_model

@@ -14,9 +14,9 @@ from exported_folder import compared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.config_files import config_path
 from hyst_control.chain.c_code.c_code import each_axis
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
 from hyst_control.export.c_source import Program, Slot, header, source
 from hyst_control.export.c_text import c_comment, c_identifier, c_identifiers
 from hyst_control.export.compiled import c_compiler

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.loop import feedforward_rows
-from hyst_control.control.pi import PI
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.loop import feedforward_rows
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Controller, FaultResponse

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from exported_folder import compared, export, fuzzed, make
 
+from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import KINDS
+from hyst_control.control.feedforward.compensator import KINDS
 
 pytestmark = pytest.mark.long_file
 
@@ -141,8 +141,8 @@ def test_defaults_are_the_nodes_defaults():
     from dataclasses import fields
 
     from hyst_control.export.controller import FaultResponse
-    from hyst_control.nodes.common_parameters import COMMON
     from hyst_control.nodes.pi_feedback import PiFeedback
+    from hyst_control.nodes.signal_node.common_parameters import COMMON
 
     settings = {setting.name: setting.default for setting in (*COMMON, *PiFeedback.SETTINGS)}
     assert {item.name: item.default for item in fields(FaultResponse)} == {

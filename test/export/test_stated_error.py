@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from exported_folder import compared
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import play
 from hyst_control.chain.memoryless import Gain
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.programs import stated_error
 from hyst_control.export.stated_error import StatedError

@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet
 from one_process import one_process
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import moment, read_manifest
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 pytestmark = pytest.mark.long_file
 

@@ -15,14 +15,14 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("distributed")
 import pyarrow.parquet
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
+from hyst_control.base.parallel import Workers
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import ONSETS
 from hyst_control.fleet.study import run_study
 from hyst_control.model_file import load_model, simulate
-from hyst_control.parallel import Workers
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 UNITS, NIGHTS, TS = 4, 8, 1e-4
 

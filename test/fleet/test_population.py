@@ -12,16 +12,16 @@ from scipy.stats import binom
 
 pytest.importorskip("pyarrow")
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.cli import main
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
 from hyst_control.fleet.population import find_population
 from hyst_control.fleet.population_model import population_model
 from hyst_control.model_file import load_model, save_model, simulate
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "pea_hampi.yaml"
 CENTER = np.array([1.0, 1000.0, 0.02, 3e-4])

@@ -11,13 +11,13 @@ pytest.importorskip("pyarrow")
 import pyarrow.parquet
 from one_process import one_process
 
-from evaluation.blind_test import simulated_fleet
+from evaluation.benchmarks import simulated_fleet
+from hyst_control.base.parallel import Workers
 from hyst_control.effects import EFFECTS
 from hyst_control.fleet.manifest import read_manifest
 from hyst_control.fleet.record_jobs import GAPS, ONSETS, RecordJob, compute
 from hyst_control.fleet.study import run_study
 from hyst_control.model_file import load_model, save_model
-from hyst_control.parallel import Workers
 
 pytestmark = pytest.mark.long_file
 

@@ -8,11 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.blind_test.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from evaluation.benchmarks.simulated_fleet import CLEAN_NIGHTS, make_fleet
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.fleet.manifest import read_manifest
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 UNITS, NIGHTS = 4, 6
 

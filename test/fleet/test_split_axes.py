@@ -13,8 +13,8 @@ import pyarrow.parquet
 
 from hyst_control.cli import main
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "pea_hampi.yaml"
 TS, AXES = 1e-4, tuple(f"a{index}" for index in range(20))

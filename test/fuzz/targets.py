@@ -23,23 +23,23 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from hyst_control.config_files import config_path
-from hyst_control.control.pi import PI
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import parse_yaml
+from hyst_control.control.feedback.pi import PI
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import COMPILERS, CompiledProgram
 from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.model_file import load_model, model_from_document, simulate
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.excitation import KINDS, build
-from hyst_control.records.excitation_files import read_description
-from hyst_control.records.foreign_rows import LARGEST_VALUE, Refusal, admit
-from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.excitation.excitation import KINDS, build
+from hyst_control.records.excitation.excitation_files import read_description
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
-from hyst_control.records.signal_rows import MAX_TICK, Missing, SignalRows
-from hyst_control.yaml_files import parse_yaml
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE, Refusal, admit
+from hyst_control.records.stream.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.stream.signal_rows import MAX_TICK, Missing, SignalRows
+from hyst_control.records.tables.importing import import_table, parse_columns
 
 MODELS = ("pea_hampi", "pea_hapi", "fsm_mhl", "fsm_mhl_inverse")
 DOCUMENTS = [yaml.safe_load(config_path(f"models/{name}.yaml").read_text()) for name in MODELS]

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
-from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Estimator, Fit, Options, estimators, identify, option, register
 from hyst_control.identify.families import estimator
 from hyst_control.identify.families.estimator import every_option

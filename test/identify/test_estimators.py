@@ -12,21 +12,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.hysteresis.bouc_wen import BoucWen
-from hyst_control.chain.hysteresis.duhem import Duhem
-from hyst_control.chain.hysteresis.duhem_oscillator import DuhemOscillator
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
-from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Fit, estimator_of, estimators, identify
 from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.model_file import Model, load_model, save_model, simulate
+from hysteretic_oscillators.stages.bouc_wen import BoucWen
+from hysteretic_oscillators.stages.duhem import Duhem
+from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 pytestmark = pytest.mark.long_file
 

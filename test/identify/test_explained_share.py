@@ -5,18 +5,18 @@ import json
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.identify import estimators, workflow
 from hyst_control.identify.assess.explained_share import explained_shares, useless
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.model_file import Model, load_model, model_from_document
-from hyst_control.records.importing import write_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 STEP = 1e-3
 TIME = np.arange(9000) * STEP

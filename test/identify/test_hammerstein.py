@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import frozen
-from hyst_control.errors import InputError
 from hyst_control.identify import Dataset, Fit, identify
 from hyst_control.identify.data.fit_windows import stretches, whole_records
 from hyst_control.identify.data.reversal_points import turning_points

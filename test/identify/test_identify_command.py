@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.identify import estimators
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import chosen_families, identify_bags
 from hyst_control.model_file import load_model
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder
 
 
 @pytest.fixture(scope="module")

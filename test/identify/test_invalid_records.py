@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
 from hyst_control.identify import workflow
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.excitation import build
-from hyst_control.records.importing import write_bag
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 
 def bag(path, command, measurement, sample_time):

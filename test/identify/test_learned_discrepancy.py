@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import CommandFeatures, play
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, learn
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.session_zero import usual_zero, without_zero

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify import Dataset, identify
 from hyst_control.identify.assess import fit_report
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.model_file import simulate
-from hyst_control.records import row_store
+from hyst_control.records.stream import row_store
 
 SAMPLE_TIME = 1e-4
 FREQUENCY, DAMPING, GAIN = 600.0, 0.05, 0.1

@@ -25,9 +25,10 @@ from hyst_control.identify.solve.gram_sums import Operators, Window
 from hyst_control.identify.solve.simulation_error import driving_signal
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, simulate
-from hyst_control.records import correlation, quantization_step, row_store
+from hyst_control.records import correlation, quantization_step
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.quantization_step import rounding_weights
+from hyst_control.records.stream import row_store
 
 STEP = 1e-3
 ROWS = 2**16

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.mhl import madelung

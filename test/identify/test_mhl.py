@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyst_control.base.config_files import config_path
+from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import CrossCoupling, Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.config_files import config_path
-from hyst_control.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.mhl import paper_mhl
@@ -19,7 +19,7 @@ from hyst_control.identify.mhl.coupling import fit_coupling
 from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 
 pytestmark = pytest.mark.long_file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify import Fit
 from hyst_control.identify.assess.model_choice import POOR, USELESS, best_family
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 
 MODEL = load_model(config_path("models/pea_hampi.yaml"))
 STEP = MODEL.sample_time

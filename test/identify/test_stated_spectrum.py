@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, band_edges, spectrum_on_new_records
 
 STEP, ROWS, NOISE = 1e-3, 4000, 0.01

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.model_file import load_model
-from hyst_control.records.units import scaled_unit, unit_of
+from hyst_control.records.tables.units import scaled_unit, unit_of
 
 
 @pytest.mark.parametrize(

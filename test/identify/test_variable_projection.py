@@ -8,7 +8,7 @@ from hyst_control.identify.data.fit_windows import largest_drift, whole_records
 from hyst_control.identify.play import hammerstein
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, solve
-from hyst_control.records import excitation
+from hyst_control.records.excitation import excitation
 from hyst_plant_sim.physics import load_plant
 
 

@@ -7,7 +7,8 @@ import signal
 import pytest
 from nodes_bench import Bench
 
-from hyst_control.nodes import base, interrupts
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.signal_node import node_diagnostics
 
 DIAGNOSTICS_INTERVAL = 0.2
 """s, instead of 1: what a test waits for most is the next diagnostics of its nodes."""
@@ -15,7 +16,7 @@ DIAGNOSTICS_INTERVAL = 0.2
 
 @pytest.fixture
 def bench(ros_context, monkeypatch):
-    monkeypatch.setattr(base, "DIAGNOSTICS_INTERVAL", DIAGNOSTICS_INTERVAL)
+    monkeypatch.setattr(node_diagnostics, "DIAGNOSTICS_INTERVAL", DIAGNOSTICS_INTERVAL)
     bench = Bench(ros_context)
     try:
         yield bench

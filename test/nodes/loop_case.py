@@ -9,13 +9,13 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hyst_control.config_files import config_path
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.loop import run_loop
-from hyst_control.control.pi import PI
+from hyst_control.base.config_files import config_path
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.model_file import Simulator, load_model, simulate
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder, decode
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder, decode
 
 MODEL = str(config_path("models/pea_hampi.yaml"))
 RATE = 20000.0

@@ -12,8 +12,8 @@ from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from hyst_control.nodes.message_io import CallbackSubscription, Sender
-from hyst_control.nodes.run import close, spin
+from hyst_control.nodes.execution.run import close, spin
+from hyst_control.nodes.signal_node.message_io import CallbackSubscription, Sender
 
 
 class Bench:

@@ -11,9 +11,9 @@ import left_over_nodes
 import rclpy
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes import interrupts
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import node_class
-from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 
 

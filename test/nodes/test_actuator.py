@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.control.command_watchdog import CommandWatchdog
-from hyst_control.errors import InputError
-from hyst_control.nodes.actuator import Actuator
-from hyst_control.records.signal_rows import Missing, SignalRows
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
+from hyst_control.control.feedback.command_watchdog import CommandWatchdog
+from hyst_control.nodes.loop.actuator import Actuator
+from hyst_control.records.stream.signal_rows import Missing, SignalRows
 
 PERIOD, LOWER, UPPER, RATE, AGE = 0.01, 0.1, 20.0, 100.0, 0.05
 
@@ -25,7 +25,7 @@ class Stub:
 
     def __init__(self, axes=2, safe=(LOWER,)):
         self.settings = SimpleNamespace(safe_command=safe, safe_rate=RATE)
-        self.axes, self.period, self.longest_age = ("x", "y")[:axes], PERIOD, AGE
+        self.axes, self.period, self.timer = ("x", "y")[:axes], PERIOD, SimpleNamespace(longest_age=AGE)
         self.sent, self.warned = [], []
 
     def get_name(self):

@@ -12,16 +12,17 @@ import pytest
 from loop_case import MODEL, RATE, parameters, recorded
 
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes import node_diagnostics, recorder, signal_ports
+from hyst_control.nodes import recorder
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_ports import REPEATED_ROWS, Output
-from hyst_control.records.foreign_rows import LARGEST_VALUE
-from hyst_control.records.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
+from hyst_control.nodes.signal_node import lockstep, node_diagnostics, signal_ports
+from hyst_control.nodes.signal_node.signal_ports import REPEATED_ROWS, Output
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
+from hyst_control.records.stream.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3
@@ -71,10 +72,10 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
 def test_rows_ahead_of_the_clock_stay_bounded(bench):
     """A source whose clock is days ahead: on the wall clock its rows are never due, and refused unless `ahead` allows them."""
     node = bench.add(PlantNode, model=MODEL, schedule="timer", rate_hz=1000.0, most_waiting=MOST)
-    node.source_clocks.look_at(node.control_time, node.settings.ahead)
+    node.timer.clocks.look_at(node.timer.now, node.settings.ahead)
     bring(node.command, range(10**9, 10**9 + 10 * MOST))
     assert node.command.rows.available == 0 and node.counts["command: far ahead"] == 10 * MOST
-    node.source_clocks.look_at(node.control_time, 1e9)
+    node.timer.clocks.look_at(node.timer.now, 1e9)
     bring(node.command, range(10**9, 10**9 + 10 * MOST))
     assert (
         node.command.rows.available == MOST
@@ -137,6 +138,7 @@ def repeating(bench, monkeypatch):
     node.repeat = lambda source, tick: repeated.append(tick)
     clock = Clock()
     monkeypatch.setattr(signal_ports, "time", clock)
+    monkeypatch.setattr(lockstep, "time", clock)
     return node, repeated, clock
 
 

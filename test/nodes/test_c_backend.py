@@ -9,8 +9,8 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from test_lockstep import composed
 
-from hyst_control.control.pi import PI
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI
 from hyst_control.export.backend import CompiledPI
 from hyst_control.export.compiled import COMPILERS, c_compiler
 

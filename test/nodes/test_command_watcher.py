@@ -15,15 +15,15 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hyst_control.control.sensor_watch import FROZEN, TURNED
+from hyst_control.control.feedback.sensor_watch import FROZEN, TURNED
 from hyst_control.nodes import reference_generator
+from hyst_control.nodes.execution.run import spin
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.message_io import Sender
 from hyst_control.nodes.pi_feedback import NOT_FOLLOWED, RIVAL, PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import spin
-from hyst_control.records import row_repetition
+from hyst_control.nodes.signal_node.message_io import Sender
+from hyst_control.records.stream import row_repetition
 from hyst_plant_sim.node import PlantNode
 
 pytestmark = pytest.mark.long_file

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import xml.etree.ElementTree as tree
 
 import numpy as np
 import pytest
@@ -13,9 +12,8 @@ import yaml
 from loop_case import recorded
 from scipy.special import betainc
 
-from hyst_control.config_files import config_folders, config_path
-from hyst_control.errors import InputError
-from hyst_control.processes import environment
+from hyst_control.base.config_files import config_folders, config_path
+from hyst_control.base.errors import InputError
 
 
 def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
@@ -43,8 +41,6 @@ def test_pipeline_runs_with_the_lockstep_file(tmp_path, domain):
 
 
 def environment_with_source():
-    import os
-
     return {**os.environ, "PYTHONPATH": str(config_folders()[0].parent)}
 
 
@@ -59,16 +55,3 @@ def test_every_shipped_file_is_found_and_a_missing_one_is_named():
     assert config_path("nodes/timer.yaml").is_file()
     with pytest.raises(InputError, match="lockstep.yaml"):
         config_path("nodes/none.yaml")
-
-
-@pytest.mark.parametrize("given", ["", *environment.PROFILES])
-def test_nodes_take_the_shipped_settings_of_the_middleware_unless_the_user_has_some(monkeypatch, given):
-    for variable in environment.PROFILES:
-        monkeypatch.delenv(variable, raising=False)
-    if given:
-        monkeypatch.setenv(given, "own.xml")
-    environment.prepare()
-    chosen = [os.environ[variable] for variable in environment.PROFILES if variable in os.environ]
-    assert chosen == ["own.xml" if given else str(config_path("fastdds/loop.xml"))]
-    profiles = tree.parse(config_path("fastdds/loop.xml")).getroot()
-    assert profiles.tag.endswith("profiles") and [each.get("is_default_profile") for each in profiles] == ["true"]

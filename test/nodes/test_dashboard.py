@@ -20,9 +20,9 @@ import browser as browsers
 import pytest
 from loop_case import MODEL, RUNNING
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.processes.node_processes import Processes
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 RATE = 200.0
 HYST = """import signal, sys

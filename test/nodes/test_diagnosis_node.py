@@ -11,14 +11,14 @@ from loop_case import MODEL, RATE, parameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
-from hyst_control.errors import InputError
 from hyst_control.model_file import Simulator, load_model, simulate
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.pipeline import DEFAULT, node_class
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from loop_case import MODEL
 
-from hyst_control.nodes import rival_watch
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.feedforward import Feedforward
+from hyst_control.nodes.loop import rival_watch
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 
@@ -38,7 +38,7 @@ BAD = [
 @pytest.mark.parametrize("schedule", ["lockstep", "timer"])
 def test_input_of_a_loop(bench, schedule):
     node = bench.add(lambda **options: Feedforward("feedforward", **options), gain=[10.0], rate_hz=RATE, schedule=schedule)
-    node.tick_by(None) if schedule == "timer" else None
+    node.timer.call_instead(None) if schedule == "timer" else None
     signal, first = node.reference, 0 if schedule == "lockstep" else int(time.monotonic() / PERIOD)
     signal.receive(LABEL, row(first, 1.0))
     signal.receive(LABEL, np.zeros((0, 2)))
@@ -57,7 +57,7 @@ def test_input_of_a_loop(bench, schedule):
         signal.receive(LABEL, row(first + 10**6, 1.0))
         assert node.counts["reference: out of order"] == 1
     else:
-        node.source_clocks.look_at(node.control_time, node.settings.ahead)
+        node.timer.clocks.look_at(node.timer.now, node.settings.ahead)
         for ahead in (10**6, 2000):
             signal.receive(LABEL, row(first + ahead, 1.0))
         assert node.counts["reference: far ahead"] == 2
@@ -67,7 +67,7 @@ def test_input_of_a_loop(bench, schedule):
         assert node.counts["reference: late"] == 1
         signal.receive(LABEL, row(first - 5000, 1.0))
         assert node.counts["reference: time ran backwards"] == 1
-        node.settings.ahead = 1e9
+        node.timer.clocks.look_at(node.timer.now, 1e9)
         signal.receive(LABEL, row(first + 10**7, 1.0))
         assert node.counts["reference: far ahead"] == 3  # further than as many rows as may wait
     signal.receive(LABEL, row(signal.rows.end, 1.0))

@@ -17,15 +17,15 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from hyst_control.config_files import config_folders
-from hyst_control.errors import InputError
+from hyst_control.base.config_files import config_folders
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.message_io import QUEUE, to_message
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.signal_node.message_io import QUEUE, to_message
 from hyst_control.processes.node_processes import Processes
-from hyst_control.records.row_repetition import REPEAT_INTERVAL
+from hyst_control.records.stream.row_repetition import REPEAT_INTERVAL
 from hyst_plant_sim.node import PlantNode
 from hyst_plant_sim.physics import load_plant
 
@@ -232,7 +232,7 @@ def test_commands_that_were_there_before_a_plant_of_the_timer_take_it_nowhere(be
     """Restarted beside a running loop: it has the time of the clock, not that of the rows that wait for it."""
     node = bench.add(PlantNode, model=MODEL, schedule="timer", rate_hz=200.0)
     now = round(time.monotonic() * 200.0)
-    node.source_clocks.look_at(now / 200.0, 1.0)  # as at a tick
+    node.timer.clocks.look_at(now / 200.0, 1.0)  # as at a tick
     node.command.receive("t[s],x[V]", np.column_stack([np.arange(now, now + 100) / 200.0, np.full(100, 5.0)]))
     bench.until(lambda: node.counts["ticks"] >= 10)
     assert abs(node._tick - time.monotonic() * 200.0) < 50
@@ -308,7 +308,7 @@ def test_interrupt_and_terminate_end_a_node_without_a_traceback(tmp_path, domain
 SWALLOWED = """
 import signal
 from hyst_control.nodes.pi_feedback import PiFeedback
-from hyst_control.nodes.run import main
+from hyst_control.nodes.execution.run import main
 
 def make():
     try:
@@ -324,7 +324,7 @@ raise SystemExit(main(make))
 STUCK = """
 import ctypes
 from functools import partial
-from hyst_control.nodes import run
+from hyst_control.nodes.execution import run
 from hyst_control.nodes.recorder import Recorder
 
 run.exit_within = partial(run.exit_within, seconds=1.0)  # instead of 5
@@ -354,7 +354,7 @@ def test_exit_watchdog_keeps_the_status_while_the_interpreter_is_locked(status):
     """The lock is held by a call that does not come back: no Python code could end the process."""
     program = (
         "import ctypes\n"
-        "from hyst_control.nodes.exit_watchdog import exit_within\n"
+        "from hyst_control.nodes.execution.exit_watchdog import exit_within\n"
         f"exit_within({status}, 0.2)\n"
         "ctypes.PyDLL(None).sleep(1000)\n"
     )

@@ -12,15 +12,15 @@ from loop_case import MODEL
 from stage_bed import LOWER, PERIOD, RATE, SAFE, SETTINGS, UPPER, Bed, Drive, change, failed_calls
 from std_srvs.srv import Trigger
 
-from hyst_control.control.command_limits import CommandLimits
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.hardware import physik_instrumente
 from hyst_control.hardware import simulated_converter as simulated
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.model_file import Simulator, load_model, simulate
-from hyst_control.nodes.managed import UNCONFIGURED
 from hyst_control.nodes.pi_feedback import PiFeedback
+from hyst_control.nodes.signal_node.managed import UNCONFIGURED
 
 
 def test_limits_are_kept_from_where_the_actuator_is():

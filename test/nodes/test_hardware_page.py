@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 pytestmark = pytest.mark.long_file
 

@@ -8,8 +8,8 @@ from std_srvs.srv import Trigger
 
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.identification import Identification
-from hyst_control.nodes.run import run
 
 
 def test_once_writes_the_model_that_the_function_writes(tmp_path, ros_context):

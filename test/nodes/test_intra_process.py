@@ -7,11 +7,11 @@ import pytest
 from loop_case import RATE, SIGNALS, assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes.ending_node import EndingNode
-from hyst_control.nodes.message_io import CallbackSubscription
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import run
+from hyst_control.nodes.signal_node.message_io import CallbackSubscription
 
 
 class Late(EndingNode):

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from loop_case import recorded
 
-from hyst_control.nodes import interrupts
+from hyst_control.nodes.execution import interrupts
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.records.signal_rows import LONGEST_JOINING
+from hyst_control.records.stream.signal_rows import LONGEST_JOINING
 
 PERIOD = 1e-3
 

@@ -14,10 +14,10 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import DEFAULT, node_class
-from hyst_control.nodes.run import run
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.exporting import export_record
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.exporting import export_record
 
 ROOT = Path(__file__).resolve().parents[2]
 LIVE = {"/residual", "/gap"}

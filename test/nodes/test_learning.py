@@ -8,19 +8,19 @@ from loop_case import MODEL, RATE, SIGNALS, parameters, recorded
 from pipeline_thread import ProcessesBesideThread
 from rclpy.parameter import Parameter
 
-from hyst_control.control.feedback_error_learning import FeedbackErrorLearning
-from hyst_control.control.feedforward import build_compensator
-from hyst_control.control.iterative_learning import IterativeLearning
-from hyst_control.control.learning import Played, run_learning_loop
-from hyst_control.control.learning_filter import model_filter
-from hyst_control.control.pi import PI
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning
+from hyst_control.control.learning.iterative_learning import IterativeLearning
+from hyst_control.control.learning.learning_filter import model_filter
+from hyst_control.control.learning.learning_loop import Played, run_learning_loop
 from hyst_control.model_file import Simulator, load_model
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import run
 from hyst_plant_sim.node import PlantNode
 
 CLASSES = {

@@ -7,8 +7,8 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import DEFAULT, node_class
-from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from evaluation.benchmarks import loops, suite
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.nodes.duration_histogram import Durations
-from hyst_control.records.importing import write_bag
+from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 pytestmark = pytest.mark.long_file
 

@@ -10,11 +10,11 @@ import pytest
 from loop_case import assert_same_bits, offline, parameters, recorded
 from rclpy.parameter import Parameter
 
-from hyst_control.nodes import interrupts
+from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import node_class
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.nodes.run import run
-from hyst_control.records.signal_rows import GAP_PATIENCE
+from hyst_control.records.stream.signal_rows import GAP_PATIENCE
 
 PERIOD = 1e-3
 LISTENERS = [

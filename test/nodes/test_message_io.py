@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from hyst_control.nodes.message_io import CallbackSubscription, PolledSubscription, Sender, from_message, to_message
-from hyst_control.records.signal_message import Encoder
+from hyst_control.nodes.signal_node.message_io import CallbackSubscription, PolledSubscription, Sender, from_message, to_message
+from hyst_control.records.stream.signal_message import Encoder
 
 LABEL = "t[s],x[V]"
 BLOCK = np.array([[0.0, 1.0], [0.1, 2.0]])

@@ -7,7 +7,7 @@ import importlib
 import pytest
 
 from docs.reference.nodes import node_pages
-from hyst_control.nodes.common_parameters import COMMON
+from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.processes.node_list import NODES
 
 COMPOSED = {name: entry for name, entry in NODES.items() if entry.node_class}

@@ -9,11 +9,10 @@ import pytest
 import yaml
 from rclpy.parameter import Parameter
 
-from hyst_control.config_files import config_folders, config_path
+from hyst_control.base.config_files import config_folders, config_path
 from hyst_control.hardware.linux_iio import IioStage
 from hyst_control.hardware.physik_instrumente import PhysikInstrumenteStage
 from hyst_control.hardware.simulated_converter import SimulatedStage
-from hyst_control.nodes.common_parameters import COMMON
 from hyst_control.nodes.diagnosis import DiagnosisNode
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
@@ -23,8 +22,9 @@ from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
+from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.processes import node_list
-from hyst_control.records.excitation import KINDS
+from hyst_control.records.excitation.excitation import KINDS
 from hyst_plant_sim.node import PlantNode
 
 NODES = {

@@ -18,14 +18,14 @@ from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.base.config_files import config_folders
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.config_files import config_folders
-from hyst_control.errors import InputError
 from hyst_control.identify.workflow import identify_bags
+from hyst_control.nodes.execution.run import run
 from hyst_control.nodes.pipeline import node_class
-from hyst_control.nodes.run import run
 from hyst_control.processes.node_processes import Processes
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.records.bags.bag_reader import read_bag
 
 pytestmark = pytest.mark.long_file
 

@@ -12,11 +12,11 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from hyst_control.control.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
+from hyst_control.control.feedback.sensor_watch import FROZEN, OUT_OF_RANGE, MeasurementWatch
+from hyst_control.nodes.execution.run import spin
 from hyst_control.nodes.feedforward import Feedforward
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import spin
 from hyst_plant_sim.node import PlantNode
 
 RATE = 200.0
@@ -167,7 +167,7 @@ def test_fault_goes_to_safety_and_back_by_itself(bench, break_it):
 
 def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
     node = bench.add(PiFeedback, **SETTINGS, overrun_ticks=3, kp=0.5, ki=100.0)
-    node.tick_by(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
+    node.timer.call_instead(None)  # ticked by hand: a node that takes longer than its time leaves none to the test
     node.loop.restart(np.full(1, 30.0), away=False)
     node._waiting = False
     senders = [
@@ -179,7 +179,7 @@ def test_ticks_that_take_too_long_are_a_fault(bench, monkeypatch):
         now = time.monotonic()
         for sender, value in zip(senders, (4.0, 3.75, 30.0)):
             sender.send(np.array([[int(now / PERIOD) * PERIOD, value]]))
-        node.tick_timer.call(now)
+        node.timer.call(now)
     assert node.counts["overruns"] >= 4 and node.trouble() == "ticks take longer than their time"
     assert commands[-1] < commands[2] and np.diff(commands).min() >= -SAFE_RATE * PERIOD * 3
 

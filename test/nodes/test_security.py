@@ -10,12 +10,12 @@ import xml.etree.ElementTree as tree
 import pytest
 from loop_case import MODEL
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.dashboard.live_state import LiveState
 from hyst_control.nodes.dashboard import ASKED, DashboardNode
 from hyst_control.nodes.identification import Identification
-from hyst_control.nodes.managed import ManagedNode
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
+from hyst_control.nodes.signal_node.managed import ManagedNode
 from hyst_control.processes import environment
 
 SETTINGS = {

@@ -15,8 +15,8 @@ import pytest
 import yaml
 from loop_case import MODEL, recorded
 
-from hyst_control.config_files import config_folders, config_path
-from hyst_control.records import excitation
+from hyst_control.base.config_files import config_folders, config_path
+from hyst_control.records.excitation import excitation
 
 pytestmark = pytest.mark.long_file
 

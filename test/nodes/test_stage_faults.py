@@ -15,9 +15,9 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from stage_bed import LOWER, PERIOD, SAFE, SAFE_RATE, SETTINGS, UPPER, Bed, Drive, change, failed_calls
 from std_srvs.srv import Trigger
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware import StageNode, stage_node
-from hyst_control.nodes.managed import UNCONFIGURED
+from hyst_control.nodes.signal_node.managed import UNCONFIGURED
 
 
 def moving(bench, **changes):

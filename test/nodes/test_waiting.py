@@ -10,11 +10,11 @@ from loop_case import MODEL
 from std_msgs.msg import Int64
 
 from hyst_control.nodes.feedforward import Feedforward
-from hyst_control.nodes.message_io import QUEUE
-from hyst_control.nodes.node_diagnostics import REPORTED_WAIT, WAIT_WARNING, NodeHealth
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.recorder import Recorder
-from hyst_control.records.signal_rows import Wait
+from hyst_control.nodes.signal_node.message_io import QUEUE
+from hyst_control.nodes.signal_node.node_diagnostics import REPORTED_WAIT, WAIT_WARNING, NodeHealth
+from hyst_control.records.stream.signal_rows import Wait
 from hyst_plant_sim.node import PlantNode
 
 PERIOD = 1e-3

@@ -6,6 +6,7 @@ import logging
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,22 +16,22 @@ from rclpy.parameter import Parameter
 from scipy.special import betainc
 from std_srvs.srv import Trigger
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.hardware.simulated_converter import SimulatedStage
-from hyst_control.nodes import command_line
-from hyst_control.nodes.common_parameters import COMMON
-from hyst_control.nodes.ending_node import EndingNode
+from hyst_control.nodes.execution import command_line
+from hyst_control.nodes.execution.ending_node import EndingNode
+from hyst_control.nodes.execution.run import main
 from hyst_control.nodes.hampi_feedforward import HampiFeedforward
 from hyst_control.nodes.identification import Identification
-from hyst_control.nodes.node_diagnostics import NodeHealth, StateLog
 from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import COMPOSABLE, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.run import main
+from hyst_control.nodes.signal_node.common_parameters import COMMON
+from hyst_control.nodes.signal_node.node_diagnostics import NodeHealth, StateLog
 from hyst_control.processes import executables
 from hyst_control.processes.node_list import NODES
-from hyst_control.records.signal_rows import Wait
+from hyst_control.records.stream.signal_rows import Wait
 from hyst_plant_sim.node import PlantNode
 
 RATE = 1000.0
@@ -251,7 +252,7 @@ def test_diagnostics_say_stopped(bench):
 @pytest.mark.parametrize(("ticks", "missed", "said"), [(844, 156, "844 of 1000 Hz: 156 ticks missed"), (999, 1, ""), (1000, 0, "")])
 def test_a_rate_that_is_not_kept_is_a_warning(ticks, missed, said, bench):
     node = bench.add(PiFeedback, rate_hz=RATE, schedule="timer")
-    assert node._slow(ticks, missed, 1.0) == said
+    assert node.timer.slow(ticks, missed, 1.0) == said
     assert NodeHealth(slow=said).warns == bool(said)
 
 
@@ -259,17 +260,17 @@ def test_diagnostics_are_made_in_parts_after_successive_ticks(bench):
     """Made all at once they would take about a tick at 1 kHz; where no tick comes, they do not wait for one."""
     node = bench.add(PiFeedback, rate_hz=RATE, schedule="timer")
     published = []
-    node._diagnostics.publish = published.append
-    node._publish_diagnostics()  # it has not ticked yet
+    node.diagnostics._publisher = SimpleNamespace(publish=published.append)
+    node.diagnostics.publish()  # it has not ticked yet
     assert len(published) == 1
     node.counts["ticks"] += 10
-    node._publish_diagnostics()
+    node.diagnostics.publish()
     parts = 1
     while len(published) == 1 and parts < 20:
-        node.after_tick()
+        node.diagnostics.go_on()
         parts += 1
     assert 3 <= parts < 20
-    node._publish_diagnostics()
+    node.diagnostics.publish()
     assert len(published) == 3
     keys = [{each.key for each in message.status[0].values} for message in published]
     assert {"ticks", "rate [Hz]"} <= keys[0] == keys[1] == keys[2]
@@ -335,7 +336,7 @@ def test_a_recorder_says_how_much_it_has_recorded(bench, tmp_path):
     ]
 
 
-@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.interrupts"])
+@pytest.mark.parametrize("module", ["hyst_control.nodes.pi_feedback", "rclpy", "hyst_control.nodes.execution.interrupts"])
 def test_an_interrupt_while_a_node_is_being_loaded_prints_nothing(module):
     program = f"""
 import os, signal, sys

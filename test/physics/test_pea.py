@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_plant_sim.physics import PlantError, load_plant
 
 STEP = 5e-5

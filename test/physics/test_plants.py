@@ -10,10 +10,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.config_files import config_path
+from hyst_control.base.config_files import config_path
 from hyst_control.model_file import load_model, simulate
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.excitation import build
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.excitation.excitation import build
 from hyst_plant_sim.physics import PLANTS, Plant, PlantError, load_plant
 from hyst_plant_sim.physics.signal_path import PLACES, _through
 

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.block_replay import replay as replayed
-from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of, identify_bags
 from hyst_control.model_file import load_model
 from hyst_control.records.actuator_following import INTERVAL, FollowingWatch, ticks_not_followed
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
 
 STEP, LAG, GAIN = 0.02, 0.02, 0.12
 DECAY = np.exp(-STEP / LAG)

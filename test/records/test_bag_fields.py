@@ -5,11 +5,11 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.bag_files import bags_in
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_files import bags_in
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.importing import write_bag
 
 COUNT, STEP, START = 200, 2_000_000, 1_700_000_000 * 10**9
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -9,9 +9,9 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hyst_control.errors import InputError
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder, decode
+from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder, decode
 
 LABELS = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
 

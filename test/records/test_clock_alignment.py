@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.workflow import datasets_of
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.clock_alignment import aligned_by_reception
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import Encoder
+from hyst_control.records.stream.clock_alignment import aligned_by_reception
+from hyst_control.records.stream.signal_message import Encoder
 
 STEP, COUNT = 1e-3, 400
 TOPICS = ("command", "measurement")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from hyst_control.errors import InputError
-from hyst_control.records.array_files import read_arrays
-from hyst_control.records.importing import import_records, import_table, parse_columns
+from hyst_control.base.errors import InputError
+from hyst_control.records.tables.array_files import read_arrays
+from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 from hyst_control.records.tables.listing import listed_columns
 
 TIME = np.arange(64) * 1e-3

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.excitation import KINDS, build, multisine_lines
+from hyst_control.records.excitation.excitation import KINDS, build, multisine_lines
 from hyst_plant_sim.physics import PLANTS, load_plant
 
 STEP = 1e-4

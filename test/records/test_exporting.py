@@ -7,12 +7,12 @@ import pytest
 from mcap.reader import make_reader
 from scipy.io import loadmat
 
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.exporting import export_record, table_of
-from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import decode
+from hyst_control.records.stream.signal_message import decode
+from hyst_control.records.tables.exporting import export_record, table_of
+from hyst_control.records.tables.importing import import_table, parse_columns
 
 TIME = 0.25 + 1e-3 * np.arange(50)
 

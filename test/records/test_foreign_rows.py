@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hyst_control.records import foreign_rows
-from hyst_control.records.foreign_rows import LARGEST_VALUE, Refusal, admissible, admit
-from hyst_control.records.signal_rows import MAX_TICK, Missing, Receipt, SignalRows
+from hyst_control.records.stream import foreign_rows
+from hyst_control.records.stream.foreign_rows import LARGEST_VALUE, Refusal, admissible, admit
+from hyst_control.records.stream.signal_rows import MAX_TICK, Missing, Receipt, SignalRows
 
 PERIOD = 1e-3
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.importing import import_table, parse_columns
 
 POLE = 2 * np.pi * 200.0
 PLANT = [0.12 * POLE**2], [1.0, 0.3 * POLE, POLE**2]

@@ -2,6 +2,7 @@
 
 import sqlite3
 import struct
+import sys
 import tracemalloc
 import zlib
 
@@ -12,13 +13,14 @@ import zstandard
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.importing import write_bag
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.decompression import Budget, Damage, decompress
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.stream.signal_message import MESSAGE_TYPE, Decoder, Encoder, decode
+from hyst_control.records.tables.importing import write_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -315,3 +317,13 @@ def test_times_before_zero_can_be_written_again(tmp_path):
     path = mcap(tmp_path / "a.mcap", *(message(COMMAND.encode(rows(k))) for k in range(-3, 3)))
     write_bag(tmp_path / "again", read_bag(path))
     np.testing.assert_array_equal(read_bag(tmp_path / "again").signals["command"].time, rows(-3, 6)[:, 0])
+
+
+@pytest.mark.parametrize("compression, package", [("zstd", "zstandard"), ("lz4", "lz4")])
+def test_a_compressed_block_without_the_package_for_it_is_one_line(monkeypatch, compression, package):
+    """As on a ROS installation, which brings neither."""
+    data = zeros(10) if compression == "zstd" else lz4.frame.compress(bytes(10))
+    for name in [package, *(each for each in sys.modules if each.startswith(f"{package}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(Damage, match=f"compressed with {compression}, and the package {package}.* is not installed"):
+        decompress(data, compression, 10, Budget(1000))

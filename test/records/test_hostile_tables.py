@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.array_files import read_array, read_arrays
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import import_table, parse_columns
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.array_files import read_array, read_arrays
+from hyst_control.records.tables.importing import import_table, parse_columns
 
 VALUES = np.random.default_rng(0).normal(size=(60, 3))
 

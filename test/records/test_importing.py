@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
 from hyst_control.identify.workflow import datasets_of
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import import_records, import_table, parse_columns
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 
 VOLTS = np.linspace(0.0, 5000.0, 40)
 NANOMETRES = np.sqrt(VOLTS)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.errors import InputError
-from hyst_control.records.importing import import_records, import_table, parse_columns
+from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 from hyst_control.records.tables.listing import listed_columns
 
 COUNT = 80

@@ -13,12 +13,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.importing import write_bag
+from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import MESSAGE_TYPE, Encoder, label_for
+from hyst_control.records.stream.signal_message import MESSAGE_TYPE, Encoder, label_for
+from hyst_control.records.tables.importing import write_bag
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STEP = 1e-4
@@ -106,8 +106,8 @@ def test_a_killed_recorder_leaves_a_readable_prefix(tmp_path):
     path = tmp_path / "killed"
     code = f"""
 import numpy as np, os, signal
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.signal_message import Encoder
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.stream.signal_message import Encoder
 writer = BagWriter({str(path)!r})
 encoders = {{"/command": Encoder("t[s],x[V]"), "/measurement": Encoder("t[s],x[um]")}}
 for k in range(2000):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hyst_control.errors import InputError
-from hyst_control.records.excitation import build
+from hyst_control.base.errors import InputError
+from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records, refuse_invalid
 from hyst_plant_sim.physics import load_plant
 

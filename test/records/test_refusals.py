@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 import zstandard
 
-from hyst_control.errors import InputError
-from hyst_control.foreign_readers import foreign_reader
-from hyst_control.records.array_files import read_array, read_arrays
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.bag_writer import BagWriter
-from hyst_control.records.decompression import Budget, Damage, decompress
-from hyst_control.records.importing import import_table, parse_columns, write_bag
-from hyst_control.records.mcap_stream import CutOff, McapStream
+from hyst_control.base.errors import InputError
+from hyst_control.base.foreign_readers import foreign_reader
+from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.decompression import Budget, Damage, decompress
+from hyst_control.records.bags.mcap_stream import CutOff, McapStream
+from hyst_control.records.bags.sqlite_bag import sqlite_messages
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.signal_message import MESSAGE_TYPE, Encoder
-from hyst_control.records.sqlite_bag import sqlite_messages
+from hyst_control.records.stream.signal_message import MESSAGE_TYPE, Encoder
+from hyst_control.records.tables.array_files import read_array, read_arrays
+from hyst_control.records.tables.importing import import_table, parse_columns, write_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 COMMAND = Encoder("t[s],x[V]")

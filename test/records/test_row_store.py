@@ -7,20 +7,20 @@ import tempfile
 import numpy as np
 import pytest
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import lag_one, record_rows
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.record_segmentation import resting_stretches, stretches_between_rests
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
-from hyst_control.records import row_store
-from hyst_control.records.bag_reader import read_bag
-from hyst_control.records.importing import import_table, parse_columns, write_bag
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal, increasing
-from hyst_control.records.row_store import RowStore, empty_rows
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.stream import row_store
+from hyst_control.records.stream.row_store import RowStore, empty_rows
+from hyst_control.records.tables.importing import import_table, parse_columns, write_bag
 
 RANDOM = np.random.default_rng(5)
 COMMAND = np.where(np.arange(3000) % 400 < 130, 7.0, np.round(20.0 * np.sin(np.arange(3000) / 37.0), 1))

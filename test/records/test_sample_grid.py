@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.errors import InputError
-from hyst_control.records.importing import import_records, parse_columns
+from hyst_control.base.errors import InputError
 from hyst_control.records.record import Signal
-from hyst_control.records.regular_signals import on_one_clock
-from hyst_control.records.sample_grid import find_grid, resampled
+from hyst_control.records.tables.importing import import_records, parse_columns
+from hyst_control.records.tables.regular_signals import on_one_clock
+from hyst_control.records.tables.sample_grid import find_grid, resampled
 
 COLUMNS = parse_columns("time=1[s],command=2[V],measurement=3[um]")
 

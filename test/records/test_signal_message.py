@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from hyst_control.errors import InputError
-from hyst_control.records.signal_message import Decoder, Encoder, decode, label_for, parse_label
+from hyst_control.base.errors import InputError
+from hyst_control.records.stream.signal_message import Decoder, Encoder, decode, label_for, parse_label
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPE = "std_msgs/msg/Float64MultiArray"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hyst_control.records.row_repetition import (
+from hyst_control.records.stream.row_repetition import (
     KEPT_BLOCKS,
     KEPT_ROWS,
     LONGEST_INTERVAL,
@@ -19,7 +19,7 @@ from hyst_control.records.row_repetition import (
     SentRows,
     Standstill,
 )
-from hyst_control.records.signal_rows import (
+from hyst_control.records.stream.signal_rows import (
     GAP_PATIENCE,
     LONGEST_JOINING,
     MAX_GAPS,

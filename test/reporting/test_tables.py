@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Table
 
 

@@ -14,10 +14,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
 from hyst_control.chain.parameter import Scattering, VectorPerAxis, vector
 from hyst_control.chain.stage import depth, per_axis, register
-from hyst_control.errors import InputError
 
 
 @register

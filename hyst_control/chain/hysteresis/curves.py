@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from numba import njit
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)

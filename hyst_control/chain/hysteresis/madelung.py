@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.c_code.madelung_c import BACKWARD, CAPACITY, FORGET, FORWARD, MEAN, SETTLE, STEP
@@ -42,7 +43,6 @@ from hyst_control.chain.stage import (
     per_axis_scalars,
     register,
 )
-from hyst_control.errors import InputError
 
 
 @njit(cache=True, error_model="numpy")

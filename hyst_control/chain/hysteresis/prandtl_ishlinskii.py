@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, flag, scalar, vector
@@ -31,7 +32,6 @@ from hyst_control.chain.stage import (
     register,
     scaled,
 )
-from hyst_control.errors import InputError
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,12 +10,12 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import COMPLEX, CCode, reals
 from hyst_control.chain.c_code.softening_modal_c import ADVANCE, COME_TO_REST, MODES
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes
 from hyst_control.chain.stage import Filter, Sampling, Stage, register
-from hyst_control.errors import InputError
 
 
 @register

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear import rational_factors
 from hyst_control.chain.linear.discretization import Discretised as Discretised
@@ -40,7 +41,6 @@ from hyst_control.chain.parameter import (
     vector,
 )
 from hyst_control.chain.stage import Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
-from hyst_control.errors import InputError
 
 MOST_SKEW = 1e8
 """Condition number of the eigenvectors up to which a state space has modes to speak of."""

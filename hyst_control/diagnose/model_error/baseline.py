@@ -21,6 +21,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import Array
@@ -39,7 +40,6 @@ from hyst_control.diagnose.noise.denoised_error import white_noise, without_nois
 from hyst_control.diagnose.noise.white import noise_between_periods
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LearnedError, SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_units
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, spectrum_on_new_records

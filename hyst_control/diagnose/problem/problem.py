@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.parameter import Array
@@ -17,7 +18,6 @@ from hyst_control.diagnose.problem.per_record_stages import CarriedError
 from hyst_control.diagnose.problem.simulation_cache import MOST_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record

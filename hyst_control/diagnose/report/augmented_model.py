@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.diagnose.run.collect import stated_noise
 from hyst_control.diagnose.run.diagnosis import Diagnosis
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.effects import EFFECTS, insert
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 
 

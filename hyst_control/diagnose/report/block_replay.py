@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.diagnose.configuration import CONFIGURATION, ReplaySettings
-from hyst_control.errors import InputError
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.record import Record
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.trial_beside_model import trial_beside
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record

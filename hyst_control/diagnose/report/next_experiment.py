@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
@@ -16,8 +17,7 @@ from hyst_control.diagnose.search.beam_search import Scored
 from hyst_control.diagnose.search.fit import Linearised
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
-from hyst_control.errors import InputError
-from hyst_control.records.excitation import build
+from hyst_control.records.excitation.excitation import build
 
 OTHER_SENSOR = "a second, independent displacement sensor"
 """Experiment to record where no effect proposes a better one."""

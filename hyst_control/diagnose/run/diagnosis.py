@@ -11,6 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.policy import contenders, decide
@@ -39,7 +40,6 @@ from hyst_control.diagnose.validate.error_gain import passed_error
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects.effect import RecordCheck
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 

@@ -21,6 +21,8 @@ import numpy as np
 from scipy.linalg import cho_factor
 from scipy.optimize import minimize_scalar
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.decide.policy import strained as are_strained
@@ -29,8 +31,6 @@ from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearised, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
 from hyst_control.diagnose.search.starts import Begun, begin, finish, merged_start, misfit_of, promising_pairs
-from hyst_control.errors import InputError
-from hyst_control.parallel import map_forked
 from hyst_control.records.correlation import correlation_length
 
 

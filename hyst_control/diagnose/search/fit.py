@@ -23,10 +23,10 @@ from typing import Annotated
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array, Stage
 from hyst_control.diagnose.problem.coefficient_prior import Scatter
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.errors import InputError
 
 STEP = 0.05
 """Difference step for z: a twentieth of a standard deviation."""

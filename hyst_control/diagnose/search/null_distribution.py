@@ -25,15 +25,15 @@ from pathlib import Path
 import numpy as np
 from platformdirs import user_cache_path
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearised, effect_columns, is_bounded
 from hyst_control.effects.effect import Surroundings
-from hyst_control.errors import InputError
 from hyst_control.model_file import model_to_document
-from hyst_control.parallel import map_forked
 
 MANY = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearised, effect_columns, is_bounded
-from hyst_control.errors import InputError
-from hyst_control.parallel import map_forked
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.search.beam_search import Scored, temper_of
 from hyst_control.diagnose.search.fit import Linearised, is_bounded
-from hyst_control.errors import InputError
 
 VARIABLES = ("time", "level", "rate", "branch")
 LEAST_LEFT = 0.1

@@ -16,11 +16,11 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
 from hyst_control.diagnose.search.beam_search import Scored
 from hyst_control.diagnose.search.fit import Linearised, fit
-from hyst_control.errors import InputError
 
 
 @dataclass(frozen=True)

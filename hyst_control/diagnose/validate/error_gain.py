@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
 from hyst_control.diagnose.problem.per_record_stages import CarriedError
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import Scored
 from hyst_control.diagnose.search.fit import Linearised, is_bounded
 from hyst_control.effects.placement import insert
-from hyst_control.errors import InputError
 
 SIZE = 0.01
 """Of the probe, rms, as a share of the range of the measurement: small beside any effect, large beside rounding."""

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import Scored
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.fit import Linearised, is_bounded
-from hyst_control.errors import InputError
 from hyst_control.records.session_zero import without_zero
 
 

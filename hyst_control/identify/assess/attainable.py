@@ -18,8 +18,8 @@ from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed
 from hyst_control.identify.modal.vector_fitting import responses_of, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.records.row_store import mean_square
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.stream.row_store import mean_square
 
 ROWS, ORDER = 2**13, 8
 """Rows that are compared, and order of the linear reference."""

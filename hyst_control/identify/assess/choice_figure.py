@@ -9,15 +9,7 @@ from hyst_control.identify.data.dataset import TriedRow
 
 
 def write_choice(path: str | Path, rows: Sequence[TriedRow]) -> None:
-    """Draw what was tried.
-
-    Parameters
-    ----------
-    path
-        Figure to write, in a format that its name tells (.svg, .png, .pdf).
-    rows
-        A row per family.
-    """
+    """Draw what was tried."""
     # Here, not above: the families are looked for in every module of this folder, and few runs draw.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

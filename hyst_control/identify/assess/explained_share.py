@@ -9,7 +9,7 @@ import numpy as np
 
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 LEAST = 0.1
 """Share of a measurement's power, about one zero a record, that a model explains if it explains anything."""

@@ -13,8 +13,8 @@ from hyst_control.identify.data.dataset import Beginning, Dataset, RecordRow
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
-from hyst_control.records.row_store import blocks, largest_size, mean_square, spread_parts
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.stream.row_store import blocks, largest_size, mean_square, spread_parts
 
 NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 """Rows from which noise and bandwidth are taken: those of longer records in parts spread over them."""

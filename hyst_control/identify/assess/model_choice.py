@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from hyst_control import progress
-from hyst_control.errors import InputError
+from hyst_control.base import progress
+from hyst_control.base.errors import InputError
 from hyst_control.identify.data.dataset import Fit, TriedRow
 
 AS_GOOD = 0.01
@@ -24,29 +24,7 @@ def best_family(
     second: Sequence[str] = (),
     explains: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
-    """Identify every family and take the plainest of those that do best on held-out rows.
-
-    Parameters
-    ----------
-    families
-        Names of the families.
-    identify
-        Fit of a family, whose report has `held_out_nrmse`.
-    second
-        Names of the families that are tried where the best of the others leaves more than `POOR`.
-    explains
-        Whether a fit's simulation of the whole records is of use: one that is not is taken only where no family's is.
-
-    Returns
-    -------
-    Fit
-        The chosen one; its report's `tried` has a row per family.
-
-    Raises
-    ------
-    InputError
-        The records suit none of the families: what the first of them says.
-    """
+    """Identify every family and take the plainest of those that do best on held-out rows."""
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
     useful: set[str] = set()
@@ -103,18 +81,7 @@ def _row(family: str, fit: Fit | None, seconds: float, refused: str) -> TriedRow
 
 
 def choice_lines(rows: Sequence[TriedRow]) -> list[str]:
-    """The table of what was tried, as text.
-
-    Parameters
-    ----------
-    rows
-        A row per family.
-
-    Returns
-    -------
-    list of str
-        Lines of equal columns; the chosen family is marked.
-    """
+    """The table of what was tried, as text."""
     width = max(len(row["family"]) for row in rows)
     lines = [f"  {'family':{width + 2}}  parameters  held-out NRMSE  seconds  structure"]
     for row in rows:

@@ -4,74 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.model_file import Model
-from hyst_control.records.row_store import all_finite
+from hyst_control.records.stream.row_store import all_finite
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """Memory with which a record begins, other than rest at 0 V.
+    """Memory with which a record begins, other than rest at 0 V."""
 
-    Parameters
-    ----------
-    assumed
-        In words.
-    memory
-        Commands (M, A) that precede the record, V; None where none are known.
-    row
-        First row that counts.
-    """
-
-    assumed: str
-    memory: Array | None
-    row: int
+    assumed: str  # In words
+    memory: Array | None  # Commands (M, A) that precede the record, V; None where none are known
+    row: int  # First row that counts
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A gapless, uniformly sampled record of command and measurement.
+    """A gapless, uniformly sampled record of command and measurement."""
 
-    Parameters
-    ----------
-    name
-        Name of the record, for messages.
-    command
-        Commands (N, A) in V.
-    measurement
-        Measurements (N, A) in `unit`.
-    sample_time
-        Sample time, s.
-    axes
-        Names of the A axes.
-    unit
-        Unit of the measurement.
-    hold
-        Command between ticks: "zoh" (held) or "foh" (straight).
-    start
-        "settled": the record begins at rest at its first command, reached from 0 V on the virgin curve; "unknown": an identification
-        lets the hysteresis memory fill before it counts the error; "auto": found from the record by `identify`.
-    beginning
-        Memory at an unknown start, as found from the record.
-    command_unit
-        Unit of the command, where it is not V.
-    """
-
-    name: str
-    command: Array
-    measurement: Array
-    sample_time: float
-    axes: tuple[str, ...]
-    unit: str
-    hold: str = "zoh"
+    name: str  # Name of the record, for messages
+    command: Annotated[Array, "N A"]  # Commands (N, A) in V
+    measurement: Annotated[Array, "N A"]  # Measurements (N, A) in `unit`
+    sample_time: float  # Sample time, s
+    axes: tuple[str, ...]  # Names of the A axes
+    unit: str  # Unit of the measurement
+    hold: str = "zoh"  # Command between ticks: "zoh" (held) or "foh" (straight)
+    # "settled": the record begins at rest at its first command, reached from 0 V on the virgin curve; "unknown": an identification
+    # lets the hysteresis memory fill before it counts the error; "auto": found from the record by `identify`
     start: str = "settled"
-    beginning: Beginning | None = None
-    command_unit: str = "V"
+    beginning: Beginning | None = None  # Memory at an unknown start, as found from the record
+    command_unit: str = "V"  # Unit of the command, where it is not V
 
     @property
     def range(self) -> Array:
@@ -80,18 +47,7 @@ class Dataset:
         return span
 
     def rows(self, begin: int, end: int) -> Dataset:
-        """Cut the record; the start of a cut that does not begin at row 0 is unknown.
-
-        Parameters
-        ----------
-        begin, end
-            First row, and the row behind the last one.
-
-        Returns
-        -------
-        Dataset
-            The rows begin ... end - 1.
-        """
+        """Cut the record; the start of a cut that does not begin at row 0 is unknown."""
         return Dataset(
             self.name,
             self.command[begin:end],
@@ -107,21 +63,7 @@ class Dataset:
 
 
 def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
-    """Check that records belong to one plant and are usable for identification.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    least
-        Samples that each of them must have at least.
-
-    Raises
-    ------
-    InputError
-        There is no record, or one differs in axes or unit, is too short or holds values that are not finite; or the command or
-        the measurement of an axis moves in none of them.
-    """
+    """Check that records belong to one plant and are usable for identification."""
     if not datasets:
         raise InputError("no record: give at least one bag with command and measurement")
     first = datasets[0]
@@ -145,65 +87,30 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
 
 
 class RecordRow(TypedDict):
-    """Error of a model on one axis of a record.
+    """Error of a model on one axis of a record."""
 
-    Parameters
-    ----------
-    name
-        The record.
-    axis
-        The axis.
-    samples
-        Number of rows compared.
-    rmse
-        Root mean square error, in `unit`.
-    nrmse
-        RMSE in % of the measured range.
-    nrmse_centered
-        The same, with the means removed.
-    nrmse_own_zero
-        The same, with the record's own zero, drift and curvature removed.
-    zero, drift, curvature
-        These: coefficients of the Legendre polynomials of degree 0, 1 and 2 over the rows compared, in `unit`.
-    nme
-        Largest error in % of the measured range.
-    unit
-        Unit of the measurement.
-    whiteness
-        Correlation of neighboring residuals, 0 for white noise.
-    """
-
-    name: str
-    axis: str
-    samples: int
-    rmse: float
-    nrmse: float
-    nrmse_centered: float
-    nrmse_own_zero: float
+    name: str  # The record
+    axis: str  # The axis
+    samples: int  # Number of rows compared
+    rmse: float  # Root mean square error, in `unit`
+    nrmse: float  # RMSE in % of the measured range
+    nrmse_centered: float  # The same, with the means removed
+    nrmse_own_zero: float  # The same, with the record's own zero, drift and curvature removed
+    # zero, drift, curvature: These: coefficients of the Legendre polynomials of degree 0, 1 and 2 over the rows compared, in `unit`
     zero: float
     drift: float
     curvature: float
-    nme: float
-    unit: str
-    whiteness: float
+    nme: float  # Largest error in % of the measured range
+    unit: str  # Unit of the measurement
+    whiteness: float  # Correlation of neighboring residuals, 0 for white noise
 
 
 class BeginningRow(TypedDict):
-    """Beginning of a record.
+    """Beginning of a record."""
 
-    Parameters
-    ----------
-    name
-        The record.
-    assumed
-        State that the identification took for its beginning, in words.
-    first_row
-        First row that counts.
-    """
-
-    name: str
-    assumed: str
-    first_row: int
+    name: str  # The record
+    assumed: str  # State that the identification took for its beginning, in words
+    first_row: int  # First row that counts
 
 
 class _Parameter(TypedDict):
@@ -214,116 +121,47 @@ class _Parameter(TypedDict):
 
 
 class ParameterRow(_Parameter, total=False):
-    """A parameter with its standard error.
+    """A parameter with its standard error."""
 
-    Parameters
-    ----------
-    axis
-        The axis.
-    threshold
-        Threshold of the play operator whose weight it is, V.
-    name
-        Name, with its index where it is one of a list.
-    value
-        Value, in `unit`.
-    standard_error
-        Standard error, in `unit`; None where the data cannot give one.
-    unit
-        Unit, empty for numbers without one.
-    """
-
-    axis: str
-    threshold: float
+    axis: str  # The axis
+    threshold: float  # Threshold of the play operator whose weight it is, V
 
 
 class OrderRow(TypedDict, total=False):
-    """A linear model that was tried; errors are rms error / rms measurement.
+    """A linear model that was tried; errors are rms error / rms measurement."""
 
-    Parameters
-    ----------
-    axis
-        The axis, where axes are fitted one by one.
-    order
-        Number of states asked for.
-    states
-        Number of states of the model.
-    parameters
-        Number of free parameters.
-    fitted
-        Error on the data fitted.
-    held_out
-        Error on held-out data; None where no data were held out.
-    seconds
-        Time that the fit took, s.
-    delay_samples
-        Delay (m,) of every input, samples.
-    """
-
-    axis: str
-    order: int
-    states: int
-    parameters: int
-    fitted: float
-    held_out: float | None
-    seconds: float
-    delay_samples: list[float]
+    axis: str  # The axis, where axes are fitted one by one
+    order: int  # Number of states asked for
+    states: int  # Number of states of the model
+    parameters: int  # Number of free parameters
+    fitted: float  # Error on the data fitted
+    held_out: float | None  # Error on held-out data; None where no data were held out
+    seconds: float  # Time that the fit took, s
+    delay_samples: list[float]  # Delay (m,) of every input, samples
 
 
 class StructureRow(TypedDict):
-    """A structure of G(s) that was tried.
+    """A structure of G(s) that was tried."""
 
-    Parameters
-    ----------
-    axis
-        The axis.
-    structure
-        Factors of G(s) in words.
-    parameters
-        Number of parameters of the axis' model.
-    held_out_nrmse
-        % of range, on rows that were not fitted.
-    chosen
-        Whether it is the model's.
-    """
-
-    axis: str
-    structure: str
-    parameters: int
-    held_out_nrmse: float
-    chosen: bool
+    axis: str  # The axis
+    structure: str  # Factors of G(s) in words
+    parameters: int  # Number of parameters of the axis' model
+    held_out_nrmse: float  # % of range, on rows that were not fitted
+    chosen: bool  # Whether it is the model's
 
 
 class TriedRow(TypedDict):
-    """A model family that was tried.
+    """A model family that was tried."""
 
-    Parameters
-    ----------
-    family
-        Name of the family.
-    structure
-        G(s) of each axis in words.
-    parameters
-        Number of parameters of all axes.
-    held_out_nrmse
-        % of range of the worst axis, on rows that were not fitted; None where the records do not suit the family.
-    seconds
-        Time that the fit took, s.
-    chosen
-        Whether the model is of this family.
-    refused
-        Reason why the records do not suit the family; "" where they do.
-    structures
-        Structures of G(s) among which the family chose.
-    """
-
-    family: str
-    structure: str
-    parameters: int
+    family: str  # Name of the family
+    structure: str  # G(s) of each axis in words
+    parameters: int  # Number of parameters of all axes
+    # % of range of the worst axis, on rows that were not fitted; None where the records do not suit the family
     held_out_nrmse: float | None
-    seconds: float
-    chosen: bool
-    refused: str
-    structures: list[StructureRow]
+    seconds: float  # Time that the fit took, s
+    chosen: bool  # Whether the model is of this family
+    refused: str  # Reason why the records do not suit the family; "" where they do
+    structures: list[StructureRow]  # Structures of G(s) among which the family chose
 
 
 class _Report(TypedDict):
@@ -336,71 +174,28 @@ class _Report(TypedDict):
 
 
 class Report(_Report, total=False):
-    """Errors of a fit and standard errors of its parameters, ready for JSON.
+    """Errors of a fit and standard errors of its parameters, ready for JSON."""
 
-    Parameters
-    ----------
-    held_out_nrmse
-        % of range per axis, on rows that were not fitted.
-    structure
-        G(s) of each axis in words.
-    structures
-        Structures of G(s) that were tried.
-    tried
-        Families that were tried, where none was named.
-    steps
-        Results of the paper's sequence step by step, per axis.
-    orders
-        Linear models that were tried.
-    states
-        Number of states of the chosen linear model.
-    bags
-        Paths of the bags.
-    beginnings
-        State that was taken for the beginning of each record.
-    verdict
-        "explains", "records_disagree" (under the common model), "explains_nothing", or "invalid_record" where the fit was forced.
-    explained
-        Shares of the measured power that the model explains, and a constant and a gain, a row an axis.
-    family, method
-        Model family, and "joint" or "paper".
-    unit
-        Unit of the measurement.
-    records
-        Errors, a row a record and axis.
-    parameters
-        Parameters with their standard errors.
-    notes
-        Sentences on what the data cannot show, with the remedy.
-    """
-
-    held_out_nrmse: list[float]
-    structure: list[str]
-    structures: list[StructureRow]
-    tried: list[TriedRow]
-    steps: list[dict[str, dict[str, Any]]]
-    orders: list[OrderRow]
-    states: int
-    bags: list[str]
-    beginnings: list[BeginningRow]
+    held_out_nrmse: list[float]  # % of range per axis, on rows that were not fitted
+    structure: list[str]  # G(s) of each axis in words
+    structures: list[StructureRow]  # Structures of G(s) that were tried
+    tried: list[TriedRow]  # Families that were tried, where none was named
+    steps: list[dict[str, dict[str, Any]]]  # Results of the paper's sequence step by step, per axis
+    orders: list[OrderRow]  # Linear models that were tried
+    states: int  # Number of states of the chosen linear model
+    bags: list[str]  # Paths of the bags
+    beginnings: list[BeginningRow]  # State that was taken for the beginning of each record
+    # "explains", "records_disagree" (under the common model), "explains_nothing", or "invalid_record" where the fit was forced
     verdict: str
+    # Shares of the measured power that the model explains, and a constant and a gain, a row an axis
     explained: list[Any]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """An identified model and its report.
+    """An identified model and its report."""
 
-    Parameters
-    ----------
-    model
-        The model.
-    report
-        Errors on the records and standard errors of the parameters.
-    residuals
-        Measured minus simulated (N, A) of every record, whose simulation is not repeated; empty where a family does not hand them on.
-    """
-
-    model: Model
-    report: Report
+    model: Model  # The model
+    report: Report  # Errors on the records and standard errors of the parameters
+    # Measured minus simulated (N, A) of every record, whose simulation is not repeated; empty where a family does not hand them on
     residuals: tuple[Array, ...] = ()

@@ -8,6 +8,7 @@ motion that it is within the error of any hysteresis model.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -32,37 +33,13 @@ final place is within the band."""
 
 
 def excited_band(windows: Sequence[Window]) -> float:
-    """Highest frequency that the command excites enough to tell the dynamics there.
-
-    Parameters
-    ----------
-    windows
-        Records of one axis.
-
-    Returns
-    -------
-    float
-        Hz.
-    """
+    """Highest frequency that the command excites enough to tell the dynamics there."""
     slope = max(np.ptp(window.measurement) for window in windows) / max(np.ptp(window.command) for window in windows)
     return max(_band(window, float(slope)) for window in windows)
 
 
 def lowest_frequency(commands: Sequence[Array], sample_time: float) -> float:
-    """Lowest frequency of commands: the share `LOW_SHARE` of their power lies below it.
-
-    Parameters
-    ----------
-    commands
-        By record, (N,) or (N, A), any unit.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    float
-        Hz; the least of all records.
-    """
+    """Lowest frequency of commands: the share `LOW_SHARE` of their power lies below it."""
     found = []
     for command in commands:
         columns = command.reshape(len(command), -1)
@@ -74,21 +51,8 @@ def lowest_frequency(commands: Sequence[Array], sample_time: float) -> float:
     return min(found)
 
 
-def measurement_noise(values: Array, sample_time: float) -> float:
-    """White noise of a measurement: the level that its spectrum nowhere falls below, but at least that of its rounding.
-
-    Parameters
-    ----------
-    values
-        Measurement (N,).
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    float
-        rms, in the measurement's unit.
-    """
+def measurement_noise(values: Annotated[Array, "N"], sample_time: float) -> float:
+    """White noise of a measurement: the level that its spectrum nowhere falls below, but at least that of its rounding."""
     size, taper = _segment(len(values), sample_time)
     power = np.mean([_power(values[begin : begin + size], taper) for begin in _begins(len(values), size)], axis=0)
     level = float(np.quantile(power[1:], QUIETEST)) / float(np.sum(taper**2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -13,29 +14,14 @@ from hyst_control.identify.data.record_segmentation import REST_TIME, resting_st
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import rounding_weights
-from hyst_control.records.row_store import column, empty_rows, first_row, total_variation
+from hyst_control.records.stream.row_store import column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
 
 
 def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = True) -> list[Window]:
-    """Take each record as one window; for a record of unknown start see `before`.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axis
-        Index of the axis.
-    weighted
-        Weight the rows (`balanced_weights`); only fits of play operators look at weights.
-
-    Returns
-    -------
-    list[Window]
-        A window a record.
-    """
+    """Take each record as one window; for a record of unknown start see `before`."""
     windows = []
     for group, data in enumerate(datasets):
         command = column(data.command, axis)
@@ -56,20 +42,7 @@ def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = Tr
 
 
 def with_sign(window: Window, sign: float) -> Window:
-    """Multiply the measurement of a window by 1 or -1.
-
-    Parameters
-    ----------
-    window
-        A stretch of a record.
-    sign
-        The factor.
-
-    Returns
-    -------
-    Window
-        The stretch, whose measurement is on a file where it is long; the window itself where nothing changes.
-    """
+    """Multiply the measurement of a window by 1 or -1."""
     if sign == 1.0:
         return window
     measurement = empty_rows(len(window.measurement))
@@ -81,18 +54,6 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     """Weight rows so that slow and fast motions between rests count alike and short fast loops are not drowned.
 
     Readings that repeat because they are rounded count as one (`rounding_weights`).
-
-    Parameters
-    ----------
-    data
-        The record.
-    axis
-        Index of the axis.
-
-    Returns
-    -------
-    Array | None
-        Weights (N,), 1 on average, from a fifth to five times the plain weight; None where the record is one motion.
     """
     motions = [stretch for stretch in stretches_between_rests(data, 0, axis) if stretch.kind == "motion"]
     rounded = rounding_weights(data.command[:, axis], data.measurement[:, axis])
@@ -112,18 +73,6 @@ def before(data: Dataset) -> tuple[Array | None, int]:
 
     A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
     counts from where its command has met both its extremes, which wipes out all earlier memory.
-
-    Parameters
-    ----------
-    data
-        The record.
-
-    Returns
-    -------
-    memory : Array | None
-        Commands (M, A) before the record, V; None for rest.
-    begin : int
-        First row that counts.
     """
     if data.start != "unknown":
         return None, 0
@@ -135,40 +84,14 @@ def before(data: Dataset) -> tuple[Array | None, int]:
 
 
 def closed_loop(data: Dataset) -> bool:
-    """Report whether a record ends where it began, command and measurement alike.
-
-    Parameters
-    ----------
-    data
-        The record.
-
-    Returns
-    -------
-    bool
-        True if all axes do, within 3 % of their ranges.
-    """
+    """Report whether a record ends where it began, command and measurement alike."""
     gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
     span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
     return bool(np.all(gap < 0.03 * span))
 
 
 def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:
-    """Choose short stretches that are spread evenly over the records.
-
-    Parameters
-    ----------
-    windows
-        The records.
-    rows
-        Approximate number of rows to choose.
-    length
-        Length of a stretch, s.
-
-    Returns
-    -------
-    list[Window]
-        The stretches; the windows themselves if they have no more rows than that.
-    """
+    """Choose short stretches that are spread evenly over the records."""
     total = sum(len(window.command) for window in windows)
     if total <= rows:
         return list(windows)
@@ -220,19 +143,8 @@ def first_motion(command: Array) -> int:
     return min(first_row(len(command), lambda part: np.diff(command[part.start : part.stop + 1]) != 0) + 1, len(command))
 
 
-def memory_filled(command: Array) -> int:
-    """Find the row after which the command has met both its extremes, so that earlier memory is wiped out.
-
-    Parameters
-    ----------
-    command
-        Command (N,).
-
-    Returns
-    -------
-    int
-        The row.
-    """
+def memory_filled(command: Annotated[Array, "N"]) -> int:
+    """Find the row after which the command has met both its extremes, so that earlier memory is wiped out."""
     lowest, highest = float(command.min()), float(command.max())
     near = 0.01 * (highest - lowest)
     return max(
@@ -246,18 +158,6 @@ def largest_drift(data: Dataset, axis: int) -> float:
 
     A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must not
     be taken for a drift: otherwise records whose frequency rises with time would teach the model the wrong mean.
-
-    Parameters
-    ----------
-    data
-        The record.
-    axis
-        Index of the axis.
-
-    Returns
-    -------
-    float
-        Largest drift over the whole record (measurement unit); infinite without such rests.
     """
     command, measurement = data.command[:, axis], data.measurement[:, axis]
     filled = memory_filled(command)

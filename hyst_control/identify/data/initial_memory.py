@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -19,7 +20,7 @@ from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Beginning, BeginningRow, Dataset
 from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
-from hyst_control.records.row_store import all_finite, total_variation
+from hyst_control.records.stream.row_store import all_finite, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
@@ -38,36 +39,15 @@ PERIODIC, ESTIMATED = "periodic: preceded by itself", "amid a motion: turning po
 
 @dataclass(frozen=True)
 class Memory:
-    """Memory of one axis.
+    """Memory of one axis."""
 
-    Parameters
-    ----------
-    turns
-        Turning points (M,), V, from the farthest one to the first command.
-    virgin
-        Rest at 0 V.
-    periodic
-        The record itself precedes it.
-    """
-
-    turns: Array
-    virgin: bool = False
-    periodic: bool = False
+    turns: Annotated[Array, "M"]  # Turning points (M,), V, from the farthest one to the first command
+    virgin: bool = False  # Rest at 0 V
+    periodic: bool = False  # The record itself precedes it
 
 
 def with_beginning(data: Dataset) -> Dataset:
-    """Find how a record begins, where its start is "auto".
-
-    Parameters
-    ----------
-    data
-        The record.
-
-    Returns
-    -------
-    Dataset
-        The record with its start known; the record itself where it is said.
-    """
+    """Find how a record begins, where its start is "auto"."""
     if data.start != "auto":
         return data
     if not (all_finite(data.command) and all_finite(data.measurement)):
@@ -89,18 +69,7 @@ def with_beginning(data: Dataset) -> Dataset:
 
 
 def beginning_rows(datasets: Sequence[Dataset]) -> list[BeginningRow]:
-    """Describe how records begin, for the report.
-
-    Parameters
-    ----------
-    datasets
-        Records whose start is known.
-
-    Returns
-    -------
-    list[BeginningRow]
-        A row a record.
-    """
+    """Describe how records begin, for the report."""
     rows: list[BeginningRow] = []
     for data in datasets:
         if data.start == "settled":
@@ -115,43 +84,14 @@ def beginning_rows(datasets: Sequence[Dataset]) -> list[BeginningRow]:
     return rows
 
 
-def share_of_motion(command: Array, row: int) -> float:
-    """Share of a command's way that lies behind a row; 1 where it rests.
-
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    row
-        The row.
-
-    Returns
-    -------
-    float
-        Share, 0 to 1.
-    """
+def share_of_motion(command: Annotated[Array, "N"], row: int) -> float:
+    """Share of a command's way that lies behind a row; 1 where it rests."""
     whole = total_variation(command)
     return total_variation(command, row) / whole if whole else 1.0
 
 
-def estimated_memory(command: Array, measurement: Array, *, closed: bool = False) -> Memory:
-    """Estimate the memory with which one axis of a record begins.
-
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    measurement
-        Measurement (N,).
-    closed
-        The record ends where it began, and may be preceded by itself.
-
-    Returns
-    -------
-    Memory
-        The memory with the smallest error of play operators; the virgin state, or else a period before, where no other is clearly
-        better.
-    """
+def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"], *, closed: bool = False) -> Memory:
+    """Estimate the memory with which one axis of a record begins."""
     first, low, high = float(command[0]), float(command.min()), float(command.max())
     at_zero = abs(first) <= AT_ZERO * max(abs(low), abs(high))
     virgin = Memory(np.array([0.0, first]), virgin=True)
@@ -197,25 +137,8 @@ def play_states(turns: Array, thresholds: Array, rows: NDArray[np.int64]) -> Arr
 
 
 @njit(cache=True, error_model="numpy")
-def followed(command: Array, thresholds: Array, states: Array, rows: NDArray[np.int64]) -> Array:
-    """Follow play operators along a command and keep some rows.
-
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    thresholds
-        Thresholds (n,), V.
-    states
-        Outputs (n,) before the command, V.
-    rows
-        Increasing rows (R,) to keep.
-
-    Returns
-    -------
-    Array
-        Outputs (R, n), V.
-    """
+def followed(command: Annotated[Array, "N"], thresholds: Array, states: Array, rows: NDArray[np.int64]) -> Annotated[Array, "R n"]:
+    """Follow play operators along a command and keep some rows."""
     kept = np.empty((rows.size, thresholds.size))
     present = states.copy()
     index = 0
@@ -230,21 +153,8 @@ def followed(command: Array, thresholds: Array, states: Array, rows: NDArray[np.
     return kept
 
 
-def smooth_way(turns: Sequence[Array], data: Dataset) -> Array:
-    """Commands that lead through turning points to a record's first command, slow enough not to excite the dynamics.
-
-    Parameters
-    ----------
-    turns
-        Turning points (M,) of every axis, V, the last of them the first command.
-    data
-        The record.
-
-    Returns
-    -------
-    Array
-        Commands (R, A), V, which end at rest.
-    """
+def smooth_way(turns: Sequence[Array], data: Dataset) -> Annotated[Array, "R A"]:
+    """Commands that lead through turning points to a record's first command, slow enough not to excite the dynamics."""
     rows = int(np.clip(LEG / data.sample_time, 16, 2000))
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows + 1) / rows)
     most = max(len(each) for each in turns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -22,16 +23,6 @@ def without_drift(datasets: Sequence[Dataset]) -> list[Dataset]:
     """Remove the drift of every record in which it shows.
 
     A slow ramp has power at every low frequency, where a linear model takes it for poles of the plant.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-
-    Returns
-    -------
-    list[Dataset]
-        The records, drifting ones with as much of a ramp removed as a finite impulse response of the command leaves in them.
     """
     cleaned = []
     for data in datasets:
@@ -41,21 +32,8 @@ def without_drift(datasets: Sequence[Dataset]) -> list[Dataset]:
     return cleaned
 
 
-def drift(command: Array, measurement: Array) -> Array:
-    """Drift of a record, beside what follows the command.
-
-    Parameters
-    ----------
-    command
-        Commands (N, A), V.
-    measurement
-        Measurements (N, A).
-
-    Returns
-    -------
-    Array
-        Drift (A,) from the middle of the record to its end, in the measurement's unit; 0 where it explains next to nothing.
-    """
+def drift(command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:
+    """Drift of a record, beside what follows the command."""
     lags = min(LAGS, max(len(command) // 8, 1))
     rows = np.unique(np.linspace(lags, len(command) - 1, min(ROWS, len(command) - lags)).astype(int))
     taps = [command[rows - lag] for lag in range(lags)]

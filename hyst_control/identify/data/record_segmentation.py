@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.reversal_points import turning_points
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 REST_TIME = 5e-3
 """A command that holds still for this long (s) rests."""
@@ -19,48 +20,21 @@ REST_TIME = 5e-3
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows of a record between two rests.
+    """Rows of a record between two rests."""
 
-    Parameters
-    ----------
-    record
-        Index of the record.
-    begin, end
-        First row, and the row behind the last one.
-    kind
-        "step" or "motion".
-    frequency
-        Main frequency of a motion, Hz.
-    amplitude
-        Height of the step or motion, V.
-    """
-
-    record: int
+    record: int  # Index of the record
+    # begin, end: First row, and the row behind the last one
     begin: int
     end: int
-    kind: str
-    frequency: float
-    amplitude: float
+    kind: str  # "step" or "motion"
+    frequency: float  # Main frequency of a motion, Hz
+    amplitude: float  # Height of the step or motion, V
 
 
 def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stretch]:
     """Find the motions of one axis of a record, each with the rest that follows it.
 
     Motions that join without a rest are cut where their frequency changes: at returns to the lowest command.
-
-    Parameters
-    ----------
-    data
-        The record.
-    record
-        Index of the record.
-    axis
-        Index of the axis.
-
-    Returns
-    -------
-    list[Stretch]
-        The stretches in order.
     """
     command = data.command[:, axis]
     span = float(np.ptp(command))
@@ -106,21 +80,8 @@ def _moving(command: Array, least: float) -> Iterator[NDArray[np.int64]]:
             yield joined
 
 
-def resting_stretches(command: Array, least: int) -> list[tuple[int, int]]:
-    """Find the stretches over which a command holds still.
-
-    Parameters
-    ----------
-    command
-        Command (N,).
-    least
-        Fewest samples of a stretch.
-
-    Returns
-    -------
-    list[tuple[int, int]]
-        First row, and the row behind the last one, of every stretch.
-    """
+def resting_stretches(command: Annotated[Array, "N"], least: int) -> list[tuple[int, int]]:
+    """Find the stretches over which a command holds still."""
     found, last = [], -1
     for indices in _moving(command, 1e-6 * float(np.ptp(command))):
         edges = np.concatenate([[last], indices])
@@ -158,24 +119,7 @@ def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, 
 
 
 def select_stretches(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
-    """Select stretches for a role; of the motions those of the largest amplitude, as in the papers.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axis
-        Index of the axis.
-    kind
-        "step"; "quasi_static": motions up to 5 Hz; "dynamic": motions nearest to `frequency`.
-    frequency
-        Frequency of dynamic motions, Hz.
-
-    Returns
-    -------
-    list[Stretch]
-        The stretches.
-    """
+    """Select stretches for a role; of the motions those of the largest amplitude, as in the papers."""
     everything = [stretch for number, data in enumerate(datasets) for stretch in stretches_between_rests(data, number, axis)]
     if kind == "step":
         steps = [stretch for stretch in everything if stretch.kind == "step" and stretch.amplitude > 0]

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from hyst_control.chain.stage import Array
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 
-def turning_points(command: Array) -> Array:
-    """Find the samples at which a signal turns; play operators remember no others.
-
-    Parameters
-    ----------
-    command
-        Signal (N,).
-
-    Returns
-    -------
-    Array
-        Indices of the samples, 0 first.
-    """
+def turning_points(command: Annotated[Array, "N"]) -> Array:
+    """Find the samples at which a signal turns; play operators remember no others."""
     turns, way = [np.zeros(1, dtype=int)], 0.0
     for part in blocks(len(command)):
         slope = np.sign(np.diff(command[part.start : part.stop + 1]))

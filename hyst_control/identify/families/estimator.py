@@ -14,8 +14,8 @@ from pkgutil import walk_packages
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
-from hyst_control import plugins
-from hyst_control.errors import InputError
+from hyst_control.base import plugins
+from hyst_control.base.errors import InputError
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.identify.families.options import Option, Options, declared
 

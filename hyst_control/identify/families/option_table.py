@@ -9,8 +9,8 @@ import re
 import sys
 from pathlib import Path
 
-from hyst_control.errors import InputError
-from hyst_control.files import write_text
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_text
 from hyst_control.identify.families.estimator import estimators, every_option
 from hyst_control.identify.families.options import TRUTH, Option
 
@@ -47,23 +47,7 @@ def _escaped(text: str) -> str:
 
 
 def with_present_tables(document: str) -> str:
-    """Replace the tables between a document's two marks with present ones.
-
-    Parameters
-    ----------
-    document
-        The document.
-
-    Returns
-    -------
-    str
-        The document with present tables.
-
-    Raises
-    ------
-    InputError
-        It does not have exactly one pair of marks.
-    """
+    """Replace the tables between a document's two marks with present ones."""
     updated, count = re.subn(f"{BEGIN}.*?{END}", lambda _: f"{BEGIN}\n{tables()}\n{END}", document, flags=re.DOTALL)
     if count != 1:
         raise InputError(f"document: must have one pair of the marks {BEGIN} and {END}, has {count}")

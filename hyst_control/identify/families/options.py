@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Generic, TypeVar, cast
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 T = TypeVar("T")
 D = TypeVar("D")

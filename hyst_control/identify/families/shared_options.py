@@ -8,20 +8,7 @@ from hyst_control.identify.solve.stable_dynamics import Structure
 
 
 def nuisance_option(default: str, methods: tuple[str, ...] = ()) -> str:
-    """Declare the option `nuisance`: the offset or drift that each record may add to the model.
-
-    Parameters
-    ----------
-    default
-        The default.
-    methods
-        Methods that have it; empty: all.
-
-    Returns
-    -------
-    str
-        The dataclass field.
-    """
+    """Declare the option `nuisance`: the offset or drift that each record may add to the model."""
     return option(
         default,
         TEXT,

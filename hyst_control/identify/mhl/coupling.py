@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, ParameterRow
 from hyst_control.identify.data.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
-from hyst_control.parallel import map_forked
-from hyst_control.records.row_store import blocks as row_blocks
-from hyst_control.records.row_store import empty_rows
+from hyst_control.records.stream.row_store import blocks as row_blocks
+from hyst_control.records.stream.row_store import empty_rows
 
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""
@@ -57,22 +58,7 @@ class Coupling:
 
 
 def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | None = None) -> Coupling | None:
-    """Look for coupling between the axes of a model that has none.
-
-    Parameters
-    ----------
-    model
-        The axes side by side.
-    datasets
-        Records of all axes.
-    near
-        An earlier estimate: the corner is then looked for in its neighborhood only.
-
-    Returns
-    -------
-    Coupling or None
-        None where the records show none.
-    """
+    """Look for coupling between the axes of a model that has none."""
     simulated = [simulated_rows(model, data) for data in datasets]
     count = len(model.axes)
     corners: tuple[float | None, ...] = CORNERS if near is None else (near.corner,)
@@ -97,17 +83,7 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
 
 
 def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Dataset]) -> list[Dataset]:
-    """Records with the other axes' share of each measurement subtracted.
-
-    Parameters
-    ----------
-    model
-        Model without coupling.
-    coupling
-        Coupling to subtract.
-    datasets
-        Records.
-    """
+    """Records with the other axes' share of each measurement subtracted."""
     cleaned = []
     for data in datasets:
         y = simulated_rows(model, data)
@@ -125,18 +101,8 @@ def simulated_rows(model: Model, data: Dataset) -> Array:
     return simulate(model, data.command, data.sample_time, data.hold, memory)
 
 
-def low_passed(signal: Array, corner: float | None, sample_time: float) -> Array:
-    """Signal behind a first-order low-pass that is settled at its first row.
-
-    Parameters
-    ----------
-    signal
-        Signal (N, A).
-    corner
-        Corner of the low-pass, Hz; None returns the signal itself.
-    sample_time
-        Sample time, s.
-    """
+def low_passed(signal: Annotated[Array, "N A"], corner: float | None, sample_time: float) -> Array:
+    """Signal behind a first-order low-pass that is settled at its first row."""
     if corner is None:
         return signal
     w = 2.0 * np.pi * corner
@@ -155,17 +121,6 @@ def regress(
 
     Every record's offset and drift are removed first. Rows on the axis' own virgin curve are left out, and the zero may differ
     after it. Every third block of rows is held out.
-
-    Parameters
-    ----------
-    axis
-        Index of the axis.
-    others
-        Low-passed outputs (N, A) of the model, one per record.
-    simulated
-        Outputs (N, A) of the model, one per record.
-    datasets
-        Records.
     """
     grams = []
     for other, own, data in zip(others, simulated, datasets, strict=True):

@@ -12,11 +12,11 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array, per_axis_scalars
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
@@ -27,7 +27,7 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends, curve_errors
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
 from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 NEAR = 0.05
 """Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""
@@ -35,23 +35,13 @@ NEAR = 0.05
 
 @dataclass(frozen=True)
 class CurveOptions(Options):
-    """Options of the curves' form.
+    """Options of the curves' form."""
 
-    Parameters
-    ----------
-    degree
-        Degree of the polynomials.
-    knots
-        Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range.
-    input_scale
-        Command at the upper end, V; None: the largest of the records.
-    input_offset
-        Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there.
-    """
-
+    # Degree of the polynomials
     degree: int = option(
         5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
     )
+    # Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range
     knots: tuple[float, ...] | None = option(
         None,
         NUMBERS,
@@ -59,9 +49,11 @@ class CurveOptions(Options):
         lower=0.0,
         upper=1.0,
     )
+    # Command at the upper end, V; None: the largest of the records
     input_scale: float | None = option(
         None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
     )
+    # Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there
     input_offset: float | None = option(
         None, NUMBER, "command at the lower end of the curves, in place of the lowest one of the records", unit="V"
     )
@@ -81,15 +73,9 @@ class CurveOptions(Options):
 
 @dataclass(frozen=True)
 class MadelungOptions(CurveOptions):
-    """Options of a fit of Madelung curves.
+    """Options of a fit of Madelung curves."""
 
-    Parameters
-    ----------
-    nuisance
-        Offset or drift that each record may add.
-    """
-
-    nuisance: str = nuisance_option("linear")
+    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
 
 
 @register
@@ -108,30 +94,14 @@ class MadelungCurves(Estimator[MadelungOptions]):
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Curves of one axis.
+    """Curves of one axis."""
 
-    Parameters
-    ----------
-    curves
-        Form of the curves.
-    solution
-        Their parameters, in units of output_scale.
-    ends
-        Commands at the ends of the curves.
-    output_scale
-        Scale of the output (measurement unit).
-    sign
-        Sign of the response, 1 or -1.
-    offset
-        Zero of the measurement (measurement unit).
-    """
-
-    curves: Curves
-    solution: Solution
-    ends: Ends
-    output_scale: float
-    sign: float
-    offset: float
+    curves: Curves  # Form of the curves
+    solution: Solution  # Their parameters, in units of output_scale
+    ends: Ends  # Commands at the ends of the curves
+    output_scale: float  # Scale of the output (measurement unit)
+    sign: float  # Sign of the response, 1 or -1
+    offset: float  # Zero of the measurement (measurement unit)
 
     @property
     def stage(self) -> Madelung:
@@ -144,18 +114,6 @@ def fit_records(windows: Sequence[Window], options: MadelungOptions) -> AxisFit:
 
     From 0 V at the lower end the first loading is the ascending branch. From anywhere else it is no branch of the major loop, and the
     rows before the command has met both its extremes do not count.
-
-    Parameters
-    ----------
-    windows
-        The records.
-    options
-        Options of the fit.
-
-    Returns
-    -------
-    AxisFit
-        Curves, scales, sign and zero.
     """
     ends = curve_ends(windows, options)
     if ends.lower != 0.0:
@@ -175,28 +133,7 @@ def fit_axis(
     inverse: bool = False,
     passes: int = 40,
 ) -> AxisFit:
-    """Identify the curves of one axis.
-
-    Parameters
-    ----------
-    windows
-        Stretches of its records.
-    curves
-        Form of the curves.
-    ends
-        Commands at their ends.
-    nuisance
-        Addition of each record: "none", "offset" or "linear".
-    inverse
-        Command and measurement have changed places, and so has the start.
-    passes
-        Most passes with derivatives.
-
-    Returns
-    -------
-    AxisFit
-        Curves, scales, sign and zero.
-    """
+    """Identify the curves of one axis."""
     sign = response_sign(windows)
     travel = (
         max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows if np.ptp(window.command))
@@ -217,18 +154,6 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
     """Fit separate curves for the inverse to the major loop of a model of one axis (MHL paper Table 1, right).
 
     The result runs from output to command; it is not the closed-form inverse but near it, as the paper's is.
-
-    Parameters
-    ----------
-    stage
-        Hysteresis of one axis, whose curves begin at 0 V.
-    curves
-        Form of the inverse's curves; None: the default polynomials.
-
-    Returns
-    -------
-    Madelung
-        The stage of the inverse.
     """
     curves = curves or Curves()
     input_scale, output_scale = (float(each[0]) for each in per_axis_scalars(stage, 1, "input_scale", "output_scale"))
@@ -244,25 +169,7 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
 
 
 def curve_ends(windows: Sequence[Window], options: CurveOptions) -> Ends:
-    """Commands at the ends of the major loop.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    options
-        Options of the fit, which may name the ends.
-
-    Returns
-    -------
-    Ends
-        From the options, else those of the records; records that begin near 0 V begin there.
-
-    Raises
-    ------
-    InputError
-        The options name an upper end that is not above the lower one.
-    """
+    """Commands at the ends of the major loop."""
     upper = options.input_scale
     if upper is None:
         upper = max(float(window.command.max()) for window in windows)
@@ -276,18 +183,7 @@ def curve_ends(windows: Sequence[Window], options: CurveOptions) -> Ends:
 
 
 def response_sign(windows: Sequence[Window]) -> float:
-    """Sign of the response: 1 where the measurement rises with the command, else -1.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-
-    Returns
-    -------
-    float
-        1 or -1.
-    """
+    """Sign of the response: 1 where the measurement rises with the command, else -1."""
     covariance = 0.0
     for window in windows:
         means = window.command.mean(), window.measurement.mean()
@@ -297,22 +193,7 @@ def response_sign(windows: Sequence[Window]) -> float:
 
 
 def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:
-    """Mean of the records' offsets, weighted by their numbers of rows.
-
-    Parameters
-    ----------
-    solution
-        Solution of the fit.
-    windows
-        Stretches of the records.
-    nuisance
-        Nuisance of each record, one of `NUISANCES`.
-
-    Returns
-    -------
-    float
-        Offset (measurement unit); 0 without nuisances.
-    """
+    """Mean of the records' offsets, weighted by their numbers of rows."""
     extra = NUISANCES[nuisance]
     if not extra:
         return 0.0
@@ -323,18 +204,7 @@ def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) ->
 
 
 def merged(stages: Sequence[Madelung]) -> Madelung:
-    """Merge the hysteresis of several axes into one stage.
-
-    Parameters
-    ----------
-    stages
-        A stage an axis.
-
-    Returns
-    -------
-    Madelung
-        The stage with per-axis parameters.
-    """
+    """Merge the hysteresis of several axes into one stage."""
     if len(stages) == 1:
         return stages[0]
     return Madelung(
@@ -348,22 +218,7 @@ def merged(stages: Sequence[Madelung]) -> Madelung:
 
 
 def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
-    """Assemble model and report of a static fit.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axes
-        A fit an axis.
-    method
-        Method of the fit.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-    """
+    """Assemble model and report of a static fit."""
     first = datasets[0]
     stages: list[Stage] = [merged([axis.stage for axis in axes])]
     if any(axis.sign < 0 for axis in axes):
@@ -411,20 +266,7 @@ class Scaled(Protocol):
 
 
 def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
-    """Name the part of the curves that the records do not reach, with the excitation that would show it.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axes
-        Scales of every axis.
-
-    Returns
-    -------
-    list[str]
-        A sentence an axis that is not covered.
-    """
+    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
     notes = []
     for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
         low = (min(float(data.command[:, index].min()) for data in datasets) - axis.ends.lower) / axis.ends.length

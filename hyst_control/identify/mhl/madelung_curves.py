@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.data.dataset import ParameterRow
 
 LEAST_SLOPE = 5e-3
@@ -23,18 +24,10 @@ GRID = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 257))
 
 @dataclass(frozen=True)
 class Ends:
-    """Commands at the ends of the major loop's curves.
+    """Commands at the ends of the major loop's curves."""
 
-    Parameters
-    ----------
-    lower
-        Command at the lower end, V.
-    length
-        Distance of the upper end, V.
-    """
-
-    lower: float
-    length: float
+    lower: float  # Command at the lower end, V
+    length: float  # Distance of the upper end, V
 
     @property
     def upper(self) -> float:
@@ -48,16 +41,10 @@ class Curves:
 
     Polynomials: p_n ... p_1, then q_n ... q_2; q_1 follows from closure. Cubics: the ascending values behind the first knot, then
     the descending ones between the first and the last, where both meet.
-
-    Parameters
-    ----------
-    degree
-        Degree of the polynomials.
-    knots
-        Knots of the cubics, from 0 to 1 of the input scale; None: polynomials.
     """
 
-    degree: int = 5
+    degree: int = 5  # Degree of the polynomials
+    # Knots of the cubics, from 0 to 1 of the input scale; None: polynomials
     knots: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -79,36 +66,12 @@ class Curves:
         """Number of parameters."""
         return 2 * self.count - 1
 
-    def full(self, vector: Array) -> float:
-        """Output at the upper end.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        float
-            The output.
-        """
+    def full(self, vector: Annotated[Array, "P"]) -> float:
+        """Output at the upper end."""
         return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
 
-    def pair(self, vector: Array) -> tuple[Array, Array]:
-        """Ascending and descending curve in the stage's form, scaled to end at 1.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        ascending : Array
-            Coefficients, or values at the knots.
-        descending : Array
-            The same of the descending curve.
-        """
+    def pair(self, vector: Annotated[Array, "P"]) -> tuple[Array, Array]:
+        """Ascending and descending curve in the stage's form, scaled to end at 1."""
         up, down = vector[: self.count], vector[self.count : self.size]
         full = self.full(vector)
         if self.knots is None:
@@ -117,43 +80,13 @@ class Curves:
             return up, down
         return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
 
-    def stage(self, vector: Array, ends: Ends, output_scale: float, inverse: bool = False) -> Madelung:
-        """Construct the stage of a parameter vector.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-        ends
-            Commands at the ends of the curves.
-        output_scale
-            Measurement at which the vector's output is 1.
-        inverse
-            Mark the curves as those of an inverse.
-
-        Returns
-        -------
-        Madelung
-            The stage.
-        """
+    def stage(self, vector: Annotated[Array, "P"], ends: Ends, output_scale: float, inverse: bool = False) -> Madelung:
+        """Construct the stage of a parameter vector."""
         up, down = self.pair(vector)
         return Madelung(up, down, ends.length, output_scale * self.full(vector), self.knots, inverse, ends.lower)
 
-    def like(self, other: Curves, vector: Array) -> Array:
-        """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots.
-
-        Parameters
-        ----------
-        other
-            The other form.
-        vector
-            Its parameters.
-
-        Returns
-        -------
-        Array
-            Parameters (P,) of this form.
-        """
+    def like(self, other: Curves, vector: Array) -> Annotated[Array, "P"]:
+        """Convert the parameters of curves of another form: polynomials of no higher degree, or evaluated at the knots."""
         up, down = other.pair(vector)
         full = other.full(vector)
         if self.knots is not None:
@@ -162,19 +95,8 @@ class Curves:
         pad = np.zeros(self.degree - other.degree)
         return full * np.concatenate([pad, up, pad, down[:-1]])
 
-    def start(self, bulge: float = 0.15) -> Array:
-        """Initial parameters: parabolas x (1 ± bulge (1 - x)), the ascending one below.
-
-        Parameters
-        ----------
-        bulge
-            Bulge of the parabolas.
-
-        Returns
-        -------
-        Array
-            Parameters (P,).
-        """
+    def start(self, bulge: float = 0.15) -> Annotated[Array, "P"]:
+        """Initial parameters: parabolas x (1 ± bulge (1 - x)), the ascending one below."""
         if self.knots is not None:
             x = np.asarray(self.knots, dtype=float)
             return np.concatenate([(x - bulge * x * (1 - x))[1:], (x + bulge * x * (1 - x))[1:-1]])
@@ -209,27 +131,13 @@ class Curves:
         return np.concatenate([up, down]) - LEAST_SLOPE * full
 
 
-def curve_errors(curves: Curves, vector: Array, covariance: Array) -> tuple[list[ParameterRow], float]:
+def curve_errors(
+    curves: Curves, vector: Annotated[Array, "P"], covariance: Annotated[Array, "P P"]
+) -> tuple[list[ParameterRow], float]:
     """Parameter rows of the curves' coefficients, and the tolerance of the curves as a whole.
 
     Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which, drawn
     independently per coefficient, scatters the curves as much as the data leave them uncertain.
-
-    Parameters
-    ----------
-    curves
-        Form of the curves.
-    vector
-        Their parameters (P,).
-    covariance
-        Covariance (P, P) of the parameters.
-
-    Returns
-    -------
-    rows : list[ParameterRow]
-        A row a coefficient.
-    tolerance : float
-        Relative standard deviation.
     """
 
     def coefficients(at: Array) -> Array:

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hyst_control.base.parallel import map_forked
 from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
@@ -42,7 +43,6 @@ from hyst_control.identify.solve.simulation_error import (
 )
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
-from hyst_control.parallel import map_forked
 
 T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
@@ -88,13 +88,6 @@ def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
 
     On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
     curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    index
-        Index of the axis.
     """
     records = whole_records(datasets, index, weighted=False)
     return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in records]
@@ -106,17 +99,6 @@ def with_coupling(
     """Coupling, None if the records show none, and the axes fitted without it.
 
     Both are fitted in turn, since each hides in the other where axes move alike.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    axes
-        Fits of the axes.
-    nuisance
-        Offset or drift that each record may add, as in `MhlOptions`.
-    rounds
-        Number of rounds at most.
     """
     coupling: Coupling | None = None
     for _ in range(rounds):
@@ -130,32 +112,13 @@ def with_coupling(
 
 
 def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
-    """Refine every axis by a few passes, on all cores.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    axes
-        Fits of the axes.
-    nuisance
-        Offset or drift that each record may add, as in `MhlOptions`.
-    """
+    """Refine every axis by a few passes, on all cores."""
     return list(map_forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
-    """Fit one axis to all its records.
-
-    Parameters
-    ----------
-    windows
-        Records of the axis.
-    options
-        Options of the fit.
-    like
-        Fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure.
-    """
+    """Fit one axis to all its records."""
+    # like: fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure
     sign = response_sign(windows)
     turned = [with_sign(window, sign) for window in windows]
     ends = curve_ends(windows, options)
@@ -178,19 +141,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
 
 
 def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
-    """Refine the parameters over stretches of all records.
-
-    Parameters
-    ----------
-    windows
-        Records of the axis.
-    found
-        Fit to begin with.
-    nuisance
-        Offset or drift that each record may add, as in `MhlOptions`.
-    passes
-        Number of passes of the search.
-    """
+    """Refine the parameters over stretches of all records."""
     turned = [with_sign(window, found.axis.sign) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     solution = minimize_simulation_error(
@@ -200,17 +151,7 @@ def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: in
 
 
 def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
-    """Last passes over every row of every record, with the covariance of the parameters and the offset.
-
-    Parameters
-    ----------
-    windows
-        Records of the axis.
-    found
-        Fit to begin with.
-    nuisance
-        Offset or drift that each record may add, as in `MhlOptions`.
-    """
+    """Last passes over every row of every record, with the covariance of the parameters and the offset."""
     turned = [with_sign(window, found.axis.sign) for window in windows]
     solution = minimize_simulation_error(
         turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True
@@ -235,19 +176,7 @@ def slowest(windows: Sequence[Window]) -> list[Window]:
 
 
 def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: MhlOptions) -> tuple[Axis, Solution]:
-    """Choose the factors of G(s) and fit everything: factors are added one by one as long as the held-out error falls.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records of the axis.
-    blank
-        Axis without factors of G(s).
-    curves
-        Parameters of the curves to begin with.
-    options
-        Options of the fit; a structure that they name is fitted without a choice.
-    """
+    """Choose the factors of G(s) and fit everything: factors are added one by one as long as the held-out error falls."""
     given = options.structure
     if given is not None:
         axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
@@ -275,19 +204,6 @@ def searched(
     """Fit a structure from many starts, with the curves in the form of `axis`; then everything, in the form that is asked for.
 
     Curves that were fitted to creeping loops are held in the first part; coarse ones are fitted along.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records of the axis.
-    axis
-        Axis with the structure to fit.
-    curves
-        Parameters of the curves to begin with.
-    options
-        Options of the fit, with the form of the curves that is asked for.
-    thorough
-        False to follow only the best start, and with fewer passes.
     """
     held = axis.curves == options.curves
     if held:
@@ -320,15 +236,7 @@ def searched(
 
 
 def candidates(trials: Sequence[Solution], share: int) -> list[Solution]:
-    """Best trial whose rate part lags and best whose rate part leads, unless one is far better.
-
-    Parameters
-    ----------
-    trials
-        Solutions of the search.
-    share
-        Index of k1 in their parameters.
-    """
+    """Best trial whose rate part lags and best whose rate part leads, unless one is far better."""
     ordered = sorted(trials, key=lambda solution: solution.fitted)
     others = [solution for solution in ordered if solution.parameters[share] * ordered[0].parameters[share] < 0]
     return ordered[:1] + [solution for solution in others[:1] if solution.fitted < 10.0 * ordered[0].fitted]
@@ -361,21 +269,7 @@ def starts(axis: Axis) -> list[Array]:
 def extended(
     windows: Sequence[Window], axis: Axis, best: Solution, structures: Sequence[Structure], options: MhlOptions
 ) -> list[tuple[Axis, Solution]]:
-    """Fits of richer structures, each from the parameters of the poorer one, on all cores.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records of the axis.
-    axis
-        Axis with the poorer structure.
-    best
-        Its fit.
-    structures
-        Richer structures.
-    options
-        Options of the fit.
-    """
+    """Fits of richer structures, each from the parameters of the poorer one, on all cores."""
     dynamics = axis.split(best.parameters)[2]
     before = best.parameters[: axis.curves.size + 2]
     begin: list[tuple[Structure, Array]] = []
@@ -403,17 +297,7 @@ def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[A
 
 
 def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
-    """Start with one further, fast zero whose lead a longer delay cancels, as there is a minimum on either side of no zero.
-
-    Parameters
-    ----------
-    old
-        Structure without the zero.
-    new
-        Structure with the zero.
-    dynamics
-        Dynamics vector of `old`.
-    """
+    """Start with one further, fast zero whose lead a longer delay cancels, as there is a minimum on either side of no zero."""
     parts = new.split(new.grow(old, dynamics, 1000.0))
     time = 0.5 / float(np.exp(parts["modes"][:, 0].max()))
     parts["delay"] = parts["delay"] + time / TAU_UNIT
@@ -425,19 +309,6 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, 
 
     Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone
     lowers the error, so adding factor by factor never finds them. Cross-coupling must be removed before.
-
-    Parameters
-    ----------
-    model
-        Model of all axes.
-    datasets
-        Records without cross-coupling.
-    found
-        Fit of the axis.
-    index
-        Index of the axis.
-    nuisance
-        Offset or drift that each record may add, as in `MhlOptions`.
     """
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []

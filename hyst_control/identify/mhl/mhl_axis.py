@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,112 +24,44 @@ K2_UNIT = 1e-3
 
 @dataclass(frozen=True)
 class MhlOptions(CurveOptions):
-    """Options of a fit of the modified Hammerstein-like model.
+    """Options of a fit of the modified Hammerstein-like model."""
 
-    Parameters
-    ----------
-    method
-        "joint" or "paper".
-    nuisance
-        Offset or drift that each record may add.
-    structure
-        Factors of G(s); None: chosen on held-out stretches.
-    cross_coupling
-        Look for cross-coupling between several axes.
-    """
-
-    method: str = methods_option("joint", "paper")
-    nuisance: str = nuisance_option("linear")
-    structure: Structure | None = structure_option()
+    method: str = methods_option("joint", "paper")  # "joint" or "paper"
+    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
+    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
+    # Look for cross-coupling between several axes
     cross_coupling: bool = option(True, TRUTH, "look for cross-coupling between several axes", methods=("joint",))
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Model of one axis as a parameter vector (P,): curves, rate part (k1 relative to the slope, log k2), dynamics with delay.
+    """Model of one axis as a parameter vector (P,): curves, rate part (k1 relative to the slope, log k2), dynamics with delay."""
 
-    Parameters
-    ----------
-    curves
-        Form of the curves.
-    structure
-        Factors of G(s).
-    ends
-        Commands at the ends of the curves.
-    output_scale
-        Scale of the output (measurement unit).
-    sign
-        Sign of the response, 1 or -1.
-    sample_time
-        Sample time, s.
-    """
-
-    curves: Curves
-    structure: Structure
-    ends: Ends
-    output_scale: float
-    sign: float
-    sample_time: float
+    curves: Curves  # Form of the curves
+    structure: Structure  # Factors of G(s)
+    ends: Ends  # Commands at the ends of the curves
+    output_scale: float  # Scale of the output (measurement unit)
+    sign: float  # Sign of the response, 1 or -1
+    sample_time: float  # Sample time, s
 
     @property
     def size(self) -> int:
         """Number of parameters."""
         return self.curves.size + 2 + self.structure.size
 
-    def split(self, vector: Array) -> tuple[Array, Array, Array]:
-        """Split a parameter vector by part.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        curves : Array
-            Parameters of the curves.
-        rate : Array
-            Rate part (2,).
-        dynamics : Array
-            Parameters of G(s) and delay.
-        """
+    def split(self, vector: Annotated[Array, "P"]) -> tuple[Array, Array, Array]:
+        """Split a parameter vector by part."""
         n = self.curves.size
         return vector[:n], vector[n : n + 2], vector[n + 2 :]
 
-    def rate(self, vector: Array) -> tuple[float, float]:
-        """Parameters of the rate correction.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        k1 : float
-            Measurement unit s/V.
-        k2 : float
-            s.
-        """
+    def rate(self, vector: Annotated[Array, "P"]) -> tuple[float, float]:
+        """Parameters of the rate correction."""
         share, log_k2 = self.split(vector)[1]
         k2 = K2_UNIT * float(np.exp(log_k2))
         return float(share) * self.output_scale / self.ends.length * k2, k2
 
-    def stages(self, vector: Array, b1: float = 0.0) -> list[Stage]:
-        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-        b1
-            Offset of the rate correction (measurement unit).
-
-        Returns
-        -------
-        list[Stage]
-            The stages.
-        """
+    def stages(self, vector: Annotated[Array, "P"], b1: float = 0.0) -> list[Stage]:
+        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
         curves, _, dynamics = self.split(vector)
         k1, k2 = self.rate(vector)
         linear = _dynamics_stages(self.structure, dynamics.tobytes())
@@ -138,19 +70,8 @@ class Axis:
         delays = [stage for stage in linear if isinstance(stage, Delay)]
         return [*delays, hysteresis, *(stage for stage in linear if not isinstance(stage, Delay))]
 
-    def limit(self, vector: Array) -> Array:
-        """Move a parameter vector into the range that data can resolve.
-
-        Parameters
-        ----------
-        vector
-            Parameters (P,).
-
-        Returns
-        -------
-        Array
-            Parameters (P,) within it.
-        """
+    def limit(self, vector: Annotated[Array, "P"]) -> Annotated[Array, "P"]:
+        """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
         rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
@@ -176,29 +97,14 @@ def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Fit of one axis.
+    """Fit of one axis."""
 
-    Parameters
-    ----------
-    axis
-        Model of the axis.
-    vector
-        Parameters (P,).
-    covariance
-        Their covariance (P, P).
-    offset
-        Zero of the sensor (measurement unit).
-    held_out
-        Mean square error on the rows held out.
-    extra
-        Results of the paper's sequence, by step.
-    """
-
-    axis: Axis
-    vector: Array
-    covariance: Array
-    offset: float
-    held_out: float
+    axis: Axis  # Model of the axis
+    vector: Annotated[Array, "P"]  # Parameters (P,)
+    covariance: Annotated[Array, "P P"]  # Their covariance (P, P)
+    offset: float  # Zero of the sensor (measurement unit)
+    held_out: float  # Mean square error on the rows held out
+    # Results of the paper's sequence, by step
     extra: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property

@@ -52,34 +52,12 @@ def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
 
 
 def chain_model(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Model:
-    """Model of the fitted axes, without noise and tolerances, which the report adds.
-
-    Parameters
-    ----------
-    datasets
-        Records, which give axes, units, sample time and valid range.
-    axes
-        Fits of the axes.
-    method
-        Method of the fit, for the model's name.
-    """
+    """Model of the fitted axes, without noise and tolerances, which the report adds."""
     return model_of_chain(datasets, chain_stages(axes), f"mhl_{method}")
 
 
 def assemble(datasets: Sequence[Dataset], method: str, axes: Sequence[AxisFit], coupling: Coupling | None) -> Fit:
-    """Model and report of a fit.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    method
-        "joint" or "paper".
-    axes
-        Fits of the axes.
-    coupling
-        Coupling between the axes, None for none.
-    """
+    """Model and report of a fit."""
     model = chain_model(datasets, axes, method)
     if coupling is not None:
         model = model.with_stages([*model.chain.stages, coupling.stage])
@@ -120,17 +98,7 @@ def curve_rows(axis: AxisFit, relative: dict[str, list[float]]) -> list[Paramete
 
 
 def other_rows(axis: AxisFit, unit: str, relative: dict[str, list[float]]) -> list[ParameterRow]:
-    """Report rows of scale, rate part, delay and G(s), with the errors that follow from the covariance of the search.
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-    unit
-        Measurement unit.
-    relative
-        Relative errors by name of the parameter, to which those of this axis are added.
-    """
+    """Report rows of scale, rate part, delay and G(s), with the errors that follow from the covariance of the search."""
     structure, n = axis.axis.structure, axis.axis.curves.size
 
     def values(vector: Array) -> Array:

@@ -12,20 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import RateCorrection
 from hyst_control.chain.linear.symmetric_filter import smooth_weights
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.dataset import Dataset, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
@@ -135,23 +135,8 @@ def inverse_model(
     """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop, whose hold it makes up for.
 
     Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    options
-        Options of the fit; the defaults of `MhlOptions` if None.
-    k2
-        Time constant k2', s, where it is given; None to identify it.
-    smoothing
-        Order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none.
-
-    Raises
-    ------
-    InputError
-        The records lack an experiment; the text names it.
     """
+    # smoothing: order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none
     check_records(datasets)
     options = options or MhlOptions()
     first, axes = datasets[0], range(len(datasets[0].axes))
@@ -196,23 +181,6 @@ def fit_inverse_correction(
     """Fit Ψ' of one axis to u - H_S^-1[y] on the sweeps to 100 Hz as recorded; for every k2', k1' and b1' are linear.
 
     Ψ' is discretized by Tustin's rule, as in the compensator.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    index
-        Index of the axis.
-    sign
-        Sign of the response, 1 or -1.
-    hysteresis
-        Inverse curves H_S^-1.
-    zero
-        Zero of the sensor, measurement unit.
-    k2
-        Time constant k2', s, where it is given; None to identify it.
-    smoothing
-        Order of the N without phase behind Ψ', which looks `smoothing` + 1 samples ahead; 0 for none.
     """
     weights, ahead = (smooth_weights(smoothing), smoothing + 1) if smoothing else (np.ones(1), 0)
     targets: list[tuple[Array, Array, list[slice], Sampling]] = []
@@ -255,22 +223,7 @@ def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
 
 
 def from_zero(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Ends:
-    """Commands at the ends of the curves, which begin at 0 V in the paper's sequence.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    index
-        Index of the axis.
-    options
-        Options of the fit.
-
-    Raises
-    ------
-    InputError
-        They begin elsewhere.
-    """
+    """Commands at the ends of the curves, which begin at 0 V in the paper's sequence."""
     ends = curve_ends(whole_records(datasets, index), options)
     if ends.lower != 0.0:
         raise InputError(
@@ -288,15 +241,7 @@ def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
 
 
 def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
-    """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    options
-        Options of the fit.
-    """
+    """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing."""
     return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
 
 
@@ -363,17 +308,7 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
 
 
 def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Pieces:
-    """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    index
-        Index of the axis.
-    sign
-        Sign of the response, 1 or -1.
-    """
+    """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing."""
     found = Pieces([], [], [], [])
     group = 0
     for data in datasets:
@@ -416,16 +351,8 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
     return found
 
 
-def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
-    """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it.
-
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    sample_time
-        Sample time, s.
-    """
+def motions(command: Annotated[Array, "N"], sample_time: float) -> list[tuple[int, int, int]]:
+    """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it."""
     span = float(np.ptp(command))
     moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
     if span == 0 or not len(moving):
@@ -438,13 +365,7 @@ def motions(command: Array, sample_time: float) -> list[tuple[int, int, int]]:
 
 
 def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
-    """Delay (s) and its standard error, from a delayed second-order response fitted to the beginning of each step.
-
-    Parameters
-    ----------
-    windows
-        Steps, each with the rest before it.
-    """
+    """Delay (s) and its standard error, from a delayed second-order response fitted to the beginning of each step."""
     structure = Structure(modes=1, delay=True)
     sample_time = windows[0].sample_time
     travel = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in windows)

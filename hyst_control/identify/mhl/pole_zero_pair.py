@@ -27,19 +27,7 @@ WORTHWHILE = 0.01
 def unexplained_frequency(
     signals: Sequence[tuple[Array, Array]], sample_time: float, length: int = 500, least: int = 20
 ) -> float | None:
-    """Frequency (Hz) at which commands explain most of the errors that a model leaves; None without a long record.
-
-    Parameters
-    ----------
-    signals
-        Command (N,) in V and error (N,) in the measurement unit, one pair per record.
-    sample_time
-        Sample time, s.
-    length
-        Samples per segment of the spectra.
-    least
-        Frequencies below this fraction of half the sampling rate, 1 / least, are left out.
-    """
+    """Frequency (Hz) at which commands explain most of the errors that a model leaves; None without a long record."""
     window = np.hanning(length)
     explained = np.zeros(length // 2 + 1)
     for signal in signals:
@@ -59,19 +47,7 @@ def unexplained_frequency(
 
 
 def parted_pair(smaller: Structure, dynamics: Array, frequency: float, damping: float) -> tuple[Structure, Array]:
-    """Structure with a further mode and zeros upon it, and its dynamics vector: the same response as before until the two part.
-
-    Parameters
-    ----------
-    smaller
-        Structure without the pair.
-    dynamics
-        Its dynamics vector.
-    frequency
-        Frequency of the pair, Hz.
-    damping
-        Damping ratio of the pair.
-    """
+    """Structure with a further mode and zeros upon it, and its dynamics vector: the same response as before until the two part."""
     structure = replace(smaller, modes=smaller.modes + 1, zeros=smaller.zeros + 2)
     parts = structure.split(structure.grow(smaller, dynamics, frequency))
     w = 2 * np.pi * frequency
@@ -80,15 +56,7 @@ def parted_pair(smaller: Structure, dynamics: Array, frequency: float, damping: 
 
 
 def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
-    """Dynamics vector from its factors, with the zeros' coefficients taken from a numerator.
-
-    Parameters
-    ----------
-    parts
-        Factors by name, as `Structure.split` returns them; the zeros are overwritten.
-    num
-        Coefficients of the numerator, descending powers of s.
-    """
+    """Dynamics vector from its factors, with the zeros' coefficients taken from a numerator."""
     scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]])).min()
     rising = (num / num[-1])[::-1]
     parts["zeros"][:] = 0.0

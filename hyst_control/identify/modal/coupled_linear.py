@@ -22,7 +22,7 @@ from hyst_control.identify.modal.modal_candidate import Candidate, equations, er
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
-from hyst_control.records.row_store import blocks
+from hyst_control.records.stream.row_store import blocks
 
 MAX_LINES = 6000
 """Largest number of lines of one record in a fit: those where the command is strongest."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 
 EXCITED = 1e-3
 """A line is excited when the command's power there exceeds this fraction of the mean power per line."""
@@ -24,47 +25,25 @@ class FrequencyResponse:
     """A measured frequency response matrix, sample to sample: measurement = response · command, line by line.
 
     Both variances are those of the *averaged* response, E|G - E G|².
-
-    Parameters
-    ----------
-    frequency
-        Frequencies (F,), Hz.
-    response
-        Response (F, p, m), measurement unit per V.
-    noise_variance
-        Variance (F, p, m) of the response because of disturbing noise.
-    total_variance
-        Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
-        them.
-    realizations
-        Number of realizations averaged.
     """
 
-    frequency: Array
-    response: np.ndarray
-    noise_variance: Array
+    frequency: Annotated[Array, "F"]  # Frequencies (F,), Hz
+    response: np.ndarray  # Response (F, p, m), measurement unit per V
+    noise_variance: Annotated[Array, "F p m"]  # Variance (F, p, m) of the response because of disturbing noise
+    # Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
+    # them
     total_variance: Array | None = None
-    realizations: int = 1
+    realizations: int = 1  # Number of realizations averaged
 
     @property
     def distortion_variance(self) -> Array | None:
         """Variance (F, p, m) that the nonlinear distortion adds; never negative."""
         return None if self.total_variance is None else np.maximum(self.total_variance - self.noise_variance, 0.0)
 
-    def radius(self, confidence: float = 0.95) -> Array:
+    def radius(self, confidence: float = 0.95) -> Annotated[Array, "F p m"]:
         """Radius of the circle in the complex plane that holds the true value with a given probability.
 
         The estimate is circular complex normal, so |G - E G|² / variance · 2 is chi-square with two degrees of freedom (P&S 2.4).
-
-        Parameters
-        ----------
-        confidence
-            The probability.
-
-        Returns
-        -------
-        Array
-            Radius (F, p, m).
         """
         from scipy.stats import chi2  # here, not above: it takes longer to import than all that a node needs
 
@@ -73,31 +52,17 @@ class FrequencyResponse:
         return radius
 
 
-def robust_bla(command: Array, measurement: Array, sample_time: float) -> FrequencyResponse:
+def robust_bla(
+    command: Annotated[Array, "N m R P"], measurement: Annotated[Array, "N m R P"], sample_time: float
+) -> FrequencyResponse:
     """Best linear approximation from periodic random-phase multisines, by the robust method (P&S, section 4.3.1).
 
     m neighboring realizations form a group whose command matrix is inverted per line, best conditioned for orthogonal multisines
     (Dobrowiecki, Schoukens, Guillaume, IEEE Trans. Instrum. Meas. 55 (2006) 1555-1566). The scatter over the periods is the noise, that
     over the groups noise and nonlinear distortion; with one group only the latter is unknown.
-
-    Parameters
-    ----------
-    command, measurement
-        (N, m, R, P) in V and (N, p, R, P): one period of N samples, R realizations, a multiple of the number of inputs m, and P >= 2
-        steady periods.
-    sample_time
-        Sample time in s.
-
-    Returns
-    -------
-    FrequencyResponse
-        At the excited lines, with the variances of noise and distortion.
-
-    Raises
-    ------
-    InputError
-        The shapes do not fit, or there are fewer than two periods.
     """
+    # command, measurement: (N, m, R, P) in V and (N, p, R, P): one period of N samples, R realizations, a multiple of the number of
+    # inputs m, and P >= 2 steady periods
     n, m, realizations, periods = command.shape
     p = measurement.shape[1]
     if measurement.shape != (n, p, realizations, periods) or realizations % m or periods < 2:
@@ -141,34 +106,10 @@ def local_polynomial(
 
     In a window of 2 `half_width` + 1 lines the response, and each record's transient, is a polynomial in the line number; what the
     polynomials leave is the noise.
-
-    Parameters
-    ----------
-    commands, measurements
-        Records (N, m) and (N, p) of equal length N.
-    sample_time
-        Sample time in s.
-    kind
-        "arbitrary": a transient at both ends is estimated along (the command's spectrum must be rough, as a random or a swept one is);
-        "periodic": whole periods in steady state, no transient; "settled": at rest at both ends, a step or a pulse: the records are
-        differenced first, which makes them periodic without a transient.
-    half_width
-        Lines on either side; None: as few as the unknowns need.
-    degree
-        Degree of the polynomials.
-    highest
-        Last frequency (Hz) of interest.
-
-    Returns
-    -------
-    FrequencyResponse
-        At the lines of interest, with the noise's variance.
-
-    Raises
-    ------
-    InputError
-        The window holds fewer equations than unknowns, or the records do not separate the inputs.
     """
+    # kind: "arbitrary": a transient at both ends is estimated along (the command's spectrum must be rough, as a random or a swept
+    # one is); "periodic": whole periods in steady state, no transient; "settled": at rest at both ends, a step or a pulse: the
+    # records are differenced first, which makes them periodic without a transient
     if kind not in ("arbitrary", "periodic", "settled"):
         raise InputError(f"kind: must be one of arbitrary, periodic, settled, got {kind!r}")
     u, y = np.stack(commands, axis=2), np.stack(measurements, axis=2)
@@ -220,18 +161,7 @@ def local_polynomial(
     return FrequencyResponse(frequency, response, variance, None, records)
 
 
-def excited_lines(power: Array) -> NDArray[np.intp]:
-    """Select the lines whose power exceeds `EXCITED` times the mean, except the static line.
-
-    Parameters
-    ----------
-    power
-        Power (F,) of every line.
-
-    Returns
-    -------
-    NDArray[np.intp]
-        Indices of the lines.
-    """
+def excited_lines(power: Annotated[Array, "F"]) -> NDArray[np.intp]:
+    """Select the lines whose power exceeds `EXCITED` times the mean, except the static line."""
     chosen = np.flatnonzero(power > EXCITED * power[1:].mean())
     return chosen[chosen > 0]

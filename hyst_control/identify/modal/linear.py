@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band
@@ -29,7 +29,7 @@ from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, ve
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.parameter_covariance import independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
-from hyst_control.records.row_store import column
+from hyst_control.records.stream.row_store import column
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -15,45 +16,20 @@ from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra
 
 @dataclass(frozen=True)
 class Candidate:
-    """A fitted model with its relative errors (rms error / rms measurement).
+    """A fitted model with its relative errors (rms error / rms measurement)."""
 
-    Parameters
-    ----------
-    model
-        The model.
-    fitted
-        Error on the data fitted.
-    held_out
-        Error on held-out data, NaN without them.
-    normal
-        Normal matrix JᵀJ (P, P).
-    variance
-        Variance of the residual per equation.
-    layout
-        Places of the parameters in the vector (P,).
-    seconds
-        Time that the fit took, s.
-    """
-
-    model: ModalModel
-    fitted: float
-    held_out: float
-    normal: Array
-    variance: float
-    layout: Layout
-    seconds: float
+    model: ModalModel  # The model
+    fitted: float  # Error on the data fitted
+    held_out: float  # Error on held-out data, NaN without them
+    normal: Annotated[Array, "P P"]  # Normal matrix JᵀJ (P, P)
+    variance: float  # Variance of the residual per equation
+    layout: Layout  # Places of the parameters in the vector (P,)
+    seconds: float  # Time that the fit took, s
 
     def covariance(self) -> tuple[Array, Array]:
         """Covariance of the parameters that make the model, for a white residual; transients are estimated along.
 
         b counts as known, as c could be exchanged for it.
-
-        Returns
-        -------
-        index : Array
-            Places (Q,) of the parameters in the vector.
-        covariance : Array
-            (Q, Q).
         """
         kinds = ("pole", "c", "D", "delay")
         index = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in (*kinds, "t", "d")])
@@ -63,19 +39,8 @@ class Candidate:
         inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True) / scale / scale[:, None]
         return index[:own], self.variance * inverse[:own, :own]
 
-    def standard_errors(self, *kinds: str) -> Array:
-        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known.
-
-        Parameters
-        ----------
-        *kinds
-            Kinds of parameters, as in `Layout`.
-
-        Returns
-        -------
-        Array
-            Standard errors (P,), 0 for the others.
-        """
+    def standard_errors(self, *kinds: str) -> Annotated[Array, "P"]:
+        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known."""
         chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
         part = self.normal[np.ix_(chosen, chosen)]
         scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
@@ -90,18 +55,6 @@ def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
 
     Transients are fitted, as the state at the start of a cut is unknown; what they fit of the error by their number alone is added
     again, so that a large model on a short cut gains nothing by them.
-
-    Parameters
-    ----------
-    model
-        The model.
-    data
-        Spectra of the records.
-
-    Returns
-    -------
-    float
-        The error.
     """
     problem = Problem(data, model)
     free = 0
@@ -113,35 +66,12 @@ def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
 
 
 def equations(data: Sequence[Spectra]) -> int:
-    """Count the real equations that spectra make.
-
-    Parameters
-    ----------
-    data
-        Spectra of the records.
-    """
+    """Count the real equations that spectra make."""
     return sum(2 * spectra.measurement.size for spectra in data)
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
-    """Refine a model by its output error.
-
-    Parameters
-    ----------
-    data
-        Spectra to fit.
-    start
-        The model to begin with.
-    direct, free_delay
-        Whether there is a direct path, and whether the delay is estimated.
-    iterations
-        Most steps.
-
-    Returns
-    -------
-    Candidate
-        The model, its error, and the normal matrix that the standard errors come from.
-    """
+    """Refine a model by its output error."""
     began = time.perf_counter()
     problem = Problem(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)
@@ -151,19 +81,6 @@ def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay
 
 
 def information(candidate: Candidate, data: Sequence[Spectra]) -> float:
-    """Schwarz's information criterion up to a constant: lower is better.
-
-    Parameters
-    ----------
-    candidate
-        A fitted model.
-    data
-        Spectra it was fitted to.
-
-    Returns
-    -------
-    float
-        The criterion.
-    """
+    """Schwarz's information criterion up to a constant: lower is better."""
     count = equations(data)
     return 2 * count * float(np.log(candidate.fitted)) + candidate.model.parameters * float(np.log(count))

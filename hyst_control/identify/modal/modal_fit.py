@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import qr
@@ -47,24 +48,6 @@ def subspace(data: Sequence[Spectra], orders: Sequence[int], delay: Array, hold:
 
     The unit circle is warped by the bilinear map that takes the highest line to three quarters of the circle, so that
     a band far below the sampling rate is as well conditioned as a full one. Unstable poles are reflected.
-
-    Parameters
-    ----------
-    data
-        Spectra of commands and measurements.
-    orders
-        Numbers of states.
-    delay
-        Delay (m,) of each input in samples.
-    hold
-        Hold of the command.
-    direct
-        Allow a direct path.
-
-    Returns
-    -------
-    list of ModalModel
-        A model an order.
     """
     outputs = data[0].measurement.shape[1]
     top = max(float(spectra.angle.max()) for spectra in data)
@@ -207,18 +190,7 @@ class Problem:
         return np.triu(gram, 1).conj() + np.triu(gram).T, moment, cost
 
     def fit_linear(self, *names: str) -> ModalModel:
-        """Minimize the error over parameters in which the output is linear; the others stay.
-
-        Parameters
-        ----------
-        *names
-            Kinds of parameters.
-
-        Returns
-        -------
-        ModalModel
-            The model, which is the present one from now on.
-        """
+        """Minimize the error over parameters in which the output is linear; the others stay."""
         matrix, vector, _ = self.normal_equations()
         chosen = np.zeros(self.layout.size, dtype=bool)
         for name in names:
@@ -226,14 +198,8 @@ class Problem:
         self.apply(solve_damped(matrix, vector, chosen & self.free, 1e-12))
         return self.model
 
-    def apply(self, change: Array) -> None:
-        """Move the present model along a step in the parameters.
-
-        Parameters
-        ----------
-        change
-            Step (P,) of the parameters.
-        """
+    def apply(self, change: Annotated[Array, "P"]) -> None:
+        """Move the present model along a step in the parameters."""
         part = self.layout.slices
         n, p = self.model.outputs.shape
         self.model = self.model.moved(change, self.layout, self.slowest)
@@ -243,19 +209,8 @@ class Problem:
             [old + row for old, row in zip(self.transients.edge, d, strict=True)],
         )
 
-    def movable(self, vector: Array) -> np.ndarray:
-        """Select the parameters that a step may change: not the decay of a pole that is at its bound and would go beyond.
-
-        Parameters
-        ----------
-        vector
-            Right side Jᵀr (P,) of the normal equations.
-
-        Returns
-        -------
-        np.ndarray
-            Mask (P,).
-        """
+    def movable(self, vector: Annotated[Array, "P"]) -> np.ndarray:
+        """Select the parameters that a step may change: not the decay of a pole that is at its bound and would go beyond."""
         movable = self.free.copy()
         at = self.layout.indices("pole", len(self.model.poles), 2)[:, 0]
         movable[at] &= (np.log(-self.model.poles.real) > self.slowest + 1e-9) | (vector[at] > 0)
@@ -371,24 +326,7 @@ class Problem:
 
 
 def refine(problem: Problem, iterations: int = 40, tolerance: float = 1e-5) -> tuple[float, Array]:
-    """Lower the cost of a problem by damped Gauss-Newton from its present model, and leave it at the best one.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    iterations
-        Most steps.
-    tolerance
-        Share of the cost that a step must gain for the search to go on.
-
-    Returns
-    -------
-    cost : float
-        rᵀr.
-    matrix : Array
-        The last JᵀJ (P, P).
-    """
+    """Lower the cost of a problem by damped Gauss-Newton from its present model, and leave it at the best one."""
     search = _Search(problem)
     rules = Rules(
         damping=1e-4,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,19 +70,8 @@ class ModalModel:
         count: int = self.states * (outputs + inputs) + int(np.count_nonzero(self.feedthrough)) + int(np.count_nonzero(self.delay))
         return count
 
-    def response(self, angle: Array) -> np.ndarray:
-        """Frequency response of the sampled system.
-
-        Parameters
-        ----------
-        angle
-            Frequencies (F,), radian per sample.
-
-        Returns
-        -------
-        np.ndarray
-            Response (F, p, m).
-        """
+    def response(self, angle: Annotated[Array, "F"]) -> np.ndarray:
+        """Frequency response of the sampled system."""
         z = np.exp(1j * np.asarray(angle, dtype=float))
         total: np.ndarray = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
         for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
@@ -93,23 +83,8 @@ class ModalModel:
     def _direct(self, z: np.ndarray) -> np.ndarray:
         return direct_response(self.delay, self.hold, z)
 
-    def moved(self, change: Array, layout: Layout, slowest: float = -np.inf) -> ModalModel:
-        """Move the model along a step in its parameters.
-
-        Parameters
-        ----------
-        change
-            Step (P,) of the parameters.
-        layout
-            Places of the parameters.
-        slowest
-            Logarithm of the slowest decay per sample.
-
-        Returns
-        -------
-        ModalModel
-            The moved model; its decays change by a factor e² at most.
-        """
+    def moved(self, change: Annotated[Array, "P"], layout: Layout, slowest: float = -np.inf) -> ModalModel:
+        """Move the model along a step in its parameters."""
         part = layout.slices
         (n, p), m = self.outputs.shape, self.inputs.shape[1]
         pole = change[part["pole"]].reshape(n, 2)
@@ -160,26 +135,7 @@ class Transients:
 
 
 def input_taps(pole: complex, late: float, hold: str) -> tuple[complex, complex, complex]:
-    """Input taps of dx/dt = λ x + u sampled at 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i].
-
-    Parameters
-    ----------
-    pole
-        Pole λ, per sample.
-    late
-        Delay of the input, 0 <= late < 1 sample.
-    hold
-        Hold of the input, "zoh" or "foh".
-
-    Returns
-    -------
-    first : complex
-        Tap of w[k].
-    second : complex
-        Tap of w[k-1].
-    third : complex
-        Tap of w[k-2].
-    """
+    """Input taps of dx/dt = λ x + u sampled at 1: x[k] = e^λ x[k-1] + Σ taps[i] w[k-i]."""
 
     def step(time: float) -> complex:
         value: complex = np.expm1(pole * time) / pole
@@ -204,24 +160,7 @@ def input_taps(pole: complex, late: float, hold: str) -> tuple[complex, complex,
 
 
 def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
-    """Response φ of a mode to every input, as in the module's docstring.
-
-    Parameters
-    ----------
-    pole
-        Pole λ, per sample.
-    delay
-        Delays (m,), samples.
-    hold
-        Hold of the inputs.
-    z
-        Points (F,) on the unit circle.
-
-    Returns
-    -------
-    np.ndarray
-        φ (F, m).
-    """
+    """Response φ of a mode to every input, as in the module's docstring."""
     back = 1.0 / z
     columns = []
     for late in delay:
@@ -233,22 +172,7 @@ def mode_response(pole: complex, delay: Array, hold: str, z: np.ndarray) -> np.n
 
 
 def direct_response(delay: Array, hold: str, z: np.ndarray) -> np.ndarray:
-    """Response δ of the direct path to the held command, as in the module's docstring.
-
-    Parameters
-    ----------
-    delay
-        Delays (m,), samples.
-    hold
-        Hold of the inputs.
-    z
-        Points (F,) on the unit circle.
-
-    Returns
-    -------
-    np.ndarray
-        δ (F, m).
-    """
+    """Response δ of the direct path to the held command, as in the module's docstring."""
     back = 1.0 / z
     columns = []
     for late in delay:
@@ -264,40 +188,14 @@ class Layout:
 
     Complex parameters have their real parts first, then their imaginary ones: "c" (2, n, p), "b" (2, n, m), "t" (records, 2, n).
     "pole" (n, 2) is a and w of λ = -e^a + j w.
-
-    Parameters
-    ----------
-    slices
-        Place of every kind.
-    size
-        Length P of the vector.
     """
 
-    slices: dict[str, slice]
-    size: int
+    slices: dict[str, slice]  # Place of every kind
+    size: int  # Length P of the vector
 
     @classmethod
     def of(cls, n: int, m: int, p: int, records: int, edges: int, direct: bool, free_delay: bool) -> Layout:
-        """Lay out the parameters of these sizes.
-
-        Parameters
-        ----------
-        n, m, p
-            Numbers of poles, inputs and outputs.
-        records
-            Number of records with transients.
-        edges
-            Number of coefficients of the direct path's transient per record.
-        direct
-            There is a direct path.
-        free_delay
-            The delay is estimated.
-
-        Returns
-        -------
-        Layout
-            The layout.
-        """
+        """Lay out the parameters of these sizes."""
         sizes = {
             "pole": 2 * n,
             "c": 2 * n * p,
@@ -313,39 +211,13 @@ class Layout:
             int(ends[-1]),
         )
 
-    def belongs(self, index: Array, name: str) -> NDArray[np.bool_]:
-        """Report which positions in the vector are of a kind of parameter.
-
-        Parameters
-        ----------
-        index
-            Positions (Q,).
-        name
-            The kind.
-
-        Returns
-        -------
-        NDArray[np.bool_]
-            (Q,).
-        """
+    def belongs(self, index: Annotated[Array, "Q"], name: str) -> NDArray[np.bool_]:
+        """Report which positions in the vector are of a kind of parameter."""
         part = self.slices[name]
         found: NDArray[np.bool_] = (index >= part.start) & (index < part.stop)
         return found
 
     def indices(self, name: str, *shape: int) -> Array:
-        """Return the positions of a kind of parameter.
-
-        Parameters
-        ----------
-        name
-            The kind.
-        *shape
-            Shape of the result.
-
-        Returns
-        -------
-        Array
-            Positions in the vector, in that shape.
-        """
+        """Return the positions of a kind of parameter."""
         part = self.slices[name]
         return np.arange(part.start, part.stop).reshape(shape)

@@ -71,22 +71,7 @@ def _pieces(data: Sequence[Spectra], model: ModalModel, branches: _Branches) -> 
 
 
 def periodic_cost(data: Sequence[Spectra], model: ModalModel, branches: Sequence[tuple[int, bool]]) -> float:
-    """Sum of the squared error.
-
-    Parameters
-    ----------
-    data
-        Periodic records.
-    model
-        Model whose delays are equal.
-    branches
-        Index of the pole and whether its conjugate is meant, in the order of the columns.
-
-    Returns
-    -------
-    float
-        Sum over lines, records and outputs.
-    """
+    """Sum of the squared error."""
     return sum(float(np.sum(np.abs(piece.residual) ** 2)) for piece in _pieces(data, model, _Branches.of(model, branches)))
 
 
@@ -97,24 +82,6 @@ def periodic_gram(
 
     The columns of W: for every branch the m commands through its response, and the slope of its output with the pole; then the m
     commands of the direct path.
-
-    Parameters
-    ----------
-    data
-        Periodic records.
-    model
-        Model whose delays are equal.
-    branches
-        Index of the pole and whether its conjugate is meant, in the order of the columns.
-
-    Returns
-    -------
-    gram : ndarray, shape (K, K)
-        Complex, Hermitian; K = (m + 1) B + m.
-    moment : ndarray, shape (K, p)
-        Complex.
-    cost : float
-        Squared error.
     """
     known = _Branches.of(model, branches)
     count, m, p = len(branches), *model.feedthrough.shape[::-1]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,32 +40,13 @@ class Level:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """Modal parameters that move along one direction with g: θ = centre + g · change.
+    """Modal parameters that move along one direction with g: θ = centre + g · change."""
 
-    Parameters
-    ----------
-    centre
-        The model at g = 0.
-    change
-        Change (P,) of the parameters with g, in the layout of `modal_fit.Problem`.
-    """
-
-    centre: ModalModel
-    change: Array
+    centre: ModalModel  # The model at g = 0
+    change: Annotated[Array, "P"]  # Change (P,) of the parameters with g, in the layout of `modal_fit.Problem`
 
     def at(self, g: float) -> ModalModel:
-        """Return the linear model at a value of the schedule.
-
-        Parameters
-        ----------
-        g
-            Value of the schedule.
-
-        Returns
-        -------
-        ModalModel
-            The model.
-        """
+        """Return the linear model at a value of the schedule."""
         problem = Problem([_empty(self.centre)], self.centre)
         problem.apply(g * self.change)
         return problem.model
@@ -73,27 +54,14 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class SofteningFit:
-    """A softening stage and its fit.
+    """A softening stage and its fit."""
 
-    Parameters
-    ----------
-    stage
-        The stage.
-    scheduled
-        The parameters of the stage.
-    parameters
-        Number of free parameters.
-    seconds
-        Time that the fit took, s.
-    sigma
-        Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them.
-    """
-
-    stage: SofteningModal
-    scheduled: Scheduled
-    parameters: int
-    seconds: float
-    sigma: Array
+    stage: SofteningModal  # The stage
+    scheduled: Scheduled  # The parameters of the stage
+    parameters: int  # Number of free parameters
+    seconds: float  # Time that the fit took, s
+    # Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them
+    sigma: Annotated[Array, "M 2"]
 
     @property
     def tolerance(self) -> dict[str, float]:
@@ -104,20 +72,7 @@ class SofteningFit:
 
 
 def schedule(amplitude: float, reference: float) -> float:
-    """Schedule g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it.
-
-    Parameters
-    ----------
-    amplitude
-        The amplitude.
-    reference
-        The reference amplitude.
-
-    Returns
-    -------
-    float
-        g.
-    """
+    """Schedule g of `SofteningModal`: 0 at the reference amplitude, -1 at half of it."""
     return float((np.sqrt(amplitude / reference) - 1.0) / (1.0 - np.sqrt(0.5)))
 
 
@@ -135,39 +90,9 @@ def fit_softening(
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
-    """Fit `SofteningModal` to several levels of a periodic experiment.
-
-    Parameters
-    ----------
-    levels
-        Steady periods at each level.
-    start
-        Linear model of the level whose amplitude is the reference, or an earlier fit: without the softening force, or with a part of
-        what is fitted now.
-    reference
-        Amplitude (V rms) at which the changes are nil.
-    sample_time
-        Sample time in s.
-    exponent
-        Of the softening force's terms.
-    memory
-        Time constant (s) of the slow amplitude.
-    force
-        False leaves the softening force out: the model is then linear at each amplitude.
-    stops
-        Thresholds (V) of stop operators of the command beside the force.
-    products
-        Products of the actuators' elongations beside the force.
-    iterations
-        Most steps without and with the force.
-    rounds
-        Fits with the force, each from the elongation of the one before.
-
-    Returns
-    -------
-    SofteningFit
-        The stage, its fit, and the standard deviations of its poles.
-    """
+    """Fit `SofteningModal` to several levels of a periodic experiment."""
+    # start: linear model of the level whose amplitude is the reference, or an earlier fit: without the softening force, or with a
+    # part of what is fitted now
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
     weights = [1.0 / float(np.std(level.measurement)) for level in levels]
@@ -233,20 +158,7 @@ def fit_softening(
 
 
 def stop_operators(command: Array, thresholds: Sequence[float]) -> Array:
-    """Stop operators of periodic commands in the periodic steady state.
-
-    Parameters
-    ----------
-    command
-        Commands (N, m, records), V.
-    thresholds
-        Thresholds (T,), V.
-
-    Returns
-    -------
-    Array
-        (N, T m, records), V, the thresholds one after the other.
-    """
+    """Stop operators of periodic commands in the periodic steady state."""
     found = [np.zeros((len(command), 0, command.shape[2]))]
     for threshold in thresholds:
         held, stopped = np.zeros(command.shape[1:]), np.empty_like(command)
@@ -272,30 +184,7 @@ def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> 
 def refine_scheduled(
     data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
 ) -> tuple[Scheduled, int, Array]:
-    """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton.
-
-    Parameters
-    ----------
-    data, g
-        Spectra of each level, and its g.
-    start
-        Parameters to begin with.
-    inputs
-        Inputs whose gains change.
-    iterations
-        Most steps.
-    tolerance
-        Share of the cost that a step must gain for the search to go on.
-
-    Returns
-    -------
-    point : Scheduled
-        The fitted parameters.
-    count : int
-        How many of them are free.
-    sigma : Array
-        Standard deviations (n, 2) of the poles' decay and frequency.
-    """
+    """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton."""
     problems = [Problem([part], start.centre) for part in data]
     layout, free = problems[0].layout, problems[0].free
     n, m = start.centre.inputs.shape
@@ -396,24 +285,7 @@ def _per_second(sigma: Array, sample_time: float) -> Array:
 
 
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
-    """Transform periodic records at their excited lines; sums of squares are those of the samples times weight².
-
-    Parameters
-    ----------
-    command
-        Commands (N, m, records).
-    measurement
-        Measurements (N, p, records).
-    weight
-        Weight of the records.
-    every_line
-        Take all lines.
-
-    Returns
-    -------
-    Spectra
-        The spectra.
-    """
+    """Transform periodic records at their excited lines; sums of squares are those of the samples times weight²."""
     u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
     lines = np.arange(1, (len(command) + 1) // 2) if every_line else excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
     scale = weight * np.sqrt(2.0 / len(command))
@@ -433,34 +305,7 @@ def stage_of(
     stop_mean: Array | None = None,
     product_mean: Array | None = None,
 ) -> SofteningModal:
-    """Construct the stage; inputs beyond the number of outputs are those of the force, of the stop operators and of the products.
-
-    Parameters
-    ----------
-    scheduled
-        Linear models along the schedule.
-    reference
-        Reference amplitude.
-    sample_time
-        Sample time, s.
-    memory
-        Time constant of the amplitude, s.
-    exponent
-        Exponent of the schedule, one or one an axis.
-    elongation
-        Map from the states to the elongation.
-    mean
-        Mean amplitude.
-    stops, stop_mean
-        Thresholds of the stop operators, V, and their average gains.
-    product_mean
-        Average of the products, none or one a pair of actuators.
-
-    Returns
-    -------
-    SofteningModal
-        The stage.
-    """
+    """Construct the stage; inputs beyond the number of outputs are those of the force, of the stop operators and of the products."""
     model = scheduled.centre
     n, m = model.inputs.shape
     outputs = model.feedthrough.shape[0]

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from typing import Annotated
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -40,43 +41,16 @@ MEDIAN = 0.4549
 
 @dataclass(frozen=True, eq=False)
 class ErrorSpectrum:
-    """Power density of a model's own error beyond the white noise.
+    """Power density of a model's own error beyond the white noise."""
 
-    Parameters
-    ----------
-    frequencies : ndarray, shape (F,)
-        Ascending, Hz.
-    power : ndarray, shape (F, A)
-        Expected square of an orthonormal cosine coefficient, measurement unit squared.
-    noise : ndarray, shape (A,)
-        White noise of the clean records, rms, measurement unit: what takes it off at high frequencies leaves it at low ones.
-    """
-
-    frequencies: Array
-    power: Array
-    noise: Array
+    frequencies: Annotated[Array, "F"]  # Ascending, Hz
+    power: Annotated[Array, "F A"]  # Expected square of an orthonormal cosine coefficient, measurement unit squared
+    # White noise of the clean records, rms, measurement unit: what takes it off at high frequencies leaves it at low ones
+    noise: Annotated[Array, "A"]
 
     @classmethod
     def of(cls, errors: Sequence[Array], sample_time: float, rows: int, slowest: float, factor: float = 1.0) -> ErrorSpectrum:
-        """Estimate the spectrum from errors on clean records.
-
-        Parameters
-        ----------
-        errors : sequence of ndarray, shape (N, A)
-            What the model leaves, zero and drift taken off, measurement unit.
-        sample_time : float
-            s.
-        rows : int
-            Rows of the record that it is used for: a line's power grows with the length of a record.
-        slowest : float
-            Lowest frequency that a command excites, Hz.
-        factor : float
-            Of the power, the white noise left as it is.
-
-        Returns
-        -------
-        ErrorSpectrum
-        """
+        """Estimate the spectrum from errors on clean records."""
         nyquist = 0.5 / sample_time
         frequencies = nyquist * np.arange(rows) / rows
         power, noise = np.zeros((rows, errors[0].shape[1])), np.zeros(errors[0].shape[1])
@@ -87,23 +61,11 @@ class ErrorSpectrum:
             power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
         return cls(frequencies, power, np.sqrt(noise))
 
-    def with_slow_part(self, known: ErrorSpectrum, excited: Array) -> ErrorSpectrum:
+    def with_slow_part(self, known: ErrorSpectrum, excited: Annotated[Array, "F A"]) -> ErrorSpectrum:
         """Replace the slow part by that of fewer rows, up to where this spectrum first falls below the white noise.
 
         Lines far above the command are those of this spectrum, since more rows show them better. And what the fewer rows do not excite
         tells no error of the model.
-
-        Parameters
-        ----------
-        known : ErrorSpectrum
-            At the same frequencies, of rows in which nothing slow is left of the time before the records.
-        excited : ndarray, shape (F, A)
-            Power of the command in all rows, as a factor of that in the fewer ones.
-
-        Returns
-        -------
-        ErrorSpectrum
-            Nowhere above this one.
         """
         slow = np.cumsum(self.power < self.noise**2, axis=0) == 0
         # What lies below the noise in the fewer rows may be as large as that.
@@ -111,60 +73,23 @@ class ErrorSpectrum:
         lower = np.minimum(self.power, most)
         return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
 
-    def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Array) -> ErrorSpectrum:
+    def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Annotated[Array, "A"]) -> ErrorSpectrum:
         """Foresee the error on new records, whose commands drive some frequencies more than those of the clean ones did.
 
         A model that leaves a share of its output at a frequency leaves that share of more output too; where the clean records' commands
         drive next to nothing, they say nothing of the model, and its error is taken to be the usual share of its output.
-
-        Parameters
-        ----------
-        known, new : ErrorSpectrum
-            Of the model's output on the clean records and on the new ones, at the same frequencies.
-        relative : ndarray, shape (A,)
-            Rms of the error, as a share of the output's.
-
-        Returns
-        -------
-        ErrorSpectrum
-            Nowhere below this one.
         """
         more = np.minimum(new.power / np.maximum(known.power, 1e-300), MOST_MORE)
         foreseen = more * self.power
         beyond = relative**2 * np.maximum(new.power - MUCH_MORE * known.power, 0.0)
         return ErrorSpectrum(self.frequencies, np.maximum(self.power, np.maximum(foreseen, beyond)), self.noise)
 
-    def rms(self, sigma: Array) -> Array:
-        """Size of own error and noise together.
-
-        Parameters
-        ----------
-        sigma : ndarray, shape (A,)
-            White noise, rms, measurement unit.
-
-        Returns
-        -------
-        ndarray, shape (A,)
-            Rms, measurement unit.
-        """
+    def rms(self, sigma: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
+        """Size of own error and noise together."""
         return np.asarray(np.sqrt(np.mean(self.power, axis=0) + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)
 
-    def gain(self, rows: int, sigma: Array, sample_time: float) -> Array:
-        """Factors of the cosine coefficients that make own error and noise white.
-
-        Parameters
-        ----------
-        rows : int
-            Rows N of the record.
-        sigma : ndarray, shape (A,)
-            White noise, rms, measurement unit.
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        ndarray, shape (N, A)
-        """
+    def gain(self, rows: int, sigma: Annotated[Array, "A"], sample_time: float) -> Annotated[Array, "N A"]:
+        """Factors of the cosine coefficients that make own error and noise white."""
         at = 0.5 / sample_time * np.arange(rows) / rows
         power = np.stack([np.interp(at, self.frequencies, column) for column in self.power.T], axis=1)
         return np.asarray(sigma / np.sqrt(power + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)
@@ -198,18 +123,6 @@ def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> tu
     return np.asarray(np.maximum(np.maximum(longer * found, broad), 0.0), dtype=np.float64), noise
 
 
-def filtered(rows: Array, gain: Array) -> Array:
-    """Multiply the cosine coefficients of a record.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (N, A)
-        Any unit.
-    gain : ndarray, shape (N, A)
-        Factors of the coefficients, by ascending frequency.
-
-    Returns
-    -------
-    ndarray, shape (N, A)
-    """
+def filtered(rows: Annotated[Array, "N A"], gain: Annotated[Array, "N A"]) -> Annotated[Array, "N A"]:
+    """Multiply the cosine coefficients of a record."""
     return np.asarray(idct(gain * dct(rows, type=2, norm="ortho", axis=0), type=2, norm="ortho", axis=0), dtype=np.float64)

@@ -15,18 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import eigh
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import Array, CommandFeatures, rate_quantile
-from hyst_control.errors import InputError
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
-from hyst_control.records.row_store import mean_square, spread_parts
 from hyst_control.records.session_zero import basis, usual_zero, without_zero, zero_of
+from hyst_control.records.stream.row_store import mean_square, spread_parts
 
 SIZES = np.geomspace(0.01, 0.5, 15)
 """Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the
@@ -46,27 +46,13 @@ are."""
 
 @dataclass(frozen=True)
 class LearnedDiscrepancy:
-    """Learned error of one axis.
+    """Learned error of one axis."""
 
-    Parameters
-    ----------
-    features : CommandFeatures
-        Scales of the features.
-    mean : ndarray, shape (F,)
-        Mean of the weights, measurement unit.
-    factor : ndarray, shape (F, K)
-        Factor of the weights' covariance, measurement unit.
-    rest : float
-        Rms of what the features leave on the record where that is most, measurement unit.
-    correlation : float
-        Time of that rest per independent sample, s.
-    """
-
-    features: CommandFeatures
-    mean: Array
-    factor: Array
-    rest: float
-    correlation: float
+    features: CommandFeatures  # Scales of the features
+    mean: Annotated[Array, "F"]  # Mean of the weights, measurement unit
+    factor: Annotated[Array, "F K"]  # Factor of the weights' covariance, measurement unit
+    rest: float  # Rms of what the features leave on the record where that is most, measurement unit
+    correlation: float  # Time of that rest per independent sample, s
 
     def document(self) -> dict[str, Any]:
         """Convert to the form in a model file."""
@@ -78,41 +64,13 @@ class LearnedDiscrepancy:
             "correlation": _rounded(self.correlation),
         }
 
-    def predicted(self, command: Array, sample_time: float) -> Array:
-        """Predict the error on a command.
-
-        Parameters
-        ----------
-        command : ndarray, shape (N,)
-            V.
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            Mean, measurement unit.
-        """
+    def predicted(self, command: Annotated[Array, "N"], sample_time: float) -> Annotated[Array, "N"]:
+        """Predict the error on a command."""
         return np.concatenate([block @ self.mean for _, block in self.features.blocks(command, sample_time)])
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> LearnedDiscrepancy:
-        """Read the form in a model file.
-
-        Parameters
-        ----------
-        document : mapping
-            As `document` makes it.
-
-        Returns
-        -------
-        LearnedDiscrepancy
-
-        Raises
-        ------
-        InputError
-            If an entry is missing, or has another shape.
-        """
+        """Read the form in a model file."""
         try:
             features = CommandFeatures.from_document(document["features"])
             mean, factor = (np.asarray(document[name], dtype=float) for name in ("mean", "factor"))
@@ -143,22 +101,7 @@ class _Sums:
 
 
 def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> LearnedDiscrepancy | None:
-    """Learn what a model leaves on clean records of one axis.
-
-    Parameters
-    ----------
-    commands : sequence of ndarray, shape (N,)
-        Commands, V.
-    errors : sequence of ndarray, shape (M,)
-        Measured minus simulated at the last M rows of each command, measurement unit.
-    sample_time : float
-        Sample time, s.
-
-    Returns
-    -------
-    LearnedDiscrepancy or None
-        None where the features predict too little of it on other commands, or there is one command only.
-    """
+    """Learn what a model leaves on clean records of one axis."""
     groups = _groups(commands, sample_time)
     if len(groups) < 2:
         return None  # records of one command do not tell what holds on another
@@ -195,24 +138,7 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
 def discrepancy_of(
     commands: Sequence[Array], errors: Sequence[Array], sample_time: float, measurements: Sequence[Array] | None = None
 ) -> dict[str, Any]:
-    """Describe a model's errors on clean records, in the form of a model file.
-
-    Parameters
-    ----------
-    commands : sequence of ndarray, shape (N, A)
-        Commands, V.
-    errors : sequence of ndarray, shape (M, A)
-        Measured minus simulated at the last M rows of each command, measurement unit.
-    sample_time : float
-        Sample time, s.
-    measurements : sequence of ndarray, shape (M, A), optional
-        At the same rows, measurement unit; without them no spectrum is stated.
-
-    Returns
-    -------
-    dict
-        See `Model`.
-    """
+    """Describe a model's errors on clean records, in the form of a model file."""
     rest = [without_zero(error)[0] for error in errors]
     learned = [
         learn([command[:, axis] for command in commands], [error[:, axis] for error in errors], sample_time)
@@ -253,18 +179,7 @@ def _spectrum(
 
 
 def session_zeros(errors: Sequence[Array]) -> dict[str, Any]:
-    """Describe the zeros of clean sessions, in the form of a model file.
-
-    Parameters
-    ----------
-    errors : sequence of ndarray, shape (M, A)
-        Measured minus simulated, by record, measurement unit.
-
-    Returns
-    -------
-    dict
-        `zero_mean`, and `zero` where there are several records; see `Model`.
-    """
+    """Describe the zeros of clean sessions, in the form of a model file."""
     zeros = np.array([without_zero(error)[1] for error in errors])
     found: dict[str, Any] = {"zero_mean": np.mean(zeros, axis=0).tolist()}
     return found | ({"zero": usual_zero(zeros).tolist()} if len(zeros) > 1 else {})
@@ -352,15 +267,7 @@ def _crossed(
     rest: float,
     length: float,
 ) -> tuple[float, float]:
-    """Predict the records of every command from those of the others.
-
-    Returns
-    -------
-    energy : float
-        Mean square of what is left.
-    further : float
-        Factor, at least 1, by which this exceeds what was foreseen (rms).
-    """
+    """Predict the records of every command from those of the others."""
     sums = [_total([_sums(designs[i], targets[i], counts[i]) for i in group]) for group in groups]
     energy, foreseen, count = 0.0, 0.0, 0
     for index, group in enumerate(groups):

@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Array
-from hyst_control.errors import InputError
 from hyst_control.identify.data.excited_band import lowest_frequency
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
-from hyst_control.records.row_store import spread_parts
 from hyst_control.records.session_zero import without_zero
+from hyst_control.records.stream.row_store import spread_parts
 
 BANDS = 6
 """Bands an octave."""
@@ -30,34 +30,17 @@ DIGITS = 3
 
 @dataclass(frozen=True, eq=False)
 class StatedSpectrum:
-    """Spectrum of the own error of one axis.
+    """Spectrum of the own error of one axis."""
 
-    Parameters
-    ----------
-    frequencies : ndarray, shape (F,)
-        Lower edges of the bands, ascending from 0, Hz.
-    error : ndarray, shape (F,)
-        Largest power of the error in each band, beyond the white noise: square of an orthonormal cosine coefficient of a record of
-        `rows` rows, measurement unit squared.
-    rest : ndarray, shape (F,)
-        The same of what the learned part of the error leaves.
-    output : ndarray, shape (F,)
-        The same of the model's output.
-    output_rms : float
-        Rms of that output, without zero and drift, measurement unit.
-    noise : float
-        White noise of the records, rms, measurement unit.
-    rows : int
-        Rows of the record that the power is of: that of lines grows with them.
-    """
-
-    frequencies: Array
-    error: Array
-    rest: Array
-    output: Array
-    output_rms: float
-    noise: float
-    rows: int
+    frequencies: Annotated[Array, "F"]  # Lower edges of the bands, ascending from 0, Hz
+    # Largest power of the error in each band, beyond the white noise: square of an orthonormal cosine coefficient of a record of
+    # `rows` rows, measurement unit squared
+    error: Annotated[Array, "F"]
+    rest: Annotated[Array, "F"]  # The same of what the learned part of the error leaves
+    output: Annotated[Array, "F"]  # The same of the model's output
+    output_rms: float  # Rms of that output, without zero and drift, measurement unit
+    noise: float  # White noise of the records, rms, measurement unit
+    rows: int  # Rows of the record that the power is of: that of lines grows with them
 
     @classmethod
     def of(
@@ -68,25 +51,7 @@ class StatedSpectrum:
         measurements: Sequence[Array],
         sample_time: float,
     ) -> StatedSpectrum:
-        """Estimate the spectrum from clean records.
-
-        Parameters
-        ----------
-        commands : sequence of ndarray, shape (M,)
-            V.
-        errors : sequence of ndarray, shape (N,)
-            At the last rows of each command, measured minus simulated, measurement unit.
-        rests : sequence of ndarray, shape (N,)
-            What the learned part leaves of them; `errors` where none is learned.
-        measurements : sequence of ndarray, shape (N,)
-            At the same rows, measurement unit.
-        sample_time : float
-            s.
-
-        Returns
-        -------
-        StatedSpectrum
-        """
+        """Estimate the spectrum from clean records."""
         kept = [_parts(len(error)) for error in errors]
         counted = [command[len(command) - len(error) :] for command, error in zip(commands, errors, strict=True)]
         slowest = lowest_frequency(_cut(counted, kept), sample_time)
@@ -118,22 +83,7 @@ class StatedSpectrum:
 
     @classmethod
     def from_document(cls, document: Any) -> StatedSpectrum:
-        """Read the form in a model file.
-
-        Parameters
-        ----------
-        document : mapping
-            As `document` makes it.
-
-        Returns
-        -------
-        StatedSpectrum
-
-        Raises
-        ------
-        InputError
-            If an entry is missing, or is not what `document` makes.
-        """
+        """Read the form in a model file."""
         try:
             rows, noise, size = int(document["rows"]), float(document["noise"]), float(document["output_rms"])
             frequencies, error, output = (np.asarray(document[name], dtype=float) for name in ("frequencies", "error", "output"))
@@ -160,18 +110,7 @@ class StatedSpectrum:
 
 
 def band_edges(rows: int) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """First cosine coefficient of each band.
-
-    Parameters
-    ----------
-    rows : int
-        Coefficients.
-
-    Returns
-    -------
-    ndarray of int, shape (F,)
-        Ascending from 0.
-    """
+    """First cosine coefficient of each band."""
     edges = np.rint(2.0 ** (np.arange(int(BANDS * np.log2(rows)) + 1) / BANDS)).astype(np.int64)
     return np.unique(np.concatenate([[0], edges[edges < rows]]))
 
@@ -181,31 +120,10 @@ def spectrum_on_new_records(
     outputs: Sequence[Array],
     sample_time: float,
     slowest: float,
-    relative: Array,
+    relative: Annotated[Array, "A"],
     with_learned: bool,
 ) -> ErrorSpectrum:
-    """Foresee the spectrum of the own error on new records.
-
-    Parameters
-    ----------
-    stated : sequence of StatedSpectrum
-        By axis.
-    outputs : sequence of ndarray, shape (N, A)
-        Output of the model on the new records, zero and drift taken off, measurement unit.
-    sample_time : float
-        Of the new records, s.
-    slowest : float
-        Lowest frequency that their commands excite, Hz.
-    relative : ndarray, shape (A,)
-        Rms of the error, as a share of the output's.
-    with_learned : bool
-        Whether the learned part of the error is foreseen apart from it.
-
-    Returns
-    -------
-    ErrorSpectrum
-        Of the longest of the records.
-    """
+    """Foresee the spectrum of the own error on new records."""
     rows = max(map(len, outputs))
     frequencies = 0.5 / sample_time * np.arange(rows) / rows
     bands = [np.searchsorted(one.frequencies, frequencies, side="right") - 1 for one in stated]

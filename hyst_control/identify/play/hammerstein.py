@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
@@ -21,8 +22,7 @@ from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit
 from hyst_control.identify.solve.gram_sums import Operators, Window
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
-from hyst_control.parallel import map_forked
-from hyst_control.records.row_store import largest_change, largest_size
+from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
 LEAST_FOR_LOADING = 6
@@ -33,22 +33,15 @@ LEAST_IMPROVEMENT = 0.03
 
 @dataclass(frozen=True)
 class OperatorOptions(Options):
-    """Options of a fit of play operators.
+    """Options of a fit of play operators."""
 
-    Parameters
-    ----------
-    operators
-        Number of play operators, where `thresholds` does not list them.
-    thresholds
-        Increasing thresholds in place of the default ones, V.
-    nuisance
-        Offset or drift that each record may add.
-    """
-
+    # Number of play operators, where `thresholds` does not list them
     operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
+    # Increasing thresholds in place of the default ones, V
     thresholds: tuple[float, ...] | None = option(
         None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
     )
+    # Offset or drift that each record may add
     nuisance: str = nuisance_option("linear", methods=("joint",))
 
     def check(self) -> None:
@@ -58,56 +51,23 @@ class OperatorOptions(Options):
 
 @dataclass(frozen=True)
 class PlayOptions(OperatorOptions):
-    """Options of a fit of one-sided or two-sided play operators.
+    """Options of a fit of one-sided or two-sided play operators."""
 
-    Parameters
-    ----------
-    one_sided
-        One-sided play operators.
-    """
-
-    one_sided: bool = option(False, TRUTH, "one-sided play operators")
+    one_sided: bool = option(False, TRUTH, "one-sided play operators")  # One-sided play operators
 
 
 @dataclass(frozen=True)
 class HammersteinOptions(PlayOptions):
-    """Options of a fit of play operators in front of dynamics.
+    """Options of a fit of play operators in front of dynamics."""
 
-    Parameters
-    ----------
-    method
-        "joint" or "paper".
-    structure
-        Factors of G(s); None: chosen on held-out stretches.
-    """
-
-    method: str = methods_option("joint", "paper")
-    structure: Structure | None = structure_option()
+    method: str = methods_option("joint", "paper")  # "joint" or "paper"
+    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
 
 
 def axis_problem(
     datasets: Sequence[Dataset], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
 ) -> Problem:
-    """Set up the fit of one axis to all its records.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    axis
-        Index of the axis.
-    options
-        Options of the fit.
-    one_sided
-        One-sided play operators.
-    dynamic
-        Weights that follow the command's rate and level.
-
-    Returns
-    -------
-    Problem
-        The problem.
-    """
+    """Set up the fit of one axis to all its records."""
     windows = whole_records(datasets, axis)
     operators = default_operators(windows, options, one_sided=one_sided, dynamic=dynamic)
     travel = max(np.ptp(window.measurement) for window in windows)
@@ -117,18 +77,7 @@ def axis_problem(
 
 
 def fit_static(problem: Problem) -> AxisFit:
-    """Identify the weights of one axis without dynamics.
-
-    Parameters
-    ----------
-    problem
-        One axis of all records.
-
-    Returns
-    -------
-    AxisFit
-        Weights of the play operators.
-    """
+    """Identify the weights of one axis without dynamics."""
     structure = Structure()
     chosen = solve(problem, structure, structure.start(1.0))
     final = solve(problem, structure, structure.start(1.0), everything=True)
@@ -136,20 +85,7 @@ def fit_static(problem: Problem) -> AxisFit:
 
 
 def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
-    """Identify the weights of one axis and G(s) behind them.
-
-    Parameters
-    ----------
-    problem
-        One axis of all records.
-    structure
-        Factors of G(s); None: chosen on held-out stretches.
-
-    Returns
-    -------
-    AxisFit
-        Weights and dynamics.
-    """
+    """Identify the weights of one axis and G(s) behind them."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
     tried: list[Solution] = []
     chosen = choose_structure(selection, structure, tried.append)
@@ -165,22 +101,6 @@ def default_operators(
 
     They begin at 0 and are closer together where most reversals engage them, up to half the drive; two more are for the first
     loading, unless there are fewer than `LEAST_FOR_LOADING`.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    options
-        Options of the fit.
-    one_sided
-        One-sided play operators.
-    dynamic
-        Weights that follow the command's rate and level.
-
-    Returns
-    -------
-    Operators
-        The play operators.
     """
     highest = max(largest_size(window.command) for window in windows)
     span = max(float(np.ptp(window.command)) for window in windows)
@@ -198,22 +118,7 @@ def default_operators(
 
 
 def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
-    """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite.
-
-    Parameters
-    ----------
-    problem
-        One axis of stretches of the records.
-    given
-        Factors to use without a choice.
-    report
-        Is told every solution that is compared.
-
-    Returns
-    -------
-    Solution
-        The solution with the chosen structure.
-    """
+    """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite."""
     if given is not None:
         return solve(problem, given, given.start(_start_frequency(problem)))
     plain = Structure(highest=REACH * excited_band(problem.windows))
@@ -263,16 +168,6 @@ def fit_rate_dependent(problem: Problem) -> AxisFit:
     """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics.
 
     β is found by a golden-section search on the error.
-
-    Parameters
-    ----------
-    problem
-        One axis of all records.
-
-    Returns
-    -------
-    AxisFit
-        Weights and β.
     """
     structure = Structure()
     fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)

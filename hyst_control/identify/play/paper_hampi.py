@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.data.record_segmentation import Stretch, select_stretches
@@ -29,24 +29,7 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 
 
 def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
-    """Identify a model in the paper's three steps.
-
-    Parameters
-    ----------
-    datasets
-        Records.
-    family
-        Name of the model family.
-    options
-        Options of the fit.
-    dynamic
-        True for weights that follow the rate, False to leave out the last step.
-
-    Raises
-    ------
-    InputError
-        The records lack an experiment; the text names it.
-    """
+    """Identify a model in the paper's three steps."""
     check_records(datasets)
     axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
     return assemble(datasets, family, "paper", axes)

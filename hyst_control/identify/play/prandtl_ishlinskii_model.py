@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 
@@ -28,49 +28,19 @@ SENSOR_OFFSET = 0.01
 
 @dataclass(frozen=True)
 class AxisFit:
-    """Fit of one axis.
+    """Fit of one axis."""
 
-    Parameters
-    ----------
-    solution
-        Solution on all rows.
-    operators
-        The play operators.
-    held_out
-        Mean square error on the stretches held out.
-    rate_dependent
-        Thresholds that widen with the command's rate.
-    dynamics
-        Dynamics behind the operators were looked for.
-    tried
-        Solutions of the structures that were compared, on the rows of the selection.
-    """
-
-    solution: Solution
-    operators: Operators
-    held_out: float
-    rate_dependent: bool = False
-    dynamics: bool = True
+    solution: Solution  # Solution on all rows
+    operators: Operators  # The play operators
+    held_out: float  # Mean square error on the stretches held out
+    rate_dependent: bool = False  # Thresholds that widen with the command's rate
+    dynamics: bool = True  # Dynamics behind the operators were looked for
+    # Solutions of the structures that were compared, on the rows of the selection
     tried: tuple[Solution, ...] = ()
 
 
 def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
-    """Assemble the model of all axes, with standard errors as tolerances, and its report.
-
-    Parameters
-    ----------
-    datasets
-        The records.
-    family, method
-        Model family, and "joint" or "paper".
-    axes
-        A fit an axis.
-
-    Returns
-    -------
-    Fit
-        Model and report.
-    """
+    """Assemble the model of all axes, with standard errors as tolerances, and its report."""
     first = datasets[0]
     model = chain_model(datasets, merge_axes([axis_stages(axis) for axis in axes]), f"{family}_{method}")
     travel = [max(float(data.range[i]) for data in datasets) for i in range(len(first.axes))]
@@ -96,22 +66,7 @@ def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequen
 
 
 def structure_rows(axis: AxisFit, name: str, span: float) -> list[StructureRow]:
-    """List the structures of G(s) that were compared for one axis.
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-    name
-        Name of the axis.
-    span
-        Range of the measurement.
-
-    Returns
-    -------
-    list[StructureRow]
-        A row a structure; where one was met several times, its best.
-    """
+    """List the structures of G(s) that were compared for one axis."""
     best: dict[Structure, Solution] = {}
     for solution in axis.tried:
         known = best.get(solution.structure)
@@ -130,18 +85,7 @@ def structure_rows(axis: AxisFit, name: str, span: float) -> list[StructureRow]:
 
 
 def axis_covariance(axis: AxisFit) -> Array:
-    """Covariance of the parameters of one axis: linear ones, then those of G(s).
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-
-    Returns
-    -------
-    Array
-        Covariance (J + P, J + P), errors of the model included.
-    """
+    """Covariance of the parameters of one axis: linear ones, then those of G(s)."""
     solution = axis.solution
     size = solution.structure.size
     spread = covariance(solution.grams.blocks, np.concatenate([solution.theta, np.zeros(size), solution.nuisances]))
@@ -150,20 +94,7 @@ def axis_covariance(axis: AxisFit) -> Array:
 
 
 def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
-    """Uncertainty of the model of all axes, which are fitted independently.
-
-    Parameters
-    ----------
-    axes
-        A fit an axis.
-    names
-        Names of the axes.
-
-    Returns
-    -------
-    Uncertainty
-        Of the numbers of the model's chain.
-    """
+    """Uncertainty of the model of all axes, which are fitted independently."""
 
     def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
         chains = []
@@ -180,18 +111,7 @@ def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
 
 
 def parameter_sizes(axis: AxisFit) -> Array:
-    """Sizes (J,) of the linear parameters of one axis, by the columns that they multiply.
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-
-    Returns
-    -------
-    Array
-        Changes of the parameters that move the output by as much as all operators together, divided by their number.
-    """
+    """Sizes (J,) of the linear parameters of one axis, by the columns that they multiply."""
     columns = len(axis.solution.theta)
     power = np.sqrt(np.maximum(np.diag(axis.solution.grams.fitted + axis.solution.grams.held_out), 0.0))
     found: Array = power[-1] / np.maximum(power[:columns], 1e-12 * power[:columns].max()) / columns
@@ -199,18 +119,7 @@ def parameter_sizes(axis: AxisFit) -> Array:
 
 
 def axis_stages(axis: AxisFit) -> list[Stage]:
-    """Construct the chain of one axis: hysteresis, then its delay and dynamics.
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-
-    Returns
-    -------
-    list[Stage]
-        The stages.
-    """
+    """Construct the chain of one axis: hysteresis, then its delay and dynamics."""
     operators, theta = axis.operators, axis.solution.theta
     thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
     if axis.operators.dynamic:
@@ -235,18 +144,7 @@ def axis_stages(axis: AxisFit) -> list[Stage]:
 
 
 def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
-    """Merge chains of single axes into one with per-axis parameters; missing delays are 0, missing dynamics 1.
-
-    Parameters
-    ----------
-    chains
-        A chain an axis.
-
-    Returns
-    -------
-    tuple[Stage, ...]
-        The stages of all axes.
-    """
+    """Merge chains of single axes into one with per-axis parameters; missing delays are 0, missing dynamics 1."""
     if len(chains) == 1:
         return tuple(chains[0])
     merged: list[Stage] = []
@@ -271,20 +169,7 @@ def merge_axes(chains: Sequence[Sequence[Stage]]) -> tuple[Stage, ...]:
 
 
 def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
-    """List every parameter with its value, unit and standard error (None where the data cannot give one).
-
-    Parameters
-    ----------
-    axis
-        Fit of the axis.
-    data
-        A record, for the unit.
-
-    Returns
-    -------
-    list[ParameterRow]
-        A row a parameter.
-    """
+    """List every parameter with its value, unit and standard error (None where the data cannot give one)."""
     solution, operators = axis.solution, axis.operators
     spread = axis_covariance(axis)
     errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
@@ -325,21 +210,8 @@ def parameter_rows(axis: AxisFit, data: Dataset) -> list[ParameterRow]:
     return rows
 
 
-def dynamics_rows(solution: Solution, spread: Array) -> list[ParameterRow]:
-    """List the coefficients of G and the delay, with errors propagated from the parameters of the search.
-
-    Parameters
-    ----------
-    solution
-        Solution of the fit.
-    spread
-        Covariance (P, P) of the parameters of the search.
-
-    Returns
-    -------
-    list[ParameterRow]
-        A row a coefficient.
-    """
+def dynamics_rows(solution: Solution, spread: Annotated[Array, "P P"]) -> list[ParameterRow]:
+    """List the coefficients of G and the delay, with errors propagated from the parameters of the search."""
     structure, parameters = solution.structure, solution.parameters
 
     def coefficients(vector: Array) -> Array:

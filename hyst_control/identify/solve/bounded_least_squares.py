@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.stats import norm
@@ -13,22 +15,12 @@ LEAST_REST = 1e-4
 """Share of what a block tells of a parameter that the others tell at least: no score grows beyond it."""
 
 
-def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Array:
+def solve_bounded(
+    gram: Annotated[Array, "K K"], target: Annotated[Array, "K K"], lower: Annotated[Array, "K"], upper: Annotated[Array, "K"]
+) -> Annotated[Array, "K"]:
     """Minimize x' gram x - 2 target' x within bounds.
 
     Columns are scaled to unit length first; directions that the data do not show keep the smallest solution.
-
-    Parameters
-    ----------
-    gram, target
-        Normal equations (K, K) and (K,).
-    lower, upper
-        Bounds (K,), infinite where there are none.
-
-    Returns
-    -------
-    Array
-        The minimum x (K,).
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / scale[:, None] / scale
@@ -46,26 +38,13 @@ def solve_bounded(gram: Array, target: Array, lower: Array, upper: Array) -> Arr
     return bounded
 
 
-def cost(gram: Array, solution: Array) -> float:
-    """Return the sum of squared residuals of a solution.
-
-    Parameters
-    ----------
-    gram
-        Gram matrix (K + 1, K + 1) of [columns, y].
-    solution
-        Coefficients (K,) of the columns.
-
-    Returns
-    -------
-    float
-        Sum of squares, never negative.
-    """
+def cost(gram: Array, solution: Annotated[Array, "K"]) -> float:
+    """Return the sum of squared residuals of a solution."""
     vector = np.append(solution, -1.0)
     return max(float(vector @ gram @ vector), 0.0)
 
 
-def covariance(blocks: Array, solution: Array) -> Array:
+def covariance(blocks: Annotated[Array, "B K + 1 K + 1"], solution: Annotated[Array, "K"]) -> Annotated[Array, "K K"]:
     """Estimate the covariance of a least-squares solution from blocks of rows.
 
     The sandwich estimate with blocks as clusters (Liang and Zeger, Biometrika 73, 1986): residuals may be correlated within a
@@ -74,18 +53,6 @@ def covariance(blocks: Array, solution: Array) -> Array:
     solution without its block (the jackknife), and where few blocks decide, deviations are widened by Student's distribution, so that
     normal 90 % intervals hold (Bell and McCaffrey, Survey Methodology 28, 2002); and residuals that go on over the edge of a block
     correlate its score with its neighbors' (Newey and West, Econometrica 55, 1987).
-
-    Parameters
-    ----------
-    blocks
-        Gram matrices (B, K + 1, K + 1) of the blocks of [columns, y], in the order of time.
-    solution
-        Least-squares solution (K,).
-
-    Returns
-    -------
-    Array
-        Covariance (K, K).
     """
     gram = blocks.sum(axis=0)[:-1, :-1]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))

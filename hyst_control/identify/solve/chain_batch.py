@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TypeGuard
+from typing import Annotated, TypeGuard
 
 import numpy as np
 from numba import njit
@@ -31,37 +31,18 @@ NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True)
 class Node:
-    """One step of some chains: a filter behind another node, or the sum of several nodes.
+    """One step of some chains: a filter behind another node, or the sum of several nodes."""
 
-    Parameters
-    ----------
-    before
-        Numbers of the nodes whose outputs enter.
-    running
-        The filter; None for a sum.
-    hold
-        Hold of the output, "zoh" or "foh".
-    depth
-        Number of nodes in a row that come before it.
-    """
-
-    before: tuple[int, ...]
-    running: Filter | None
-    hold: str
-    depth: int
+    before: tuple[int, ...]  # Numbers of the nodes whose outputs enter
+    running: Filter | None  # The filter; None for a sum
+    hold: str  # Hold of the output, "zoh" or "foh"
+    depth: int  # Number of nodes in a row that come before it
 
 
 class Bundle:
     """Running chains of one axis with a common input.
 
     The outputs are those of each chain run by itself, with the same two calls.
-
-    Parameters
-    ----------
-    chains
-        Stages of every chain.
-    sampling
-        Sample time and hold of the input.
     """
 
     def __init__(self, chains: Sequence[Sequence[Stage]], sampling: Sampling) -> None:
@@ -73,13 +54,7 @@ class Bundle:
         self._steps = [(numbers, self._run(numbers)) for numbers in alike(self.nodes)]
 
     def settle(self, value: float) -> None:
-        """Come to rest at a constant input.
-
-        Parameters
-        ----------
-        value
-            The input.
-        """
+        """Come to rest at a constant input."""
         signals: list[Array] = [np.empty(0)] * len(self.nodes) + [np.full(1, value)]
         for numbers, running in self._steps:
             inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
@@ -90,19 +65,8 @@ class Bundle:
             else:
                 signals[numbers[0]] = running.settle(inputs[0][0]) if running else np.sum(inputs[0], axis=0)
 
-    def process(self, block: Array) -> list[Array]:
-        """Compute the chains' outputs for the next block of the input.
-
-        Parameters
-        ----------
-        block
-            Input (N, 1), which continues the block before.
-
-        Returns
-        -------
-        list[Array]
-            An output (N,) a chain; equal chains have the same array.
-        """
+    def process(self, block: Annotated[Array, "N 1"]) -> list[Array]:
+        """Compute the chains' outputs for the next block of the input."""
         signals: list[Array] = [np.empty(0)] * len(self.nodes) + [block[:, 0]]
         for numbers, running in self._steps:
             inputs = [[signals[before] for before in self.nodes[number].before] for number in numbers]
@@ -221,18 +185,7 @@ def decayed(transition: Array, output: Array, state: Array, found: Array) -> Non
 
 
 def alike(nodes: Sequence[Node]) -> list[list[int]]:
-    """Order nodes so that they can be run; linear systems of one depth and order are one step.
-
-    Parameters
-    ----------
-    nodes
-        All nodes.
-
-    Returns
-    -------
-    list[list[int]]
-        Numbers of the nodes of every step.
-    """
+    """Order nodes so that they can be run; linear systems of one depth and order are one step."""
     steps: dict[tuple[int, ...], list[int]] = {}
     for number, node in enumerate(nodes):
         running = node.running
@@ -242,16 +195,5 @@ def alike(nodes: Sequence[Node]) -> list[list[int]]:
 
 
 def single(running: Filter | None) -> TypeGuard[LinearFilter]:
-    """Tell a filter of one linear system of one input from others.
-
-    Parameters
-    ----------
-    running
-        A filter; None for a sum.
-
-    Returns
-    -------
-    bool
-        True where it is one.
-    """
+    """Tell a filter of one linear system of one input from others."""
     return isinstance(running, LinearFilter) and running.a.shape[0] == 1 and running.c.shape[1] == 1

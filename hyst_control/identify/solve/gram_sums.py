@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -17,7 +18,7 @@ from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Discretised
 from hyst_control.chain.stage import Array, Sampling
 from hyst_control.identify.solve.stable_dynamics import Structure
-from hyst_control.records import row_store
+from hyst_control.records.stream import row_store
 
 BLOCK = 4096
 MOST_BLOCKS = 2048
@@ -29,41 +30,19 @@ NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 @njit(cache=True, error_model="numpy")
 def regressors(
-    command: Array,
+    command: Annotated[Array, "N"],
     rate_factor: float,
     center: float,
     thresholds: Array,
     release: Array,
     rate_gain: float,
     dynamic: bool,
-    theta: Array,
-    operators: Array,
-    previous: Array,
+    theta: Annotated[Array, "J"],
+    operators: Annotated[Array, "1"],
+    previous: Annotated[Array, "1"],
     output: Array,
 ) -> None:
-    """Compute φ_j (J rows) and Σ θ_j φ_j.
-
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    rate_factor
-        1 / sample time, 1/s.
-    center
-        Command about which the row of k is taken, V.
-    thresholds, release
-        Thresholds (n,) of the play operators and their release widths (n,), V.
-    rate_gain
-        Widening of the thresholds per rate |du/dt|, s.
-    dynamic
-        Add the rows of m1, m2 and k.
-    theta
-        Linear parameters (J,).
-    operators, previous
-        State: outputs of the operators (n,), last command (1,).
-    output
-        (J + 1, N), written.
-    """
+    """Compute φ_j (J rows) and Σ θ_j φ_j."""
     count, columns = thresholds.size, theta.size
     for row in range(command.size):
         u = command[row]
@@ -91,19 +70,8 @@ def regressors(
 
 
 @njit(cache=True, error_model="numpy")
-def gram_product(block: Array) -> Array:
-    """Compute block' block without BLAS, whose threads spin for longer than such a product takes.
-
-    Parameters
-    ----------
-    block
-        Tall block (N, K).
-
-    Returns
-    -------
-    Array
-        Gram matrix (K, K).
-    """
+def gram_product(block: Annotated[Array, "N K"]) -> Annotated[Array, "K K"]:
+    """Compute block' block without BLAS, whose threads spin for longer than such a product takes."""
     rows, columns = block.shape
     product = np.zeros((columns, columns))
     for row in range(0, rows - 3, 4):
@@ -124,39 +92,17 @@ def gram_product(block: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def weighted_columns(
-    raw: Array,
-    theta: Array,
+    raw: Annotated[Array, "N J + P"],
+    theta: Annotated[Array, "J"],
     step: float,
     first: int,
-    share: Array,
+    share: Annotated[Array, "N"],
     extra: int,
-    measurement: Array,
-    weight: Array,
-    block: Array,
+    measurement: Annotated[Array, "N"],
+    weight: Annotated[Array, "N"],
+    block: Annotated[Array, "N K"],
 ) -> None:
-    """Write rows of [θ columns, derivatives, nuisances, y], each times the root of its weight.
-
-    Parameters
-    ----------
-    raw
-        Rows (N, J + P): the regressors behind G, and their sum behind the neighbors of G.
-    theta
-        Linear parameters (J,).
-    step
-        Step of the derivatives by differences.
-    first
-        First row of `raw` that counts.
-    share
-        Place (N,) of a row within its record, from -0.5 to 0.5.
-    extra
-        Number of nuisances: 0, 1 (offset) or 2 (offset and drift).
-    measurement
-        Measurement (N,).
-    weight
-        Weights (N,), or (0,) where all rows weigh 1.
-    block
-        Rows (N, K), written.
-    """
+    """Write rows of [θ columns, derivatives, nuisances, y], each times the root of its weight."""
     columns = theta.size
     size = raw.shape[1] - columns
     last = columns + size + extra
@@ -177,27 +123,13 @@ def weighted_columns(
 
 @dataclass(frozen=True)
 class Operators:
-    """The play operators of one axis.
+    """The play operators of one axis."""
 
-    Parameters
-    ----------
-    thresholds
-        Thresholds (n,), V.
-    one_sided
-        One-sided play operators.
-    dynamic
-        Weights that follow the command's rate and level (m1, m2, k).
-    center
-        Command about which the level counts, V.
-    rate_gain
-        Thresholds widen to r + rate_gain |du/dt| (RDPI), s.
-    """
-
-    thresholds: Array
-    one_sided: bool = False
-    dynamic: bool = False
-    center: float = 0.0
-    rate_gain: float = 0.0
+    thresholds: Array  # Thresholds (n,), V
+    one_sided: bool = False  # One-sided play operators
+    dynamic: bool = False  # Weights that follow the command's rate and level (m1, m2, k)
+    center: float = 0.0  # Command about which the level counts, V
+    rate_gain: float = 0.0  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s
 
     @property
     def columns(self) -> int:
@@ -212,72 +144,39 @@ class Operators:
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a record.
+    """A stretch of a record."""
 
-    Parameters
-    ----------
-    command
-        Command (N,), V.
-    measurement
-        Measurement (N,).
-    sample_time
-        Sample time, s.
-    hold
-        Command between ticks: "zoh" or "foh".
-    skip
-        First row that counts.
-    group
-        Number of its record.
-    begin
-        Begin of the window as a fraction of its record: the drift nuisance runs over the whole record.
-    share
-        Length of the window as a fraction of its record.
-    memory
-        The command's turning points before the window, from rest: what the play operators remember.
-    weight
-        Weight of every row (N,), 1 where there is none.
-    """
-
-    command: Array
-    measurement: Array
-    sample_time: float
-    hold: str
-    skip: int
-    group: int
+    command: Annotated[Array, "N"]  # Command (N,), V
+    measurement: Annotated[Array, "N"]  # Measurement (N,)
+    sample_time: float  # Sample time, s
+    hold: str  # Command between ticks: "zoh" or "foh"
+    skip: int  # First row that counts
+    group: int  # Number of its record
+    # Begin of the window as a fraction of its record: the drift nuisance runs over the whole record
     begin: float = 0.0
-    share: float = 1.0
+    share: float = 1.0  # Length of the window as a fraction of its record
+    # The command's turning points before the window, from rest: what the play operators remember
     memory: Array | None = None
-    weight: Array | None = None
+    weight: Array | None = None  # Weight of every row (N,), 1 where there is none
 
 
 @dataclass(frozen=True)
 class Grams:
-    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y].
+    """Gram matrices of [θ columns, dynamics columns, nuisance columns, y]."""
 
-    Parameters
-    ----------
-    fitted
-        Gram matrix (K, K) of the rows fitted.
-    held_out
-        Gram matrix (K, K) of the rows held out.
-    rows
-        Numbers of rows fitted and held out.
-    blocks
-        Gram matrices (B, K, K) of the blocks: the spread between blocks gives the standard errors.
-    """
-
-    fitted: Array
-    held_out: Array
-    rows: tuple[int, int]
-    blocks: Array
+    fitted: Annotated[Array, "K K"]  # Gram matrix (K, K) of the rows fitted
+    held_out: Annotated[Array, "K K"]  # Gram matrix (K, K) of the rows held out
+    rows: tuple[int, int]  # Numbers of rows fitted and held out
+    # Gram matrices (B, K, K) of the blocks: the spread between blocks gives the standard errors
+    blocks: Annotated[Array, "B K K"]
 
 
 def gram_matrices(
     windows: Sequence[Window],
     operators: Operators,
     structure: Structure,
-    parameters: Array,
-    theta: Array,
+    parameters: Annotated[Array, "P"],
+    theta: Annotated[Array, "J"],
     nuisance: str,
     groups: int,
     step: float = 1e-4,
@@ -285,30 +184,6 @@ def gram_matrices(
     """Form the Gram matrices in one pass over every window.
 
     Columns: J of θ, then the derivatives by the P parameters of G, nuisances per record, y.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    operators
-        The play operators.
-    structure
-        Factors of G(s).
-    parameters
-        Parameters (P,) of G.
-    theta
-        Linear parameters (J,) at which the derivatives are taken.
-    nuisance
-        Nuisance of each record, one of `NUISANCES`.
-    groups
-        Number of records.
-    step
-        Step of the derivatives by differences.
-
-    Returns
-    -------
-    Grams
-        The Gram matrices.
     """
     columns, size, extra = operators.columns, structure.size, NUISANCES[nuisance]
     total = columns + size + extra * groups + 1

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -32,31 +32,17 @@ DIGITS = 6
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Covariance of the numbers of a model.
+    """Covariance of the numbers of a model."""
 
-    Parameters
-    ----------
-    names
-        Names of the P numbers, as in `chain.coordinates`.
-    parameters
-        Parameter of the model file that each of them is written in.
-    values
-        Nominal values (P,).
-    factor
-        Factor (P, P) of the covariance, the symmetric root in units of the prior: column k is mostly number k.
-    relative
-        Relative standard deviation (P,), PRIOR at most.
-    undetermined
-        Of every direction that the data cannot tell, the names of the numbers that make it up.
-    """
-
-    names: tuple[str, ...]
-    parameters: tuple[str, ...]
-    values: Array
-    factor: Array
-    relative: Array
+    names: tuple[str, ...]  # Names of the P numbers, as in `chain.coordinates`
+    parameters: tuple[str, ...]  # Parameter of the model file that each of them is written in
+    values: Annotated[Array, "P"]  # Nominal values (P,)
+    # Factor (P, P) of the covariance, the symmetric root in units of the prior: column k is mostly number k
+    factor: Annotated[Array, "P P"]
+    relative: Annotated[Array, "P"]  # Relative standard deviation (P,), PRIOR at most
     data_relative: Array
     """The same by the data alone, without the prior."""
+    # Of every direction that the data cannot tell, the names of the numbers that make it up
     undetermined: tuple[tuple[str, ...], ...]
 
     @property
@@ -103,28 +89,13 @@ class Uncertainty:
 
 
 def uncertainty_of(
-    stages_of: Callable[[Array], Sequence[Stage]], vector: Array, covariance: Array, axes: Sequence[str], sizes: Array | None = None
+    stages_of: Callable[[Array], Sequence[Stage]],
+    vector: Annotated[Array, "Q"],
+    covariance: Annotated[Array, "Q Q"],
+    axes: Sequence[str],
+    sizes: Array | None = None,
 ) -> Uncertainty:
-    """Carry the covariance of a fit's parameters over to the numbers of its model.
-
-    Parameters
-    ----------
-    stages_of
-        Chain of a parameter vector.
-    vector
-        Parameters (Q,) of the fit.
-    covariance
-        Their covariance (Q, Q).
-    axes
-        Names of the axes.
-    sizes
-        Sizes (Q,) of the parameters, by which their differences are scaled; None: of order one.
-
-    Returns
-    -------
-    Uncertainty
-        Of all numbers that follow the parameters.
-    """
+    """Carry the covariance of a fit's parameters over to the numbers of its model."""
     known = chain_coordinates(stages_of(vector), axes)
     steps = STEP * (np.ones(len(vector)) if sizes is None else sizes)
     jacobian = np.array([_slope(stages_of, vector, step * unit, known, axes) for step, unit in zip(steps, np.eye(len(vector)))]).T
@@ -154,24 +125,7 @@ def independent_axes(
     axes: Sequence[str],
     sizes: Sequence[Array] | None = None,
 ) -> Uncertainty:
-    """Uncertainty of a model whose axes are fitted one by one.
-
-    Parameters
-    ----------
-    parts
-        Parameters (Q,) and their covariance (Q, Q) of every axis.
-    stages_of
-        Chain of the parameters of all axes.
-    axes
-        Names of the axes.
-    sizes
-        Sizes (Q,) of the parameters of every axis; None: of order one.
-
-    Returns
-    -------
-    Uncertainty
-        Of all numbers that follow the parameters.
-    """
+    """Uncertainty of a model whose axes are fitted one by one."""
     edges = np.cumsum([len(vector) for vector, _ in parts])[:-1]
     return uncertainty_of(
         lambda vector: stages_of(np.split(vector, edges)),
@@ -182,21 +136,8 @@ def independent_axes(
     )
 
 
-def limited_root(covariance: Array) -> tuple[Array, Array]:
-    """Symmetric root of a covariance none of whose directions exceeds variance 1.
-
-    Parameters
-    ----------
-    covariance
-        (P, P), in units of the prior.
-
-    Returns
-    -------
-    root : Array
-        (P, P).
-    directions : Array
-        Unit vectors (U, P) of the directions that had to be limited, from the least known one on.
-    """
+def limited_root(covariance: Annotated[Array, "P P"]) -> tuple[Array, Array]:
+    """Symmetric root of a covariance none of whose directions exceeds variance 1."""
     spectrum, vectors = np.linalg.eigh(covariance)
     limited = np.clip(spectrum, 0.0, 1.0)
     directions = vectors.T[spectrum > 1.0][::-1]

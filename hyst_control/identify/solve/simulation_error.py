@@ -24,8 +24,8 @@ from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.chain_batch import Bundle
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial
 from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MOST_BLOCKS, NUISANCES, Grams, Window, gram_product
-from hyst_control.records.row_store import blocks as row_blocks
-from hyst_control.records.row_store import empty_rows
+from hyst_control.records.stream.row_store import blocks as row_blocks
+from hyst_control.records.stream.row_store import empty_rows
 
 BLOCK, CHUNK = 4096, 32768
 """Largest number of rows of one block's Gram matrix, and rows simulated at a time."""

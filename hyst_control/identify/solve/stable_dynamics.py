@@ -9,6 +9,7 @@ it could not be separated.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -31,29 +32,14 @@ TAU_UNIT = 1e-4
 
 @dataclass(frozen=True)
 class Structure:
-    """Factors of G(s).
+    """Factors of G(s)."""
 
-    Parameters
-    ----------
-    modes
-        Number of second-order modes.
-    lags
-        Number of first-order lags.
-    zeros
-        Number of zeros of the numerator.
-    slow_pair
-        A slow pole and zero, for creep.
-    delay
-        A delay.
-    highest
-        Highest frequency (Hz) of a pole that the records could tell; structures are equal whatever it is.
-    """
-
-    modes: int = 0
-    lags: int = 0
-    zeros: int = 0
-    slow_pair: bool = False
-    delay: bool = False
+    modes: int = 0  # Number of second-order modes
+    lags: int = 0  # Number of first-order lags
+    zeros: int = 0  # Number of zeros of the numerator
+    slow_pair: bool = False  # A slow pole and zero, for creep
+    delay: bool = False  # A delay
+    # Highest frequency (Hz) of a pole that the records could tell; structures are equal whatever it is
     highest: float = field(default=np.inf, compare=False)
 
     @property
@@ -79,23 +65,7 @@ class Structure:
 
     @classmethod
     def parse(cls, text: object) -> Structure:
-        """Parse a text such as "modes=1,zeros=2,delay"; a structure stays itself.
-
-        Parameters
-        ----------
-        text
-            Text or structure.
-
-        Returns
-        -------
-        Structure
-            The structure.
-
-        Raises
-        ------
-        ValueError
-            The text is of another form.
-        """
+        """Parse a text such as "modes=1,zeros=2,delay"; a structure stays itself."""
         if isinstance(text, Structure):
             return text
         if not isinstance(text, str):
@@ -133,19 +103,8 @@ class Structure:
             options.append(replace(self, modes=2))
         return options
 
-    def start(self, frequency: float) -> Array:
-        """Initial parameters: modes and lags near a frequency, all other factors neutral.
-
-        Parameters
-        ----------
-        frequency
-            The frequency, Hz.
-
-        Returns
-        -------
-        Array
-            Parameters (P,).
-        """
+    def start(self, frequency: float) -> Annotated[Array, "P"]:
+        """Initial parameters: modes and lags near a frequency, all other factors neutral."""
         w = 2 * np.pi * frequency
         values: list[float] = []
         for mode in range(self.modes):
@@ -155,23 +114,8 @@ class Structure:
             values += [np.log(8.0), 0.02]
         return np.array(values + [0.3] * self.delay)
 
-    def grow(self, smaller: Structure, parameters: Array, frequency: float) -> Array:
-        """Convert the parameters of a smaller structure to this one, new factors neutral.
-
-        Parameters
-        ----------
-        smaller
-            The smaller structure.
-        parameters
-            Its parameters.
-        frequency
-            Frequency near which new factors begin, Hz.
-
-        Returns
-        -------
-        Array
-            Parameters (P,).
-        """
+    def grow(self, smaller: Structure, parameters: Array, frequency: float) -> Annotated[Array, "P"]:
+        """Convert the parameters of a smaller structure to this one, new factors neutral."""
         old, new = smaller.split(parameters), self.split(self.start(frequency))
         for name, values in old.items():
             if name == "modes" and len(values) < len(new[name]):
@@ -181,38 +125,14 @@ class Structure:
             new["lags"][:] += 1.0
         return np.concatenate([part.ravel() for part in new.values()])
 
-    def split(self, parameters: Array) -> dict[str, Array]:
-        """Split a parameter vector by factor.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-
-        Returns
-        -------
-        dict[str, Array]
-            Parameters by the factor's name; modes (n, 2).
-        """
+    def split(self, parameters: Annotated[Array, "P"]) -> dict[str, Array]:
+        """Split a parameter vector by factor."""
         counts = [2 * self.modes, self.lags, self.zeros, 2 * self.slow_pair, int(self.delay)]
         parts = np.split(np.array(parameters, dtype=float), np.cumsum(counts)[:-1])
         return dict(zip(("modes", "lags", "zeros", "slow_pair", "delay"), (parts[0].reshape(-1, 2), *parts[1:]), strict=True))
 
-    def rational(self, parameters: Array) -> tuple[Array, Array]:
-        """Rational part of G(s), with unit static gain.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-
-        Returns
-        -------
-        num : Array
-            Numerator in descending powers of s.
-        den : Array
-            Denominator in descending powers of s.
-        """
+    def rational(self, parameters: Annotated[Array, "P"]) -> tuple[Array, Array]:
+        """Rational part of G(s), with unit static gain."""
         parts = self.split(parameters)
         den, num = np.ones(1), np.ones(1)
         scale = np.inf
@@ -231,34 +151,12 @@ class Structure:
             den = np.polymul(den, [1.0 / pole, 1.0])
         return num / den[0], den / den[0]
 
-    def tau(self, parameters: Array) -> float:
-        """Delay of G(s), never negative.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-
-        Returns
-        -------
-        float
-            Delay, s.
-        """
+    def tau(self, parameters: Annotated[Array, "P"]) -> float:
+        """Delay of G(s), never negative."""
         return TAU_UNIT * max(float(parameters[-1]), 0.0) if self.delay else 0.0
 
-    def stages(self, parameters: Array) -> list[Stage]:
-        """Construct the stages of the dynamics: the delay, then the rational part.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-
-        Returns
-        -------
-        list[Stage]
-            The stages.
-        """
+    def stages(self, parameters: Annotated[Array, "P"]) -> list[Stage]:
+        """Construct the stages of the dynamics: the delay, then the rational part."""
         stages: list[Stage] = []
         if self.delay and self.tau(parameters) > 0:
             stages.append(Delay(self.tau(parameters)))
@@ -267,23 +165,8 @@ class Structure:
             stages.append(TransferFunction(num, den))
         return stages
 
-    def discretized(self, parameters: Array, sampling: Sampling) -> tuple[Discretised, int]:
-        """Discretize the dynamics exactly.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-        sampling
-            Sample time and hold.
-
-        Returns
-        -------
-        system : Discretised
-            One step of the sampled dynamics.
-        whole : int
-            Their delay, whole samples.
-        """
+    def discretized(self, parameters: Annotated[Array, "P"], sampling: Sampling) -> tuple[Discretised, int]:
+        """Discretize the dynamics exactly."""
         samples = self.tau(parameters) / sampling.sample_time
         whole = int(np.floor(samples + 1e-9))
         if self.modes + self.lags + self.slow_pair:
@@ -292,22 +175,10 @@ class Structure:
             system = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
         return discretise(system, np.array([max(samples - whole, 0.0)]), sampling), whole
 
-    def limit(self, parameters: Array, sample_time: float) -> Array:
+    def limit(self, parameters: Annotated[Array, "P"], sample_time: float) -> Annotated[Array, "P"]:
         """Move parameters into the range that data can resolve: rates below the sampling rate, damping 0.002 ... 5.
 
         A slow pair moves a tenth of the stroke at most: it stands for creep, not for a hysteresis that the operators miss.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-        sample_time
-            Sample time, s.
-
-        Returns
-        -------
-        Array
-            Parameters (P,) within the range.
         """
         parts = self.split(parameters)
         fastest = self._fastest(sample_time)
@@ -319,21 +190,8 @@ class Structure:
             parts["slow_pair"] = np.clip(parts["slow_pair"], [np.log(0.3), -0.1], [np.log(60.0), 0.1])
         return np.concatenate([part.ravel() for part in parts.values()])
 
-    def at_limit(self, parameters: Array, sample_time: float) -> bool:
-        """Report whether a pole is as fast as it may be, or a damping at a bound: then the data tell no such factor.
-
-        Parameters
-        ----------
-        parameters
-            Parameters (P,).
-        sample_time
-            Sample time, s.
-
-        Returns
-        -------
-        bool
-            True if one is.
-        """
+    def at_limit(self, parameters: Annotated[Array, "P"], sample_time: float) -> bool:
+        """Report whether a pole is as fast as it may be, or a damping at a bound: then the data tell no such factor."""
         parts = self.split(parameters)
         rates = np.concatenate([parts["modes"][:, 0], parts["lags"]])
         damping = parts["modes"][:, 1]

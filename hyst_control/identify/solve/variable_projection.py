@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,28 +29,14 @@ class Problem:
 
     The bounds are those of the *slopes*, the cumulative sums of the weights: a loop whose every branch rises has positive slopes,
     and only then an inverse.
-
-    Parameters
-    ----------
-    windows
-        Stretches of the records.
-    operators
-        The play operators.
-    nuisance
-        Nuisance of each record, one of `NUISANCES`.
-    groups
-        Number of records.
-    mean_slope
-        Range of the measurement / range of the command.
-    drift
-        Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none.
     """
 
-    windows: Sequence[Window]
-    operators: Operators
-    nuisance: str
-    groups: int
-    mean_slope: float
+    windows: Sequence[Window]  # Stretches of the records
+    operators: Operators  # The play operators
+    nuisance: str  # Nuisance of each record, one of `NUISANCES`
+    groups: int  # Number of records
+    mean_slope: float  # Range of the measurement / range of the command
+    # Largest drift of each record (measurement unit), where the nuisance is linear; no bound where there is none
     drift: Sequence[float] = ()
 
     @property
@@ -61,20 +48,7 @@ class Problem:
         return matrix
 
     def bounds(self, free: int) -> tuple[Array, Array]:
-        """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded.
-
-        Parameters
-        ----------
-        free
-            Number of nuisances.
-
-        Returns
-        -------
-        lower : Array
-            Lower bounds (J + free,).
-        upper : Array
-            Upper bounds (J + free,).
-        """
+        """Bounds of the bounded coordinates and of the nuisances, of which only drifts are bounded."""
         n, dynamic = len(self.operators.thresholds), self.operators.dynamic
         lower = np.concatenate([np.full(n, LEAST_SLOPE * self.mean_slope), [0.0, 0.0, -np.inf] * dynamic, np.full(free, -np.inf)])
         upper = np.full(len(lower), np.inf)
@@ -85,60 +59,25 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of a variable-projection fit.
+    """Solution of a variable-projection fit."""
 
-    Parameters
-    ----------
-    structure
-        Factors of G(s).
-    parameters
-        Parameters (P,) of G.
-    theta
-        Linear parameters (J,).
-    nuisances
-        Nuisances of the records.
-    fitted, held_out
-        Mean square errors on the rows fitted and held out.
-    grams
-        Gram matrices of the last pass.
-    passes
-        Number of passes over the records.
-    """
-
-    structure: Structure
-    parameters: Array
-    theta: Array
-    nuisances: Array
+    structure: Structure  # Factors of G(s)
+    parameters: Annotated[Array, "P"]  # Parameters (P,) of G
+    theta: Annotated[Array, "J"]  # Linear parameters (J,)
+    nuisances: Array  # Nuisances of the records
+    # fitted, held_out: Mean square errors on the rows fitted and held out
     fitted: float
     held_out: float
-    grams: Grams
-    passes: int
+    grams: Grams  # Gram matrices of the last pass
+    passes: int  # Number of passes over the records
 
 
-def linear_solution(problem: Problem, gram: Array, size: int, blocks: float) -> tuple[Array, Array]:
+def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, blocks: float) -> tuple[Array, Array]:
     """Solve for the linear parameters of the G at which a Gram matrix was formed.
 
     A slope that the data do not show stays at the mean slope. What a model misses of its machine is alike throughout a block of rows, and
     a slope that takes off a little of it on a few rows is not shown by them: a block counts as one observation, with the misfit of the
     best slopes as its variance, against `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
-
-    Parameters
-    ----------
-    problem
-        One axis of all records.
-    gram
-        Gram matrix (K, K).
-    size
-        Number of its dynamics columns, which are left out.
-    blocks
-        Number of blocks whose Gram matrices it is the sum of.
-
-    Returns
-    -------
-    theta : Array
-        Linear parameters (J,).
-    nuisances : Array
-        Nuisances of the records.
     """
     columns = problem.operators.columns
     total = len(gram) - 1
@@ -163,7 +102,7 @@ def linear_solution(problem: Problem, gram: Array, size: int, blocks: float) -> 
 def solve(
     problem: Problem,
     structure: Structure,
-    start: Array,
+    start: Annotated[Array, "P"],
     theta: Array | None = None,
     passes: int = 15,
     tolerance: float = 1e-4,
@@ -172,28 +111,6 @@ def solve(
     """Fit G's parameters by damped Gauss-Newton, everything else by linear least squares.
 
     The derivatives by G's parameters are taken at the linear parameters of the pass before.
-
-    Parameters
-    ----------
-    problem
-        One axis of all records.
-    structure
-        Factors of G(s).
-    start
-        G's parameters (P,) to begin with.
-    theta
-        Linear parameters (J,) to begin with; None: a first pass finds them.
-    passes
-        Most passes over the records.
-    tolerance
-        Share of the cost that a step must gain for the search to go on.
-    everything
-        Fit also the held-out rows, for the final model.
-
-    Returns
-    -------
-    Solution
-        The best parameters met, and their Gram matrices.
     """
     search = _Search(problem, structure, everything)
     present = structure.limit(start, search.sample_time)

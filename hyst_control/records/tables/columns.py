@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.errors import InputError
-from hyst_control.records.units import scaled_unit
+from hyst_control.base.errors import InputError
+from hyst_control.records.tables.units import scaled_unit
 
 TIME = "time"
 """Name that stands for the column of sample times, which is no signal."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.errors import InputError
-from hyst_control.foreign_readers import foreign_reader
-from hyst_control.records.array_files import KINDS, hdf5_arrays, read_arrays
-from hyst_control.records.decompression import Budget
+from hyst_control.base.errors import InputError
+from hyst_control.base.foreign_readers import foreign_reader
+from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.record import Array
+from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arrays
 
 REMEDY = "check how it was written, or save it as CSV"
 KINDS_BY_LIBRARY = {"openpyxl": "an Excel workbook", "pyarrow": "a Parquet file", "h5py": "an HDF5 file", "npTDMS": "a TDMS file"}

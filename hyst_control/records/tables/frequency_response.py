@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.records.record import Array, Record, Signal, axis_names
 from hyst_control.records.tables.columns import Column
-from hyst_control.records.units import unit_of
+from hyst_control.records.tables.units import unit_of
 
 FREQUENCY_UNITS = {"Hz": 1.0, "kHz": 1e3, "rad/s": 0.5 / np.pi}
 ANGLES = {"deg": np.pi / 180.0, "rad": 1.0, "mrad": 1e-3}

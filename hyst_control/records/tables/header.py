@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 
-from hyst_control.records.units import scaled_unit
+from hyst_control.records.tables.units import scaled_unit
 
 SAMPLE_LINES = 1000
 """Lines from which the form is judged."""

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.records.record import Array
-from hyst_control.records.sample_grid import find_grid
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.header import without_unit
+from hyst_control.records.tables.sample_grid import find_grid
 from hyst_control.records.tables.selection import WIDE, open_table
 from hyst_control.records.tables.text import TextTable
-from hyst_control.records.units import scaled_unit
+from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.errors import InputError
-from hyst_control.foreign_readers import foreign_reader
-from hyst_control.records.decompression import Budget
+from hyst_control.base.errors import InputError
+from hyst_control.base.foreign_readers import foreign_reader
+from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.record import Array
-from hyst_control.records.row_store import RowStore
+from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, is_comment, plain
 
 ENCODING_SAMPLE = 2**12

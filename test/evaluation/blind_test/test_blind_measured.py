@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from evaluation.blind_test import measured
-from evaluation.blind_test.measured import report_on
+from evaluation.blind_test.case import Case, Label, as_document
 from evaluation.blind_test.mirror_models import oscillating, uncoupled, without_states
-from evaluation.blind_test.withheld_cases import Withheld, stack_cases
-from evaluation.blind_test.withheld_scores import is_solved, named_right
-from hyst_control.chain import Chain
+from evaluation.blind_test.scores import metrics, score
+from evaluation.blind_test.withheld import drawn, made
+from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import StateSpace
-from hyst_control.errors import InputError
-from hyst_control.model_file import Model
-from hyst_control.records.record import Record, Signal
+from hyst_control.cli import main
+from hyst_control.diagnose.workflow import diagnosed
 
 pytestmark = pytest.mark.long_file
 
 FREQUENCIES = (300.0, 1200.0)
+ELEMENTS: dict[str, tuple[str, ...]] = {"nothing": (), "hysteresis": ("backlash",), "all but 3": ("backlash",)}
 
 
 def modal(random: np.random.Generator) -> StateSpace:
@@ -64,25 +64,18 @@ def test_a_mode_is_found_and_taken_away_whole():
     )
 
 
-def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(measured, "diagnosed", lambda records, model, warm_up: calls.append(warm_up) or ({"verdict": "no_gap"},))
-    time = 1e-3 * np.arange(4)
-    signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
-    model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))
-    case = Withheld(
-        "mirror, 100 mV", "mode at 30 Hz", (), model, Record({"command": signal, "measurement": signal}, "here"), 0.5, 0.1
-    )
-    first = report_on(case, tmp_path)
-    assert report_on(case, tmp_path) == first | {"seconds": pytest.approx(0.0, abs=60.0)} and calls == [0.5]
-    other = replace(signal, values=2.0 * signal.values)
-    for changed in (
-        replace(case, warm_up=0.4),
-        replace(case, model=replace(model, sample_time=2e-3)),
-        replace(case, record=replace(case.record, signals={"command": signal, "measurement": other})),
-    ):
-        report_on(changed, tmp_path)
-    assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["mirror_100_mv_mode_at_30_hz.json"]
+def test_what_was_not_measured_is_refused(tmp_path, capsys):
+    for given, said in ((["--plants", "stuck"], "--plants stuck"), (["--levels", "250"], "--levels 250")):
+        assert main(["blind-test", "--measured", *given, "--output", str(tmp_path / "out")]) == 2
+        assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def withheld(element: str, right: tuple[str, ...] = ("delay",)) -> Case:
+    verdicts = ("effect", "parameters") if right else ("no_gap",)
+    label = Label("single" if right else "none", (element,) if right else (), 0.2, 0.1, accepted=(right,) if right else ())
+    effects = ({"name": element},) if right else ()
+    return Case("", "mirror, 100 mV", label.kind, "", 0.0, 0, effects, label=replace(label, verdicts=verdicts), source="withheld")
 
 
 @pytest.mark.parametrize(
@@ -90,6 +83,7 @@ def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch
     [
         ("nothing", "no_gap", (), True),
         ("nothing", "unknown", (), False),
+        ("nothing", "parameters", (), False),
         ("input delay", "effect", ("delay", "gain"), True),
         ("input delay", "effect", ("gain", "delay"), False),
         ("input delay", "ambiguous", ("delay", "gain"), False),
@@ -97,63 +91,46 @@ def test_a_case_that_has_its_report_is_not_diagnosed_again(tmp_path, monkeypatch
     ],
 )
 def test_a_case_is_solved_by_name_and_verdict(element, verdict, names, solved):
-    case = Withheld("mirror", element, ("delay",) if element != "nothing" else (), None, None, 0.0, 0.1)  # type: ignore[arg-type]
-    assert is_solved(case, {"verdict": verdict, "effects": [{"name": name} for name in names]}) == solved
+    case = withheld(element, ("delay",) if element != "nothing" else ())
+    report = {"verdict": verdict, "effects": [{"name": name, "parameters": {}} for name in names], "unexplained_share": 0.0}
+    assert score(case, report).right == solved
+    found = {metric.name: (metric.value, metric.n) for metric in metrics([score(case, report)])}
+    assert found["withheld: all cases solved"] == (float(solved), 1)
+    assert found.get("withheld elements: named first") == (None if element == "nothing" else (float(names[:1] == ("delay",)), 1))
 
 
-@pytest.mark.parametrize(("given", "said"), [({"plants": ["stuck"]}, "--plants stuck"), ({"levels": [250]}, "--levels 250")])
-def test_what_was_not_measured_is_refused(tmp_path, given, said):
-    with pytest.raises(InputError, match=said):
-        measured.run(str(tmp_path), **given)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_page_of_a_part_says_of_how_many_cases_it_is(tmp_path, monkeypatch):
-    """What has no report yet is not diagnosed with `so_far`; a report on another record does not count."""
-    monkeypatch.setattr(measured, "map_forked", lambda work, count: map(work, range(count)))
-    time = 1e-3 * np.arange(4)
-    signal = Signal(time, np.ones((4, 3)), ("x", "y", "z"), "V")
-    model = Model("whole", ("x", "y", "z"), {"command": "V", "measurement": "um"}, 1e-3, Chain((modal(np.random.default_rng(3)),)))
-    record = Record({"command": signal, "measurement": signal}, "here")
-    cases = [Withheld("stack", element, (), model, record, 0.5, 0.1) for element in ("nothing", "hysteresis", "all but 3")]
-    monkeypatch.setattr(measured, "stack_cases", lambda: cases)
-    report = {
-        "verdict": "no_gap",
-        "effects": [],
-        "unexplained_share": None,
-        "gap": {"rms": 0.1, "unit": "um", "nrmse": 0.5, "floor_rms": 0.1},
-    }
-    monkeypatch.setattr(measured, "diagnosed", lambda records, model, warm_up: (report,))
-    monkeypatch.setattr(measured, "sentence", lambda report: "No gap.")
-    monkeypatch.setattr("evaluation.blind_test.withheld_page.sentence", lambda report: "No gap.")
-    out, page = str(tmp_path / "out"), str(tmp_path / "page.md")
-    with pytest.raises(InputError, match="no case has been diagnosed yet"):
-        measured.run(out, page, plants=["stack"], so_far=True)
-    report_on(cases[0], tmp_path / "out" / "measured")
-    report_on(replace(cases[1], warm_up=0.4), tmp_path / "out" / "measured")
-    measured.run(out, page, plants=["stack"], so_far=True)
-    part = (tmp_path / "page.md").read_text()
-    assert (
-        "--so-far" in part
-        and "Only 1 of its 3 cases were diagnosed" in part
-        and "not counted are stack: hysteresis, all but 3." in part
+def test_a_page_of_a_part_says_of_how_many_cases_it_is(tmp_path):
+    """What has no report yet is neither diagnosed nor shown with `so_far`."""
+    folder = tmp_path / "out" / "measured"
+    (folder / "reports").mkdir(parents=True)
+    cases = [replace(withheld(element, right), name=f"case_{i}") for i, (element, right) in enumerate(ELEMENTS.items())]
+    (folder / "labels.json").write_text(
+        json.dumps({"seed": 0, "count": 3, "options": {"modes": "all"}, "cases": [as_document(case) for case in cases]})
     )
-    assert "| stack | hysteresis |" not in part
-    measured.run(out, page, plants=["stack"])
+    command = ["blind-test", "--measured", "--so-far", "--output", str(tmp_path / "out"), "--page", str(tmp_path / "page.md")]
+    assert main(command) == 2
+    report = {"verdict": "no_gap", "effects": [], "unexplained_share": None}
+    (folder / "reports" / "case_0.json").write_text(json.dumps(report))
+    assert main(command) == 0
+    part = (tmp_path / "page.md").read_text()
+    assert "stopped after 1 of the 3 cases" in part and "| nothing |" in part and "| hysteresis |" not in part
+    for name in ("case_1", "case_2"):
+        (folder / "reports" / f"{name}.json").write_text(json.dumps(report))
+    assert main(command) == 0
     whole = (tmp_path / "page.md").read_text()
-    assert "--so-far" not in whole and "Only" not in whole and "| stack | hysteresis |" in whole
+    assert "stopped" not in whole and "| hysteresis |" in whole
+    assert "| withheld: all cases solved | 0.333 |" in whole and "| withheld elements: named first | 0.000 |" in whole
 
 
 def test_the_measured_stack_without_its_elements():
     """The whole model has no gap on loops that it was not fitted to; without hysteresis, or with few operators, that is named first."""
     try:
-        cases = list(stack_cases())
+        cases = drawn(plants=["stack"])
     except InputError as error:
         pytest.skip(str(error))
+    assert [case.names for case in cases] == [(), ("hysteresis",), ("all but 3 of 12 operators",)]
     for case in cases:
-        report, *_ = measured.diagnosed([case.record], case.model, warm_up=case.warm_up)
-        if case.right:
-            assert report["verdict"] in ("effect", "parameters"), case.element
-            assert named_right(case, report), case.element
-        else:
-            assert report["verdict"] == "no_gap"
+        files = made(case)
+        report, *_ = diagnosed([files.record], files.model, warm_up=files.warm_up)
+        assert score(files.of(case), report).right, case.names
+        assert report["gap"]["rms"] == pytest.approx(files.label.gap_rms, rel=0.02)

@@ -5,13 +5,13 @@ The simulated records are about a quarter as long as those of a whole run, which
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
-from evaluation.blind_test import injected
-from evaluation.blind_test.injected_scores import named_right
-from evaluation.blind_test.metric import wilson
-from evaluation.blind_test.run import diagnose_all, load, make
-from hyst_control.errors import InputError
+from evaluation.blind_test.run import Batch, diagnose_all, make
+from evaluation.blind_test.scores import wilson
+from hyst_control.base.errors import InputError
 
 pytestmark = pytest.mark.long_file
 
@@ -21,55 +21,67 @@ DURATION = 0.4
 
 
 @pytest.fixture(scope="module")
-def pairs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("blind")
-    make(
-        folder,
-        SEED,
-        COUNT,
-        note=lambda _: None,
-        plants=("pea_published",),
-        excitations=("rich",),
-        kinds={"single": 0.72, "none": 0.28},
-        duration=DURATION,
-    )
-    diagnose_all(folder, note=lambda _: None)
-    return list(load(folder))
+def results(tmp_path_factory):
+    options = {
+        "plants": ("pea_published",),
+        "excitations": ("rich",),
+        "kinds": {"single": 0.72, "none": 0.28},
+        "duration": DURATION,
+    }
+    return diagnosed(Batch("simulated", tmp_path_factory.mktemp("blind"), SEED, COUNT, options))
+
+
+def diagnosed(batch: Batch):
+    """Results of a batch, all of it made and diagnosed."""
+    make(batch, note=lambda _: None)
+    diagnose_all([batch], note=lambda _: None)
+    return batch.results()
 
 
 @pytest.mark.timeout(900)
-def test_single_effects_are_named_and_records_without_a_gap_raise_no_alarm(pairs):
-    singles = [(case, report) for case, report in pairs if case["label"]["kind"] == "single"]
-    none = [report for case, report in pairs if case["label"]["kind"] == "none"]
-    right = sum(bool(report["effects"]) and report["effects"][0]["name"] in case["label"]["names"] for case, report in singles)
-    alarms = sum(report["verdict"] in ("effect", "ambiguous", "unknown") for report in none)
+def test_single_effects_are_named_and_records_without_a_gap_raise_no_alarm(results):
+    singles, none = ([one for one in results if one.kind == kind] for kind in ("single", "none"))
     assert len(singles) >= 8 and len(none) >= 2
-    assert wilson(right, len(singles))[0] > 0.5  # 7 of 8
-    assert alarms == 0
+    assert wilson(sum(one.leads for one in singles), len(singles))[0] > 0.5  # 7 of 8
+    assert not any(one.verdict in ("effect", "ambiguous", "unknown") for one in none)
+
+
+def test_the_numbers_before_the_decision_are_kept(results, tmp_path_factory):
+    """Each hypothesis with its score, infinities included, as a replay of the decision needs them."""
+    (folder,) = tmp_path_factory.getbasetemp().glob("blind0/evidence")
+    for one in results:
+        (part,) = json.loads((folder / f"{one.case.name}.json").read_text())
+        assert part["rows"] > 1000 and part["noise"][0] > 0.7 * 5.2 * one.case.noise
+        names = [tuple(hypothesis["names"]) for hypothesis in part["hypotheses"]]
+        assert names[0] == () and len(names) > 20 and all("misfit" in hypothesis for hypothesis in part["hypotheses"])
+        best = max(part["hypotheses"], key=lambda hypothesis: hypothesis["score"])
+        assert one.verdict != "effect" or set(best["names"]) & {*one.named, *one.case.names}
 
 
 @pytest.mark.timeout(900)
 def test_effects_put_into_measured_records_are_named(tmp_path):
     """Each is named, or the diagnosis says that it does not know: a wrong name at three times the model's own error is an error."""
     try:
-        injected.make(str(tmp_path / "run"), SEED, INJECTED, ["stack"], note=lambda _: None)
+        results = diagnosed(Batch("injected", tmp_path / "run", SEED, INJECTED, {"plants": ["stack"]}))
     except InputError as error:
         pytest.skip(str(error))
-    injected.diagnose_all(tmp_path / "run", note=lambda _: None)
-    rows = injected.load(tmp_path / "run")
-    right = [named_right(*row) for row in rows]
-    assert len(rows) == INJECTED and sum(right) >= 3, [(label["names"], report["verdict"]) for label, report in rows]
+    right = [one.first for one in results]
+    assert len(results) == INJECTED and sum(right) >= 3, [(one.case.names, one.verdict) for one in results]
 
 
 def test_a_run_that_was_interrupted_goes_on(tmp_path):
-    """Reports that are there are not made again: the second call has nothing to do."""
+    """Reports that are there are not made again: the second call has nothing to do; other cases are refused."""
     said: list[str] = []
     folder = tmp_path / "blind"
-    make(folder, 12, 1, note=said.append, plants=("pea_published",), excitations=("rich",), kinds={"none": 1.0})
+    batch = Batch("simulated", folder, 12, 1, {"plants": ("pea_published",), "excitations": ("rich",), "kinds": {"none": 1.0}})
+    make(batch, note=said.append)
     report = folder / "reports" / "case_0000.json"
     report.parent.mkdir()
     report.write_text("{}")
-    diagnose_all(folder, note=said.append)
+    diagnose_all([batch], note=said.append)
     assert report.read_text() == "{}"
-    make(folder, 12, 1, note=said.append)
+    make(Batch("simulated", folder, 12, 1), note=said.append)
     assert said[0] == said[-1] and "SHA-256" in said[0]
+    for other in (Batch("simulated", folder, 13, 1), Batch("simulated", folder, 12, 1, {"kinds": ("pair",)})):
+        with pytest.raises(InputError, match="another seed"):
+            make(other)

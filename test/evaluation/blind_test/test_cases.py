@@ -9,19 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.blind_test.case import EXCITATIONS, KINDS, Case
+from evaluation.blind_test.case import EXCITATIONS, KINDS, Case, Label, as_document, from_document
 from evaluation.blind_test.case_drawing import SWITCH_FRACTION, draw
-from evaluation.blind_test.case_labels import LEAST_VISIBILITY, with_label
 from evaluation.blind_test.case_records import commands, run_case
 from evaluation.blind_test.effect_sizes import REALIZATIONS, SEVERITIES, UNTUNED
-from evaluation.blind_test.metric import wilson
 from evaluation.blind_test.plant_setups import PLANTS, SETUPS
-from evaluation.blind_test.published_labels import rounded
-from evaluation.blind_test.scores import conformal, metrics, novelty_quantile
+from evaluation.blind_test.scores import conformal, metrics, score, wilson
+from evaluation.blind_test.simulated import LEAST_VISIBILITY, label_of
 from hyst_control.cli import main
 from hyst_plant_sim.physics import EFFECTS
 from hyst_plant_sim.physics import PLANTS as TRUTH_PLANTS
 from hyst_plant_sim.physics.effects import ELSEWHERE
+
+NOVELTY = "all single effects: novelty score that 4 % exceed (unknown from 0.5)"
 
 
 def test_a_seed_draws_the_same_balanced_cases():
@@ -67,10 +67,10 @@ def test_labels_state_the_true_gap_and_hide_what_nobody_could_see():
         for case in draw(3, 60, plants=("pea_published",))
         if case.kind == "single" and case.excitation == "rich" and case.names[0] not in ("sensor_noise", "held_samples")
     )
-    label = with_label(case).label
+    label = label_of(case)
     difference = run_case(case, noisy=False)["measurement"] - run_case(case, effects=False, noisy=False)["measurement"]
-    assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
-    assert label["kind"] == ("single" if label["distance"] >= LEAST_VISIBILITY else "none")
+    assert label.gap_rms == pytest.approx(np.sqrt(np.mean(difference**2))) and label.distance is not None
+    assert label.kind == ("single" if label.distance >= LEAST_VISIBILITY else "none")
 
 
 def test_effects_begin_within_the_record_where_asked_for():
@@ -115,9 +115,9 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
     ]
     for kind, effects in small:
         case = Case("", "pea_published", kind, "multisine", 3e-3, 3, effects)
-        label = with_label(case).label
-        assert label["kind"] == "none" and label["names"] == [] and label["hidden"] == list(case.names) and label["gap_rms"] > 0
-        assert [dict(effect) for effect in label["effects"]] == [dict(effect) for effect in effects]
+        label = label_of(case)
+        assert label.kind == "none" and label.names == () and label.hidden == case.names and label.gap_rms > 0
+        assert as_document(replace(case, label=label))["label"]["effects"] == list(effects)
 
 
 @pytest.mark.parametrize(
@@ -126,17 +126,17 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
 )
 def test_of_a_pair_it_is_told_which_could_be_seen_beside_the_other(excitation, gamma, shown):
     effects = ({"name": "creep", "gamma": gamma}, {"name": "delay", "tau": 5e-4})
-    label = with_label(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects)).label
-    assert (label["kind"], label["names"], label["shown"]) == ("pair", ["creep", "delay"], shown)
+    label = label_of(Case("", "pea_published", "pair", excitation, 5e-4, 3, effects))
+    assert (label.kind, label.names, label.shown) == ("pair", ("creep", "delay"), tuple(shown))
 
 
 @pytest.mark.parametrize("off, kind", [(5.0, "parameters"), (0.02, "none")])
 def test_coefficients_that_are_off_count_by_their_gap(off, kind):
     case = Case("", "pea_published", "parameters", "multisine", 3e-3, 3, off=off)
-    label = with_label(case).label
+    label = label_of(case)
     difference = run_case(case, noisy=False)["measurement"] - run_case(case, noisy=False, scattered=False)["measurement"]
-    assert label["gap_rms"] == pytest.approx(np.sqrt(np.mean(difference**2)))
-    assert label["kind"] == kind and label.get("hidden") == (["parameters"] if kind == "none" else None)
+    assert label.gap_rms == pytest.approx(np.sqrt(np.mean(difference**2)))
+    assert label.kind == kind and label.hidden == (("parameters",) if kind == "none" else None)
 
 
 def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path):
@@ -184,41 +184,70 @@ def test_wilsons_interval_is_the_published_one():
     assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
 
 
-def test_scores_of_a_diagnosis_that_is_always_right_and_of_one_that_never_is():
-    def pair(kind: str, names: list[str], verdict: str, given: list[str]) -> tuple[dict, dict]:
-        label = {
-            "kind": kind,
-            "names": names,
-            "excitation": "rich",
-            "noise": 5e-4,
-            "plant": "pea_published",
-            "gap_rms": 10.0,
-            "noise_rms": 1.0,
-            "effects": [{"name": name} for name in names],
-        }
-        effects = [{"name": name, "probability": 1.0, "equivalent": [], "parameters": {}} for name in given]
-        return {"label": label}, {
-            "verdict": verdict,
-            "effects": effects,
-            "candidates": [],
-            "processor_seconds": 1.0,
-            "unexplained_share": 0.0,
-        }
+def scored(kind, names, verdict, given, role="", excitation="rich", plant="pea_published", hidden=None, **report):
+    """Result of a case with these names, to which a report gives others."""
+    label = Label(kind, tuple(names), 10.0, 1.0, hidden=hidden)
+    effects = [{"name": name, "probability": 1.0, "equivalent": [], "parameters": {}} for name in given]
+    said = {"verdict": verdict, "effects": effects, "candidates": [], "processor_seconds": 1.0, "unexplained_share": 0.0}
+    put_in = tuple({"name": name} for name in names)
+    return score(Case("", plant, kind, excitation, 5e-4, 1, put_in, label=label), {**said, **report}, role)
 
+
+def test_scores_of_a_diagnosis_that_is_always_right_and_of_one_that_never_is():
     both = ["delay", "creep"]
     right = [
-        pair("single", ["delay"], "effect", ["delay"]),
-        pair("none", [], "no_gap", []),
-        pair("pair", both, "effect", both[::-1]),
+        scored("single", ["delay"], "effect", ["delay"]),
+        scored("none", [], "no_gap", []),
+        scored("pair", both, "effect", both[::-1]),
     ]
     wrong = [
-        pair("single", ["delay"], "effect", ["creep"]),
-        pair("none", [], "effect", ["creep"]),
-        pair("pair", both, "no_gap", []),
+        scored("single", ["delay"], "effect", ["creep"]),
+        scored("none", [], "effect", ["creep"]),
+        scored("pair", both, "no_gap", []),
     ]
-    good, bad = ({metric.name: metric for metric in metrics(pairs)} for pairs in (right, wrong))
+    good, bad = ({metric.name: metric for metric in metrics(results)} for results in (right, wrong))
     for name in ("false alarm on records without a gap", "pairs: exactly both", "macro-F1", "right where it says >= 0.95"):
         assert good[name].met and not bad[name].met
+    assert all(one.right for one in right) and not any(one.right for one in wrong)
+
+
+def test_a_row_of_the_table_is_a_share_of_its_group():
+    """Rows by plant, each counted here by hand; cases of another role are in no row but their own."""
+    given = [("pea_published", "delay"), ("pea_published", "gain"), ("third", "delay"), ("third", "delay"), ("third", "gain")]
+    results = [scored("single", ["delay"], "effect", [name], plant=plant) for plant, name in given]
+    results += [scored("single", ["delay"], "unknown", [], role="left_out", plant="third")]
+    results += [scored("none", [], "unknown", [], role="without_gap", plant="third"), scored("none", [], "no_gap", [])]
+    results += [
+        scored("none", [], "effect", ["gain"], hidden=("delay",)),
+        scored("none", [], "effect", ["delay"], hidden=("delay",)),
+    ]
+    found = {metric.name: (metric.value, metric.n) for metric in metrics(results)}
+    assert found["top-1, rich record, pea_published"] == (0.5, 2)
+    assert found["top-1, rich record, third"] == (pytest.approx(2 / 3), 3)
+    assert found["top-1, single effects on published plants, rich record, gap >= 3 sigma"] == (0.5, 2)
+    assert found["single effects called unknown"] == (0.0, 5)
+    assert found["false alarm on records without a gap"] == (0.5, 2) and found["false alarm, third"] == (1.0, 1)
+    assert found["gap too small to be scored: a wrong name"] == (0.5, 2)
+    assert found["macro-F1"] == (pytest.approx(2 / 3), 2)  # one of two found, one name given: 2 * 1 / (2 + 1)
+    assert found["calibration error (ECE)"] == (pytest.approx(2 / 5), 5)  # sure of five, right on three
+
+
+def test_predictions_and_intervals_are_held_against_the_truth():
+    def told(low, high, predicted, realized):
+        parameters = {"tau": {"value": 4e-4, "ci90": [low, high]}}
+        effects = [{"name": "delay", "probability": 1.0, "equivalent": [], "parameters": parameters}]
+        more = {"shrink_realised": [predicted, realized], "foreseen": {"shrink": realized + 0.01}}
+        case = Case(
+            "", "pea_published", "single", "rich", 5e-4, 1, ({"name": "delay", "tau": 4e-4},), label=Label("single", ("delay",))
+        )
+        return score(case, {"verdict": "effect", "effects": effects, "unexplained_share": 0.0, **more})
+
+    results = [told(3e-4, 5e-4, 0.9, 0.8), told(4.1e-4, 5e-4, 0.7, 1.0), told(None, None, 0.9, 0.9)]
+    assert [one.covered for one in results] == [True, False, None]
+    found = {metric.name: metric.value for metric in metrics(results)}
+    assert found["true parameter within its 90 % interval"] == 0.5
+    assert found["shrink, predicted - realized: median"] == pytest.approx(0.1)
+    assert found["shrink, foreseen for the fresh command - realized: 90 % quantile"] == pytest.approx(0.01)
 
 
 def test_a_conformal_threshold_is_exceeded_as_seldom_as_asked_for():
@@ -231,27 +260,22 @@ def test_a_conformal_threshold_is_exceeded_as_seldom_as_asked_for():
 
 
 def test_the_novelty_score_ranks_the_open_set():
-    def pair(kind: str, score: dict) -> tuple[dict, dict]:
-        label = {"kind": kind, "names": ["delay"], "excitation": "sine", "plant": "third", "effects": [{"name": "delay"}]}
-        label |= {"gap_rms": 1.0, "noise_rms": 1.0, "noise": 5e-4}
-        said = {"verdict": "no_gap", "effects": [], "candidates": [], "processor_seconds": 1.0}
-        return {"label": label}, said | score
-
-    truncated = {"unexplained_share": 0.0}  # as reports had it before there was a score
-    pairs = [pair("single", truncated | {"novelty": 0.01 * k}) for k in range(30)]
-    pairs += [pair("open_set", truncated | {"novelty": 0.25 + 0.1 * k}) for k in range(3)]
-    found = {metric.name: metric for metric in metrics(pairs)}
+    results = [scored("single", ["delay"], "no_gap", [], excitation="sine", novelty=0.01 * k) for k in range(30)]
+    results += [scored("open_set", [], "no_gap", [], excitation="sine", novelty=0.25 + 0.1 * k) for k in range(3)]
+    found = {metric.name: metric for metric in metrics(results)}
     assert found["open set: AUROC of the novelty score"].value == pytest.approx((25.5 + 30 + 30) / 90)
-
-
-def test_of_all_single_effects_four_percent_exceed_the_novelty_quantile():
-    reports = [{"novelty": 0.01 * k} for k in range(30)]
-    assert novelty_quantile(reports)[0].value == pytest.approx(0.29)
-    assert novelty_quantile(reports[:10]) == []  # ten scores say nothing of one in twenty-five
+    assert found[NOVELTY].value == pytest.approx(0.29)
+    assert NOVELTY not in {metric.name for metric in metrics(results[:10])}  # ten scores say nothing of one in twenty-five
 
 
 def test_last_digits_of_a_processor_do_not_change_the_hash_of_labels():
     """The same case, simulated on two machines, differs in the last bits; texts, counts and seeds stay as they are."""
-    label = {"name": "case_0000", "seed": 1702228509, "gap": 0.0991234567, "list": [1.0, (2.00000049, True)], "none": None}
-    other = {**label, "gap": np.nextafter(0.0991234567, 1.0), "list": [1.0 + 1e-13, (2.0000005 - 1e-8, True)]}
-    assert rounded(label) == rounded(other) == {**label, "gap": 0.0991235, "list": [1.0, [2.0, True]]}
+    gap = 0.0991234567
+    case = Case("case_0000", "third", "single", "rich", 5e-4, 1702228509, ({"name": "delay", "tau": 2.00000049, "order": 2},))
+    one, other = (
+        as_document(replace(case, label=Label("single", ("delay",), value, 1.0))) for value in (gap, float(np.nextafter(gap, 1.0)))
+    )
+    assert one == other and one["label"]["gap_rms"] == 0.0991235
+    assert one["effects"] == [{"name": "delay", "tau": 2.0, "order": 2}] and one["seed"] == 1702228509
+    assert from_document(json.loads(json.dumps(one))) == from_document(other)
+    assert as_document(from_document(one)) == one

@@ -11,21 +11,26 @@ import pytest
 SCRIPT = """
 import sys, time
 from pathlib import Path
-from evaluation.blind_test.diagnosis_queue import work
-from hyst_control.parallel import Workers
+from evaluation.blind_test import run
+from hyst_control.base.parallel import Workers
 
 def diagnose(job):
-    folder, name = job
+    place, report, _ = job
+    name = Path(place).name
     if name == "case_0002":
         raise ValueError("no such bag")
-    (Path(folder) / f"{name}.json").write_text("{}")
+    Path(report).write_text("{}")
     return name
 
+run._diagnose_one = diagnose  # also in the workers, which import this script
+
 if __name__ == "__main__":
-    folder, where, until = sys.argv[1], sys.argv[2], float(sys.argv[3])
+    folder, where, until = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
     workers = {"cores": None, "processes": Workers(2), "cluster": Workers(2, "local")}[where]
-    jobs = [(diagnose, (folder, f"case_{index:04d}")) for index in range(4) if where != "cores" or index != 2]
-    work(jobs, until or None, print, workers)
+    run._jobs = lambda batch, absolute: [
+        (f"case_{index:04d}", str(folder / f"case_{index:04d}.json"), ()) for index in range(4) if where != "cores" or index != 2
+    ]
+    run.diagnose_all([None], until or None, print, workers)
 """
 
 

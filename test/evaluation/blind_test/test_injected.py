@@ -7,17 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.blind_test.error_report import VERDICT
-from evaluation.blind_test.injected import diagnose_all, load, make
+from evaluation.blind_test.case import Case, Label, as_document
+from evaluation.blind_test.injected import accepted
 from evaluation.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
 from evaluation.blind_test.injected_plan import planned
-from evaluation.blind_test.injected_scores import injected_metrics, is_covered, named_exactly, named_right, quiet
-from evaluation.blind_test.injections import OPEN_SET, SINGLES, apply_all, strength_of
-from evaluation.blind_test.page import write_injected_page, write_page
-from evaluation.blind_test.scores import metrics
+from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, apply_all, strength_of
+from evaluation.blind_test.page import write_page
+from evaluation.blind_test.run import Batch, diagnose_all, make
+from evaluation.blind_test.scores import ERROR, Result, metrics, score
 from evaluation.reproduction.measured_data import data_folder
-from hyst_control.errors import InputError
-from hyst_control.records.bag_reader import read_bag
+from hyst_control.base.errors import InputError
+from hyst_control.cli import main
+from hyst_control.records.bags.bag_reader import read_bag
 
 STEP = 1e-3
 TIME = STEP * np.arange(2000)
@@ -47,7 +48,7 @@ def test_truth_of_sensor_and_drive():
     delay, gain = singled("delay", "sensor"), singled("gain", "amplifier")
     strength = strength_of(delay, CLEAN, STEP, 0.3, (1,))
     _, late = apply_all([delay], [strength], CLEAN, STEP, (1,))
-    tau = delay.truth(strength, CLEAN.command, CLEAN.measurement, STEP)["tau"]
+    tau = delay.truth(strength, CLEAN.measurement, STEP)["tau"]
     expected = 20.0 * np.sin(2 * np.pi * 5.0 * (TIME - tau) - 0.1)
     np.testing.assert_allclose(late[20:, 0], expected[20:], atol=1e-3)
     strength = strength_of(gain, CLEAN, STEP, 0.3, (1,))
@@ -67,34 +68,36 @@ def report(verdict: str, *names: str) -> dict[str, object]:
     return {"verdict": verdict, "effects": [{"name": name, "axis": ["x"], "parameters": {}} for name in names]}
 
 
-LABEL = {
-    "names": ["delay"],
-    "one_frequency": True,
-    "mode": "none",
-    "kind": "single",
-    "multiple": 3.0,
-    "plant": "stack",
-    "truth": [{"tau": [0.5]}],
-    "axes": ["x"],
-}
+def injected(*names: str, kind: str = "single", one_frequency: bool = True) -> Case:
+    """A case of the stack with a delay of 0.5 s, or other effects, in it."""
+    right = tuple(tuple(accepted(name, one_frequency)) for name in names)
+    label = Label(kind, names, 3.0, 1.0, accepted=right, ignored=COMPANIONS, truth={"tau": (0.5,)})
+    put_in = tuple({"name": name, "realization": "sensor"} for name in names)
+    return Case("case_0000", "stack", kind, "full, row 0", 0.0, 5, put_in, 1.0, label, source="injected", multiple=3.0, axes=("x",))
 
 
 def test_names_that_are_right():
-    assert named_right(LABEL, report("effect", "sensor_lowpass"))
-    assert named_right(LABEL, report("effect", "offset", "delay"))
-    assert not named_right({**LABEL, "one_frequency": False}, report("effect", "sensor_lowpass"))
-    assert not named_right(LABEL, report("unknown", "delay"))
-    assert not named_right(LABEL, report("effect", "offset"))
-    assert quiet(report("parameters")) and quiet(report("effect", "offset")) and not quiet(report("effect", "gain"))
-    both = {**LABEL, "names": ["delay", "backlash"]}
-    assert named_exactly(both, report("effect", "backlash", "sensor_lowpass", "offset"))
-    assert not named_exactly(both, report("effect", "backlash")) and not named_exactly(both, report("unknown", "backlash", "delay"))
-    assert not named_exactly(both, report("effect", "backlash", "delay", "creep"))
+    def first(case: Case, verdict: str, *names: str) -> bool:
+        return score(case, report(verdict, *names)).first
+
+    delay = injected("delay")
+    assert first(delay, "effect", "sensor_lowpass") and first(delay, "effect", "offset", "delay")
+    assert not first(injected("delay", one_frequency=False), "effect", "sensor_lowpass")
+    assert not first(delay, "unknown", "delay") and not first(delay, "effect", "offset")
+    said = (report("parameters"), report("effect", "offset"), report("effect", "gain"))
+    assert [score(injected(kind="none"), one).alarm for one in said] == [False, False, True]
+
+    def both(verdict: str, *names: str) -> bool:
+        return score(injected("delay", "backlash", kind="pair"), report(verdict, *names)).right
+
+    assert both("effect", "backlash", "sensor_lowpass", "offset")
+    assert not both("effect", "backlash") and not both("unknown", "backlash", "delay")
+    assert not both("effect", "backlash", "delay", "creep")
 
 
 def test_scores():
-    clean = {**LABEL, "kind": "none", "names": [], "multiple": 0.0}
-    found = injected_metrics([(LABEL, report("effect", "delay")), (LABEL, report("no_gap")), (clean, report("unknown"))])
+    results = [score(injected("delay"), report("effect", "delay")), score(injected("delay"), report("no_gap"))]
+    found = metrics([*results, score(injected(kind="none"), report("unknown"))])
     values = {metric.name: metric for metric in found}
     assert values["injected, no clean record: top-1 at 3 x"].value == 0.5
     alarms = values["clean measured records: anything but no_gap, parameters or a companion"]
@@ -106,18 +109,19 @@ def test_a_true_parameter_lies_in_its_interval_or_not():
         effect = {"name": "delay", "axis": ["x"], "parameters": {"tau": {"value": 0.4, "ci90": [low, high]}}}
         return {"verdict": "effect", "effects": [effect]}
 
-    assert is_covered(LABEL, told(0.4, 0.6)) is True and is_covered(LABEL, told(0.3, 0.49)) is False
-    assert is_covered(LABEL, {"verdict": "effect", "effects": []}) is None
+    reports = (told(0.4, 0.6), told(0.3, 0.49), report("effect"), {**told(0.4, 0.6), "verdict": "unknown"})
+    assert [score(injected("delay"), one).covered for one in reports] == [True, False, None, None]
 
 
 def test_a_plan_has_every_row_of_the_table_from_the_first_round_on():
-    clean = Clean("one", np.zeros((4, 1)), np.zeros((4, 1)))
+    clean, other = (Clean(name, np.zeros((4, 1)), np.zeros((4, 1))) for name in ("one", "two"))
     machines = [
-        Machine(name, ("x",), 1.0, 0.0, (clean, clean), {0: clean} if measured else {}, (clean,) if measured else (), lambda: None)
+        Machine(name, ("x",), 1.0, 0.0, (clean, other), {0: clean} if measured else {}, (clean,) if measured else (), lambda: None)
         for name, measured in (("stack", True), ("mirror, 100 mV", True), ("third", False), ("bouc_wen", False))
     ]
     cells = list(planned(machines, 7, 200))
-    first = {(cell.kind, cell.mode, cell.multiple) for cell in cells[:22]}
+    assert [cell.name for cell in cells] == [f"case_{index:04d}" for index in range(200)]
+    first = {(cell.kind, cell.regime, cell.multiple) for cell in cells[:22]}
     sizes = {
         ("none", 3.0),
         ("none", 10.0),
@@ -128,9 +132,9 @@ def test_a_plan_has_every_row_of_the_table_from_the_first_round_on():
     }
     assert {(mode, size) for kind, mode, size in first if kind == "single"} == sizes
     assert {kind for kind, *_ in first} == {"single", "pair", "open_set", "none"}
-    untouched = [(cell.machine.name, cell.record, cell.mode) for cell in cells if cell.kind == "none"]
+    untouched = [(cell.plant, cell.excitation, cell.regime) for cell in cells if cell.kind == "none"]
     assert len(untouched) == len(set(untouched)) == 10  # the same input has the same report
-    assert not any(one.name.startswith("offset") for cell in cells for one in cell.injections)
+    assert not any(name.startswith("offset") for cell in cells for name in cell.names)
 
 
 def test_cases_of_the_stack_keep_their_labels_apart(tmp_path):
@@ -138,50 +142,39 @@ def test_cases_of_the_stack_keep_their_labels_apart(tmp_path):
         data_folder("pea_p885")
     except InputError as error:
         pytest.skip(str(error))
-    labels = make(str(tmp_path / "run"), 5, 3, ["stack"], note=lambda _: None)
-    documents = json.loads(labels.read_text())["cases"]
-    for one in documents:
-        place = tmp_path / "run" / "cases" / one["name"]
-        assert not any(name in (place / "case.json").read_text() for name in (*one["names"], "multiple"))
+    batch = Batch("injected", tmp_path / "run", 5, 3, {"plants": ["stack"]})
+    labels = make(batch, note=lambda _: None)
+    for one in batch.cases():
+        place = tmp_path / "run" / "cases" / one.name
+        assert sorted({path.name.partition("_")[0] for path in place.iterdir()} - {"clean"}) == ["bag", "case.json", "model.yaml"]
+        assert json.loads((place / "case.json").read_text()) == {"warm_up": 2.0}
         assert read_bag(place / "bag").signal("command").values.shape == (1600, 1)
-        assert len(list(place.glob("clean_*"))) == {"none": 0, "other_command": 2, "same_command": 1}[one["mode"]]
-        assert one["effect_rms"] == pytest.approx(one["multiple"] * one["own_error_rms"], rel=0.35)
-    assert make(str(tmp_path / "run"), 5, 3, ["stack"], note=lambda _: None) == labels
+        assert len(list(place.glob("clean_*"))) == {"none": 0, "other_command": 2, "same_command": 1}[one.regime]
+        if one.kind == "single":  # the gap is what was put in and what the model leaves, about at right angles
+            assert one.answer.gap_rms == pytest.approx(np.hypot(one.multiple, 1.0) * one.answer.noise_rms, rel=0.4)
+    assert make(batch, note=lambda _: None) == labels
     with pytest.raises(InputError, match="another seed"):
-        make(str(tmp_path / "run"), 6, 3, ["stack"])
-    with pytest.raises(InputError, match="--plants"):
-        make(str(tmp_path / "other"), 5, 3, ["pea"])
+        make(Batch("injected", tmp_path / "run", 6, 3, {"plants": ["stack"]}))
+    assert main(["cases", "make", "--measured", "--seed", "5", "--plants", "pea", "--output", str(tmp_path / "other")]) == 2
 
 
 def test_one_page_shows_both_tests(tmp_path):
-    label = {**LABEL, "name": "case_0000", "record": "full, row 0", "realizations": ["sensor"]}
-    said = {**report("effect", "delay"), "unexplained_share": 0.0}
-    rows = [(label, said)]
+    def untouched(role: str, said: dict[str, object]) -> Result:
+        return score(Case("case_0000", "third", "none", "rich", 0.003, 1, label=Label("none", (), 0.0, 1.0)), said, role)
+
+    alarm = untouched("without_gap", {"verdict": ERROR, "effects": [], "error": "no report"})
+    results = [untouched("", report("no_gap")), alarm, score(injected("delay"), report("effect", "delay"))]
     path = tmp_path / "page.md"
-    untouched = {
-        "kind": "none",
-        "names": [],
-        "effects": [],
-        "gap_rms": 0.0,
-        "noise_rms": 1.0,
-        "plant": "third",
-        "excitation": "rich",
-        "noise": 0.003,
-    }
-    pairs = [({"name": "case_0000", "label": untouched}, {**report("no_gap"), "processor_seconds": 1.0})]
-    alarm = ({"name": "without_gap/case_0000", "label": untouched}, {"verdict": VERDICT, "effects": [], "error": "no report"})
-    found = [*metrics(pairs, without_gap=[alarm]), *injected_metrics(rows)]
-    digests = {"": "a" * 64, "injected": "b" * 64, "without a gap": "d" * 64}
-    write_page(path, found, pairs, rows, [alarm], "blind-test --seed 7", (1, 2, 5), digests, 0)
+    write_page(path, metrics(results), results, "blind-test --seed 7", 8, {"simulated": "a" * 64, "injected": "b" * 64})
     text = path.read_text()
     assert text.index("b" * 64) < text.index("injected, no clean record: top-1 at 3 x | 1.000")
-    assert "1 of the 1 simulated cases, 1 of the 2 injected ones, 1 of the 5 further ones without a gap" in text
+    assert "stopped after 3 of the 8 cases" in text
     assert "| false alarm on records without a gap | 0.500 |" in text and "| false alarm, third | 0.500 |" in text
-    assert "| without_gap/case_0000 | third, rich, 0.3 % | none | 0.0 | no report |" in text
+    assert "| without_gap/case_0000 | third, rich, 0.3 % | nothing | 0.0 | no report |" in text
     assert "| stack | none | 3 | 1 | 1 |" in text
-    assert "| case_0000 | stack: full, row 0 | none | delay (sensor) | 3 | effect | delay | yes |" in text
-    write_injected_page(path, injected_metrics(rows), rows, "blind-test --injected --seed 7", "c" * 64)
-    assert "c" * 64 in path.read_text()
+    assert "| case_0000 | stack, full, row 0 | none | delay (realization sensor) | 3 | effect | delay | yes |" in text
+    write_page(path, metrics(results[2:]), results[2:], "blind-test --injected --seed 7", 1, {"injected": "c" * 64})
+    assert "c" * 64 in path.read_text() and "confusion" not in path.read_text()
 
 
 def test_scoring_and_tuning_draw_from_different_records():
@@ -204,12 +197,11 @@ def test_scoring_and_tuning_draw_from_different_records():
 
 def test_a_diagnosis_that_ends_in_an_error_costs_its_case(tmp_path):
     """Every score counts it as wrong; nothing is asked of what is no record."""
-    place = tmp_path / "cases" / "case_0000"
-    place.mkdir(parents=True)
-    (place / "case.json").write_text('{"warm_up": 0.0}')
-    (tmp_path / "labels.json").write_text(json.dumps({"cases": [{**LABEL, "name": "case_0000"}]}))
-    diagnose_all(tmp_path, note=lambda _: None)
-    (row,) = load(tmp_path)
-    assert row[1]["verdict"] == "error" and "bag" in row[1]["error"]
-    assert not named_right(*row) and not named_exactly(*row) and not quiet(row[1]) and is_covered(*row) is None
-    assert next(metric for metric in injected_metrics([row]) if "top-1" in metric.name).value == 0.0
+    (tmp_path / "cases" / "case_0000").mkdir(parents=True)
+    (tmp_path / "labels.json").write_text(json.dumps({"cases": [as_document(injected("delay"))]}))
+    batch = Batch("injected", tmp_path)
+    diagnose_all([batch], note=lambda _: None)
+    (result,) = batch.results()
+    assert result.verdict == "error" and "bag" in result.said
+    assert not (result.first or result.exact or result.right) and result.covered is None
+    assert next(metric for metric in metrics([result]) if "top-1" in metric.name).value == 0.0

@@ -10,7 +10,7 @@ import pytest
 from evaluation.reproduction import bouc_wen
 from evaluation.reproduction.bouc_wen import CANDIDATES, EQUATIONS, TARGETS, interpolated
 from evaluation.reproduction.measured_data import data_folder
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 
 
 def absent() -> bool:

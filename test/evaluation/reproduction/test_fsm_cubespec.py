@@ -16,7 +16,7 @@ from evaluation.reproduction.fsm_cubespec_records import (
     steady_state,
 )
 from evaluation.reproduction.fsm_cubespec_tables import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
-from hyst_control.errors import InputError
+from hyst_control.base.errors import InputError
 from hyst_control.identify.modal.frequency_response import robust_bla
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal.modal_fit import subspace

@@ -7,7 +7,7 @@ from evaluation.reproduction.mhl import Part, tracking_reference
 from evaluation.reproduction.mhl_responses import error_spectrum
 from evaluation.reproduction.mhl_runs import REACH, SAMPLE_TIME
 from evaluation.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, rival_of
-from hyst_control.control.feedforward import RATE_FILTER
+from hyst_control.control.feedforward.compensator import RATE_FILTER
 from hyst_control.reporting.tables import Table
 
 

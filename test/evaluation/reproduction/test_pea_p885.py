@@ -9,9 +9,9 @@ import pytest
 
 from evaluation.reproduction import pea_p885
 from evaluation.reproduction.measured_data import data_folder
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.errors import InputError
 
 
 def absent() -> bool:

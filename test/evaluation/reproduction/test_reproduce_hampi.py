@@ -38,8 +38,8 @@ class ThisProcess(Processes):
         import rclpy
         from rclpy.parameter import Parameter
 
+        from hyst_control.nodes.execution.run import run
         from hyst_control.nodes.pipeline import node_class
-        from hyst_control.nodes.run import run
 
         context = rclpy.Context()
         with left_over_nodes.destroyed():

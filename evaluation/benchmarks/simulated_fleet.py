@@ -1,0 +1,219 @@
+"""Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them in some run.
+
+A unit's coefficients scatter about the nominal plant's, those of its nights a little about its own; the temperature of a night, which
+all units share, changes every gain. Units hang on drivers, in turn. On some units an effect begins in some night; on all units of one
+driver the driver's low-pass becomes slower in one night: a cause that they share. Every night has the same command, and the first
+nights, in which nothing has begun, are every record's clean records.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evaluation.blind_test.effect_sizes import SEVERITIES, draw_effect
+from evaluation.blind_test.nominal_models import nominal
+from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from hyst_control.base.errors import InputError
+from hyst_control.base.files import write_json, write_text
+from hyst_control.base.parallel import map_spawned
+from hyst_control.chain.stage import Array
+from hyst_control.model_file import save_model
+from hyst_control.records.excitation.excitation import build
+from hyst_control.records.record import Record, Signal
+from hyst_control.records.tables.importing import write_bag
+from hyst_plant_sim.physics import load_plant
+
+PLANT = "pea_published"
+NOISE = 5e-4
+"""Noise of the sensor, rms / stroke."""
+NIGHT_SCATTER = 5e-4
+"""Relative standard deviation of a coefficient of a night about the unit's."""
+EXPANSION = 1e-3
+"""Change of every gain, 1/K."""
+CLEAN_NIGHTS = 2
+UNITS_PER_DRIVER = 16
+EFFECTS = (
+    "gain", "delay", "amplifier_lowpass", "sensor_lowpass", "hysteresis_width", "creep", "backlash", "sensor_nonlinearity",
+    "added_mass", "resonance",
+)  # fmt: skip
+"""Effects that begin on single units."""
+SHARED = "amplifier_lowpass"
+"""Effect that begins on all units of a driver."""
+TIMES_SCATTER = (3.0, 10.0)
+"""Range of an effect's gap, in unit-to-unit scatters of the measurement."""
+SIZED_BY = {"resonance": "gain"}
+"""Parameter that sizes an effect, where it is not the first of its severities."""
+EXCITATION: Mapping[str, Any] = {
+    "signal": "multisine",
+    "period": 0.1,
+    "lower_frequency": 10.0,
+    "upper_frequency": 600.0,
+    "periods": 3,
+}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One unit of a simulated fleet."""
+
+    name: str  # Its name
+    driver: str  # Driver that it hangs on
+    seed: int  # Seed of its coefficients and noise
+    effect: Mapping[str, Any]  # Effect that begins on it; empty for none
+    begins: int  # First night of the effect
+    gap_rms: float = 0.0  # Rms of what the effect changes, in the measurement unit
+
+
+def make_fleet(
+    folder: Path, seed: int, units: int, nights: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
+) -> Path:
+    """Draw a fleet, record its runs, and write manifest and labels."""
+    if units < 1 or nights < CLEAN_NIGHTS + 2:
+        raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_NIGHTS + 2} nights, got {units} and {nights}")
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"{folder}: holds files already: choose another folder")
+    (folder / "bags").mkdir(parents=True, exist_ok=True)
+    random = np.random.default_rng([seed, 7])
+    temperatures = 20.0 + 3.0 * np.sin(2.0 * np.pi * np.arange(nights) / 30.0) + random.standard_normal(nights)
+    save_model(nominal(PLANT, NOISE), folder / "model.yaml")
+    drawn = _draw(random, seed, units, nights, changed)
+    jobs = [(unit, temperatures, str(folder / "bags")) for unit in drawn]
+    for done, _ in enumerate(map_spawned(_record_unit, jobs), 1):
+        note(f"{done}/{units} units recorded")
+    _write_manifest(folder, drawn, temperatures)
+    labels = folder / "labels.json"
+    shared = next((unit for unit in drawn if unit.effect.get("shared")), None)
+    write_json(
+        labels,
+        {
+            "seed": seed,
+            "nights": nights,
+            "scatter_rms": unit_scatter(),
+            "units": [asdict(unit) for unit in drawn],
+            "driver": None if shared is None else {"driver": shared.driver, "effect": SHARED, "begins": shared.begins},
+        },
+    )
+    return labels
+
+
+def command() -> Array:
+    """Command (N, 1) of every run, V."""
+    setup = SETUPS[PLANT]
+    low, high = setup.command
+    rows = build({**EXCITATION, "rms": 0.13 * (high - low), "offset": 0.5 * (high + low), "seed": 1}, setup.sample_time, 1)
+    return np.clip(rows, low, high)
+
+
+def unit_scatter(draws: int = 8) -> float:
+    """Unit-to-unit scatter of the measurement under the command of a run, rms."""
+    measured = np.array([_measured({}, scatter(PLANT, index, SCATTER), index, 0.0) for index in range(draws)])
+    return float(np.sqrt(np.mean(measured.var(axis=0, ddof=1))))
+
+
+def _draw(random: np.random.Generator, seed: int, units: int, nights: int, changed: float) -> list[Unit]:
+    """Draw the units with their effects, sized in unit-to-unit scatters."""
+    drivers = max(1, -(-units // UNITS_PER_DRIVER))
+    weak = int(random.integers(drivers)) if drivers > 1 else -1
+    shared_night = _first_night(random, nights)
+    least = unit_scatter()
+    shared = _sized({**draw_effect(SHARED, PLANT, NOISE, random), "shared": True}, least, random)
+    own = set(random.choice(units, int(round(changed * units)), replace=False).tolist())
+    found: list[Unit] = []
+    for index in range(units):
+        driver = index % drivers
+        effect: dict[str, Any] = {}
+        begins = nights
+        if driver == weak:
+            effect, begins = shared, shared_night
+        elif index in own:
+            effect = _sized(draw_effect(EFFECTS[len(found) % len(EFFECTS)], PLANT, NOISE, random), least, random)
+            begins = _first_night(random, nights)
+        gap = _gap(effect) if effect else 0.0
+        found.append(Unit(f"u{index:04d}", f"d{driver:02d}", int(random.integers(1 << 31)), effect, begins, gap))
+    return found
+
+
+def _first_night(random: np.random.Generator, nights: int) -> int:
+    return int(random.integers(CLEAN_NIGHTS + 1, nights - 1))
+
+
+def _sized(effect: dict[str, Any], scatter_rms: float, random: np.random.Generator) -> dict[str, Any]:
+    """Effect whose gap is so many scatters as drawn: the parameter that sizes it is changed until it is."""
+    wanted = scatter_rms * float(np.exp(random.uniform(*np.log(TIMES_SCATTER))))
+    name = SIZED_BY.get(effect["name"]) or next(iter(SEVERITIES[effect["name"]])).partition(" ")[0]
+    power = -1.0 if name == "cutoff" else 1.0
+    for _ in range(4):
+        ratio = wanted / max(_gap(effect), 1e-3 * wanted)
+        effect = {**effect, name: effect[name] * min(max(ratio, 0.2), 5.0) ** power}
+    return effect
+
+
+def _gap(effect: Mapping[str, Any]) -> float:
+    """Rms of what an effect changes in the nominal plant's measurement."""
+    changed, whole = (_measured(each, {}, 0, 0.0) for each in (effect, {}))
+    return float(np.sqrt(np.mean((changed - whole) ** 2)))
+
+
+def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: int, noise: float) -> Array:
+    """Measurement (N,) of a run."""
+    setup, rows = SETUPS[PLANT], command()
+    own = {name: value for name, value in effect.items() if name != "shared"}
+    document = {
+        "plant": PLANT,
+        "rating": list(setup.command),
+        "stroke": [0.0, setup.stroke],
+        "effects": [own] if own else [],
+    }
+    plant = load_plant(document, seed=seed, sample_time=setup.sample_time, **{**coefficients, "noise": noise * setup.stroke})
+    first = plant.reset(rows[0])
+    return np.concatenate([first[None], plant.step(rows)[:-1]])[:, 0]
+
+
+def _moved(value: Any, random: np.random.Generator, size: float) -> Any:
+    if isinstance(value, list):
+        return [_moved(each, random, size) for each in value]
+    return value * (1.0 + size * random.standard_normal())
+
+
+def _record_unit(job: tuple[Unit, Array, str]) -> str:
+    """Record all runs of a unit."""
+    unit, temperatures, folder = job
+    rows, setup = command(), SETUPS[PLANT]
+    time = np.arange(len(rows), dtype=np.float64) * setup.sample_time
+    coefficients = scatter(PLANT, unit.seed, SCATTER)
+    for night, temperature in enumerate(temperatures):
+        random = np.random.default_rng([unit.seed, night])
+        tonight = _moved_all(coefficients, random)
+        effect = unit.effect if night >= unit.begins else {}
+        measured = _measured(effect, tonight, int(random.integers(1 << 31)), NOISE)
+        measured = measured * (1.0 + EXPANSION * (temperature - 20.0))
+        signals = {
+            "command": Signal(time, rows, ("x",), "V"),
+            "measurement": Signal(time, measured[:, None], ("x",), "um"),
+        }
+        write_bag(Path(folder) / f"{unit.name}_{night:03d}", Record(signals, unit.name))
+    return unit.name
+
+
+def _moved_all(coefficients: Mapping[str, Any], random: np.random.Generator) -> dict[str, Any]:
+    return {name: _moved(value, random, NIGHT_SCATTER) for name, value in coefficients.items()}
+
+
+def _write_manifest(folder: Path, units: list[Unit], temperatures: Array) -> None:
+    text = StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(("bag", "unit", "time", "model", "baseline", "driver", "temperature"))
+    for unit in units:
+        clean = ";".join(f"bags/{unit.name}_{night:03d}" for night in range(CLEAN_NIGHTS))
+        for night, temperature in enumerate(temperatures):
+            own = "" if night < CLEAN_NIGHTS else clean
+            bag = f"bags/{unit.name}_{night:03d}"
+            table.writerow((bag, unit.name, night, "model.yaml", own, unit.driver, f"{temperature:.2f}"))
+    write_text(folder / "manifest.csv", text.getvalue())

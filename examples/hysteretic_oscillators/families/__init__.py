@@ -1,0 +1,1 @@
+"""Families that fit them to records."""

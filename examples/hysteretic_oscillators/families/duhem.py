@@ -1,0 +1,309 @@
+"""Identification of Duhem hysteresis of Bouc and Wen's form in front of creep operators and dynamics G(s).
+
+    y = G(s) C(s) [slope u + z],    dz/du = alpha (1 + growth u) - (beta sgn(u̇ z) + gamma) |z|^exponent,    C(0) = G(0) = 1
+
+The search is over the simulation error of the whole chain. Creep operators and factors of G(s) are added one by one as long as the
+held-out error falls: creep is a choice of the data, not of the family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+
+from hyst_control.base.parallel import map_forked
+from hyst_control.chain import Stage
+from hyst_control.chain.hysteresis.creep_operators import CreepOperators
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.parameter import Array, declared
+from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
+from hyst_control.identify.data.fit_windows import whole_records
+from hyst_control.identify.families.estimator import Estimator, register
+from hyst_control.identify.families.options import TRUTH, Options, option
+from hyst_control.identify.families.shared_options import nuisance_option, structure_option
+from hyst_control.identify.mhl.madelung import response_sign
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
+from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hysteretic_oscillators.stages.duhem import Duhem
+
+NAMES = tuple(declared(Duhem))
+"""Parameters of the hysteresis."""
+STARTS = ((-0.2, 2.0), (-0.4, 6.0), (0.1, 2.0))
+"""Starts of the search: alpha relative to the mean slope, and beta relative to the drive."""
+MEMORY_SHARE = 0.2
+"""Share of the stroke by which the memory is measured in the parameter vector."""
+SELECTION_ROWS, STRETCH, SETTLE = 60_000, 0.2, 0.02
+"""Rows that choose between structures; length (s) of their stretches, and of their beginning that does not count."""
+WORTHWHILE = 0.03
+"""A factor is kept when it lowers the held-out mean square error by more than this share."""
+PER_DECADE = 2
+"""Creep operators per decade of time constants."""
+
+
+@dataclass(frozen=True)
+class DuhemOptions(Options):
+    """Options of a fit of Duhem hysteresis."""
+
+    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
+    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
+    # Creep operators; None: chosen on held-out stretches
+    creep: bool | None = option(None, TRUTH, "creep operators, where they are not to be chosen on held-out data")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Model of one axis as a parameter vector (P,) of order one: hysteresis (6), shares of the creep operators, dynamics with delay."""
+
+    slope: float  # Mean slope, with the response's sign (measurement unit / V)
+    drive: float  # Range of the command, V
+    times: tuple[float, ...]  # Time constants (K,) of the creep operators, s
+    structure: Structure  # Factors of G(s)
+    sample_time: float  # Sample time, s
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(NAMES) + len(self.times) + self.structure.size
+
+    def split(self, vector: Array) -> tuple[Array, Array, Array]:
+        """Split a parameter vector into hysteresis (6,), shares (K,) and dynamics."""
+        behind = len(NAMES) + len(self.times)
+        return vector[: len(NAMES)], vector[len(NAMES) : behind], vector[behind:]
+
+    def hysteresis(self, vector: Array) -> dict[str, float]:
+        """Parameters of the stage by name."""
+        slope, alpha, beta, gamma, log_exponent, growth = (float(value) for value in vector[: len(NAMES)])
+        exponent = float(np.exp(log_exponent))
+        memory = MEMORY_SHARE * abs(self.slope) * self.drive
+        pace = 1.0 / (self.drive * memory ** (exponent - 1.0))
+        return {
+            "slope": slope * self.slope,
+            "alpha": alpha * self.slope,
+            "beta": beta * pace,
+            "gamma": gamma * pace,
+            "exponent": exponent,
+            "growth": growth / self.drive,
+        }
+
+    def stages(self, vector: Array) -> list[Stage]:
+        """The chain: delay, hysteresis, creep operators, G(s)."""
+        _, shares, dynamics = self.split(vector)
+        linear = self.structure.stages(dynamics)
+        creep = [CreepOperators(self.times, shares)] if self.times else []
+        delays = [stage for stage in linear if isinstance(stage, Delay)]
+        return [*delays, Duhem(**self.hysteresis(vector)), *creep, *(stage for stage in linear if not isinstance(stage, Delay))]
+
+    def limit(self, vector: Array) -> Array:
+        """Move a parameter vector into the range in which the memory saturates and data can resolve the dynamics."""
+        core, shares, dynamics = self.split(vector)
+        slope, alpha, beta, gamma, log_exponent, growth = core
+        beta = float(np.clip(beta, 1e-3, 100.0))
+        bounded = [
+            slope,
+            alpha,
+            beta,
+            np.clip(gamma, -beta, beta),
+            np.clip(log_exponent, np.log(0.6), np.log(5.0)),
+            np.clip(growth, -2, 2),
+        ]
+        return np.concatenate([bounded, np.clip(shares, -0.2, 0.2), self.structure.limit(dynamics, self.sample_time)])
+
+    def parametrization(self) -> Parametrization:
+        """Chains and bounds of the search."""
+        return Parametrization(self.stages, np.zeros((0, self.size)), np.zeros(0), self.limit)
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Fit of one axis: its model, solution on all rows, and the mean square error on the rows held out."""
+
+    axis: Axis
+    solution: Solution
+    held_out: float
+
+
+@register
+class DuhemHysteresis(Estimator[DuhemOptions]):
+    """Duhem hysteresis, creep operators and dynamics."""
+
+    name = "duhem"
+    sentence = (
+        "Duhem hysteresis of Bouc and Wen's form, asymmetric and saturating, in front of creep operators and dynamics G(s), which are "
+        "added as long as the held-out error falls"
+    )
+    second_choice = True
+    Options = DuhemOptions
+
+    def fit(self, datasets: Sequence[Dataset], options: DuhemOptions) -> Fit:
+        check_records(datasets)
+        records = [whole_records(datasets, index, weighted=False) for index in range(len(datasets[0].axes))]
+        return assemble(datasets, [fit_axis(windows, options) for windows in records])
+
+
+def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
+    """Identify one axis."""
+    moving = [window for window in windows if np.ptp(window.command)]
+    slope = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in moving)
+    drive = max(float(np.ptp(window.command)) for window in moving)
+    sample_time = min(window.sample_time for window in windows)
+    plain = Axis(response_sign(windows) * slope, drive, (), Structure(), sample_time)
+    few = short_stretches(windows, SELECTION_ROWS, STRETCH, SETTLE)
+    starts = [np.array([1.0, alpha, beta, 0.0, 0.1, 0.0]) for alpha, beta in STARTS]
+    trials = map_forked(
+        lambda i: minimize_simulation_error(few, plain.parametrization(), starts[i], nuisance=options.nuisance, passes=5),
+        len(starts),
+    )
+    best = min(trials, key=lambda solution: solution.fitted)
+    axis, chosen = grown(few, plain, best, options)
+    final = minimize_simulation_error(
+        windows, axis.parametrization(), chosen.parameters, nuisance=options.nuisance, passes=12, tolerance=1e-6, everything=True
+    )
+    return AxisFit(axis, final, chosen.held_out)
+
+
+def creep_times(windows: Sequence[Window]) -> tuple[float, ...]:
+    """Time constants of the creep operators, s: a grid from a few samples to a third of the longest of the records in `windows`."""
+    shortest = 5.0 * min(window.sample_time for window in windows)
+    longest = max(len(window.command) * window.sample_time / window.share for window in windows) / 3.0
+    count = max(int(PER_DECADE * np.log10(max(longest / shortest, 1.0))) + 1, 1)
+    return tuple((shortest * 10.0 ** (np.arange(count) / PER_DECADE)).tolist())
+
+
+def grown(windows: Sequence[Window], axis: Axis, best: Solution, options: DuhemOptions) -> tuple[Axis, Solution]:
+    """Add creep operators and factors of G(s) as long as the held-out error falls."""
+    creep = creep_times(windows)
+    if options.structure is not None or options.creep:
+        axis, best = extended(windows, axis, best, [(creep if options.creep else (), options.structure or Structure())], options)
+    while True:
+        trials = []
+        if options.structure is None:
+            trials += [(axis.times, structure) for structure in axis.structure.extensions() if not structure.slow_pair]
+        if options.creep is None and not axis.times:
+            trials.append((creep, axis.structure))
+        if not trials:
+            return axis, best
+        following = extended(windows, axis, best, trials, options)
+        if not following[1].held_out < (1.0 - WORTHWHILE) * best.held_out:
+            return axis, best
+        axis, best = following
+
+
+def extended(
+    windows: Sequence[Window],
+    axis: Axis,
+    best: Solution,
+    trials: Sequence[tuple[tuple[float, ...], Structure]],
+    options: DuhemOptions,
+) -> tuple[Axis, Solution]:
+    """Fit richer models from the parameters of the poorer one, on all cores, and return the one with the least held-out error."""
+    core, shares, dynamics = axis.split(best.parameters)
+    frequencies = [f for f in (200.0, 1000.0, 4000.0) if f < 0.4 / axis.sample_time] or [0.2 / axis.sample_time]
+    begin = []
+    for times, structure in trials:
+        richer = replace(axis, times=times, structure=structure)
+        delayed = shares if len(times) == len(shares) else np.zeros(len(times))
+        for frequency in frequencies if structure.modes > axis.structure.modes else frequencies[:1]:
+            begin.append((richer, np.concatenate([core, delayed, structure.grow(axis.structure, dynamics, frequency)])))
+
+    def fitted(index: int) -> Solution:
+        richer, start = begin[index]
+        return minimize_simulation_error(windows, richer.parametrization(), start, nuisance=options.nuisance, passes=12)
+
+    solutions = list(map_forked(fitted, len(begin)))
+    least = min(range(len(begin)), key=lambda index: solutions[index].held_out)
+    return begin[least][0], solutions[least]
+
+
+def values(axis: Axis, vector: Annotated[Array, "P"]) -> Array:
+    """Physical parameters of one axis, in the order of `names`."""
+    _, shares, dynamics = axis.split(vector)
+    num, den = axis.structure.rational(dynamics)
+    rational = np.concatenate([num, den[1:]]) if len(den) > 1 else np.zeros(0)
+    delay = [axis.structure.tau(dynamics)] if axis.structure.delay else []
+    return np.concatenate([list(axis.hysteresis(vector).values()), shares, delay, rational])
+
+
+def names(axis: Axis) -> list[str]:
+    """Names of the physical parameters of one axis."""
+    num, den = axis.structure.rational(axis.structure.start(1.0))
+    rational = [f"num[{i}]" for i in range(len(num))] + [f"den[{i}]" for i in range(1, len(den))] if len(den) > 1 else []
+    return [*NAMES, *(f"shares[{i}]" for i in range(len(axis.times))), *["tau"] * axis.structure.delay, *rational]
+
+
+def parameter_rows(fit: AxisFit, data: Dataset, name: str) -> list[ParameterRow]:
+    """Report rows of one axis, with errors that follow from the covariance of the search."""
+    vector = fit.solution.parameters
+    nominal = values(fit.axis, vector)
+    jacobian = np.array([(values(fit.axis, vector + 1e-6 * each) - nominal) / 1e-6 for each in np.eye(len(vector))]).T
+    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.solution.covariance, jacobian), 0.0))
+    slope = f"{data.unit}/V"
+    units = {"slope": slope, "alpha": slope, "growth": "1/V", "tau": "s"}
+    rows: list[ParameterRow] = []
+    for parameter, value, error in zip(names(fit.axis), nominal, errors, strict=True):
+        unit = declared(Duhem)[parameter].unit.replace("output unit", data.unit) if parameter in ("beta", "gamma") else ""
+        rows.append(
+            {
+                "name": parameter,
+                "value": float(value),
+                "standard_error": float(error),
+                "unit": units.get(parameter, unit),
+                "axis": name,
+            }
+        )
+    return rows
+
+
+def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
+    """The axes' chains side by side as one chain with per-axis parameters."""
+    if len(axes) == 1:
+        return axes[0].axis.stages(axes[0].solution.parameters)
+    chains = [each.axis.stages(each.solution.parameters) for each in axes]
+    core = [each.axis.hysteresis(each.solution.parameters) for each in axes]
+    delays = [next((float(np.asarray(stage.tau)) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
+    creep = [
+        next((stage for stage in chain if isinstance(stage, CreepOperators)), CreepOperators([1.0], [0.0])) for chain in chains
+    ]
+    one = TransferFunction([1.0], [1.0])
+    dynamics = [next((stage for stage in chain if isinstance(stage, TransferFunction)), one) for chain in chains]
+    stages: list[Stage] = [Delay(delays)] if any(delays) else []
+    stages.append(Duhem(**{name: [each[name] for each in core] for name in NAMES}))
+    if any(each.axis.times for each in axes):
+        stages.append(CreepOperators([list(np.atleast_1d(c.times)) for c in creep], [list(np.atleast_1d(c.shares)) for c in creep]))
+    if any(each is not one for each in dynamics):
+        stages.append(
+            TransferFunction([list(np.atleast_1d(d.num)) for d in dynamics], [list(np.atleast_1d(d.den)) for d in dynamics])
+        )
+    return stages
+
+
+def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
+    """Model of all axes, with standard errors as tolerances, and its report."""
+    first = datasets[0]
+    creeping = [f", {len(axis.axis.times)} creep operators" if axis.axis.times else "" for axis in axes]
+    return assembled(
+        datasets,
+        chain_model(datasets, chain_stages(axes), "duhem"),
+        uncertainty(axes, first.axes),
+        [row for axis, name in zip(axes, first.axes, strict=True) for row in parameter_rows(axis, first, name)],
+        [],
+        family="duhem",
+        method="joint",
+        held_out=[axis.held_out for axis in axes],
+        more={"structure": [axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)]},
+    )
+
+
+def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
+    """Carry the covariances of the fits over to the numbers of the chain."""
+
+    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
+        moved = [replace(axis.solution, parameters=vector) for axis, vector in zip(axes, vectors, strict=True)]
+        return chain_stages([replace(axis, solution=solution) for axis, solution in zip(axes, moved, strict=True)])
+
+    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)

@@ -1,0 +1,1 @@
+"""Stages: Duhem hysteresis, and mechanics with a hysteretic force inside their feedback."""

@@ -1,0 +1,1 @@
+"""Ground of every room: errors, files, progress, processes, plugins, configuration files."""

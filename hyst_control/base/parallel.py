@@ -1,0 +1,275 @@
+"""Worker processes for computations, started here only.
+
+Workers compute serially inside, end with their parent, also when that
+is killed, and end at once when the work is canceled (an error, Ctrl-C). A worker that is killed ends the work in a `WorkerLost`; of
+many independent jobs (`outcomes`) it costs one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar, cast
+
+from hyst_control.base.cluster import cluster_executor
+from hyst_control.base.errors import InputError, WorkerLost
+
+PARENT_DEATH_SIGNAL = 1  # of prctl(2)
+JOBS_PER_WORKER = 100
+"""Number of jobs after which a worker of `map_spawned` is replaced, so that memory leaks of libraries do not accumulate."""
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+_serial = False
+_work: Callable[[int], object] | None = None
+
+
+class WaitingThread(threading.Thread):
+    """Thread that waits for a file all its life and holds no lock, so that a fork may leave it behind."""
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def compute_serially() -> None:
+    """Let `map_forked` and `map_spawned` compute in this process from now on: others like it keep all cores busy."""
+    global _serial
+    _serial = True
+
+
+@contextmanager
+def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
+    """Provide worker processes for independent pieces of a computation."""
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
+    try:
+        yield pool
+    except BaseException as error:
+        # A broken pool ends its workers itself, but not one that is being started meanwhile, for which it would then wait.
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.kill()
+        # Work that is given to a pool in the moment in which it breaks meets a pipe that is closed already.
+        if isinstance(error, BrokenProcessPool) or (isinstance(error, OSError) and _is_broken(pool)):
+            raise WorkerLost(
+                "a worker process was killed, possibly for lack of memory: free memory and run the command again"
+            ) from None
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _is_broken(pool: ProcessPoolExecutor) -> bool:
+    try:
+        pool.submit(int)
+    except BrokenProcessPool:
+        return True
+    except (OSError, RuntimeError):
+        pass
+    return False
+
+
+def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
+    """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
+
+    Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
+    """
+    global _work
+    workers = min(cores(), count)
+    others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
+    alone = _serial or workers < 2 or len(others) > 1 or multiprocessing.current_process().daemon
+    if alone or "fork" not in multiprocessing.get_all_start_methods():
+        yield from map(work, range(count))
+        return
+    _work = work
+    with executor(workers, "fork") as pool:
+        waiting = deque(pool.submit(_call, index) for index in range(count))
+        while waiting:
+            yield cast(Result, waiting.popleft().result())
+
+
+def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    """Compute work(job) in order, on all cores, in fresh processes: for jobs of seconds to minutes."""
+    workers = min(cores(), len(jobs))
+    if _serial or workers < 2:
+        yield from map(work, jobs)
+        return
+    batch = workers * JOBS_PER_WORKER
+    for begin in range(0, len(jobs), batch):
+        with executor(workers) as pool:
+            waiting = deque(pool.submit(work, job) for job in jobs[begin : begin + batch])
+            while waiting:
+                yield waiting.popleft().result()
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Place where many independent jobs are computed."""
+
+    count: int | None = None  # Processes of this computer; None: one a core
+    # Address of a Dask scheduler, path of its scheduler file, or "local"; None: processes of this computer, without Dask
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.count is not None and self.count < 1:
+            raise InputError(f"--workers: must be at least 1, got {self.count}")
+        if self.count is not None and self.cluster not in (None, "local"):
+            raise InputError("--workers: a cluster that is running has its own number of workers: leave it out")
+
+    @contextmanager
+    def open(self) -> Iterator[tuple[Executor, Callable[[], int]]]:
+        """Provide the executor, and a function that returns the number of jobs that it computes at the same time."""
+        count = self.count or cores()
+        if self.cluster is not None:
+            with cluster_executor(self.cluster, count) as opened:
+                yield opened
+            return
+        with executor(count) as pool:
+            yield pool, lambda: count
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Job, Result]):
+    """End of a job."""
+
+    job: Job  # The job
+    result: Result | None  # Its result; None where it failed
+    reason: str = ""  # Why it failed; "" where it did not
+
+
+ATTEMPTS = 2
+"""Times that a job is tried."""
+AHEAD = 3
+"""Jobs submitted for every one that can be computed at a time: what waits keeps the workers busy, and memory flat."""
+REOPENED = 5
+"""Times in a row that workers are started or a scheduler is looked for again, without a job done in between."""
+
+
+def outcomes(work: Callable[[Job], Result], jobs: Iterable[Job], workers: Workers) -> Iterator[Outcome[Job, Result]]:
+    """Compute work(job) for many jobs, in the order in which they end; each costs at most itself.
+
+    A job that fails is tried once more. Where a worker is killed, nobody knows by which of the jobs under way: they are computed
+    one at a time until the guilty one is found, on a cluster when the others are done. Where a cluster's scheduler is lost, it is
+    looked for again.
+    """
+    source = iter(jobs)
+    again: deque[tuple[Job, int]] = deque()
+    suspects: deque[tuple[Job, int]] = deque()
+    fruitless = 0
+    while True:
+        under_way: dict[Future[Result], tuple[Job, int]] = {}
+        try:
+            with workers.open() as (pool, slots):
+                for outcome in _drive(pool, slots, work, source, again, suspects, under_way):
+                    fruitless = 0
+                    yield outcome
+                return
+        except (WorkerLost, _PoolLost, InputError) as error:
+            if isinstance(error, InputError) and not (fruitless or under_way):
+                raise
+            fruitless += 1
+            if fruitless > REOPENED:
+                raise WorkerLost(f"workers were lost {fruitless} times in a row ({error}): look after them and run again") from None
+            alone = len(under_way) == 1 and workers.cluster is None
+            for job, attempt in under_way.values():
+                if alone and attempt + 1 >= ATTEMPTS:
+                    fruitless = 0
+                    yield Outcome(job, None, KILLED)
+                else:
+                    (suspects if workers.cluster is None else again).append((job, attempt + alone))
+
+
+class _PoolLost(Exception):
+    """The workers as a whole are gone."""
+
+
+def _drive(
+    pool: Executor,
+    slots: Callable[[], int],
+    work: Callable[[Job], Result],
+    source: Iterator[Job],
+    again: deque[tuple[Job, int]],
+    suspects: deque[tuple[Job, int]],
+    under_way: dict[Future[Result], tuple[Job, int]],
+) -> Iterator[Outcome[Job, Result]]:
+    """Outcomes until nothing is left to do; what is under way stays in `under_way` when the pool is lost."""
+    alone = False
+    while True:
+        if not under_way:
+            alone = bool(suspects)
+        while len(under_way) < (1 if alone else AHEAD * slots()):
+            waiting = suspects if alone else again
+            try:
+                due = waiting.popleft() if waiting else (next(source), 0)
+            except StopIteration:
+                break
+            try:
+                under_way[pool.submit(_serially, work, due[0])] = due
+            except (BrokenProcessPool, RuntimeError):
+                waiting.appendleft(due)
+                raise _PoolLost("no work can be given to it") from None
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            job, attempt = under_way[future]
+            error = CancelledError() if future.cancelled() else future.exception()
+            if isinstance(error, (BrokenProcessPool, CancelledError)) or type(error).__name__ in LOST:
+                raise _PoolLost(str(error) or type(error).__name__)
+            del under_way[future]
+            if error is None:
+                yield Outcome(job, future.result())
+            elif not isinstance(error, Exception):
+                raise error
+            elif type(error).__name__ == "KilledWorker":
+                if alone:  # a cluster blames every job that a killed worker had, the waiting ones too
+                    yield Outcome(job, None, KILLED)
+                else:
+                    suspects.append((job, attempt))
+            elif attempt + 1 < ATTEMPTS:
+                again.append((job, attempt + 1))
+            else:
+                yield Outcome(job, None, str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}")
+
+
+KILLED = "its worker was killed, possibly for lack of memory"
+LOST = {"CommClosedError", "FutureCancelledError", "TimeoutError"}
+"""Names of a cluster's errors that say that the scheduler is gone, not that a job has failed."""
+
+
+def _serially(work: Callable[[Job], Result], job: Job) -> Result:
+    """Compute a job in a worker that others started: it computes serially inside."""
+    compute_serially()
+    return work(job)
+
+
+def _begin_worker(serial: bool) -> None:
+    """Set up the signals of a worker: SIGTERM ends it without a message, Ctrl-C is handled by its parent.
+
+    It ends with its parent, also when that is killed, since no other process would end it.
+    """
+    global _serial
+    _serial = serial
+    # What a fork inherits as garbage is its parent's to collect: the objects of a library whose threads are not here must not be touched.
+    gc.freeze()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
+def _call(index: int) -> object:
+    assert _work is not None
+    return _work(index)

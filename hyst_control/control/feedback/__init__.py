@@ -1,0 +1,1 @@
+"""Feedback: PI controller, limits, watches and the safe loop."""

@@ -1,0 +1,1 @@
+"""Feedforward compensators: inverse models of hysteresis and dynamics."""

@@ -1,0 +1,521 @@
+"""Feedforward compensators built from a model: chains of stages from the reference to the command.
+
+| kind          | command                                                                                                  |
+|---------------|----------------------------------------------------------------------------------------------------------|
+| `none`        | reference through the model's mean static gain, no dynamics, no hysteresis                                |
+| `hapi`        | inverse dynamics, then the inverse of the classical part of the Prandtl-Ishlinskii model                  |
+| `hampi`       | inverse dynamics, then the inverse multiplicative structure with dynamic weights (HAMPI paper §4)         |
+| `mhl`         | H_S^-1 and the rate correction behind its filter N(s), in parallel (MHL paper Eq. 6, 7 and §4.4)           |
+| `mhl_static`  | H_S^-1 alone, the traditional compensator (MHL paper Eq. 9)                                               |
+| `mhl_inverse` | inverse dynamics, then the inverse of the whole rate-dependent part: past the paper                       |
+
+A compensator runs with hold `foh`: command[k] from reference[<= k]. One with inverse dynamics looks `preview` ticks ahead; the
+caller shifts its output by as many rows. Without preview it is the same filter, and its output is late by
+`residual_delay_ticks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hyst_control.base.errors import InputError
+from hyst_control.base.plugins import Registry
+from hyst_control.chain import Chain, Parallel, Sampling, Stage
+from hyst_control.chain.c_code.c_code import CCode
+from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
+from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.linear.linear_stages import Delay, LinearStage
+from hyst_control.chain.memoryless import Gain, Offset, Saturation
+from hyst_control.chain.stage import Array, per_axis_scalar
+from hyst_control.control.feedforward.inverse_dynamics import invert_dynamics, zero_phase_low_pass
+from hyst_control.control.feedforward.mhl_inverse import (
+    composite,
+    constant_removed,
+    inverse_rate_correction,
+    inverted,
+    rate_dependent_parts,
+    whole_inverse,
+)
+from hyst_control.control.feedforward.quasi_static import hysteretic, mean_line, quasi_static_stages
+from hyst_control.model_file import Model
+
+RATE_FILTER = (3.23e-7, 9.1e-4, 1.0)
+"""Denominator of N(s) = 1 / (3.23e-7 s² + 9.1e-4 s + 1), descending powers of s (MHL paper §4.4)."""
+
+
+class Compensator:
+    """A running compensator: reference (N, A) in the measurement unit to command (N, A) in V, streaming.
+
+    With `preview` q > 0 the output row i belongs to the tick of input row i - q. `residual_delay_ticks` says by how many
+    ticks the command is late where preview was declined. `limits` (2, A) is the drive that it never leaves.
+    """
+
+    def __init__(
+        self, stages: Sequence[Stage], model: Model, sample_time: float, preview: int, residual_delay_ticks: int, limits: Array
+    ) -> None:
+        self.stages = tuple(stages)
+        self.axes = model.axes
+        self.sample_time = sample_time
+        self.preview = preview
+        self.residual_delay_ticks = residual_delay_ticks
+        self.limits = limits
+        self._filter = Chain(self.stages).filter(Sampling(sample_time, len(model.axes), "foh"))
+
+    def settle(self, reference: Array) -> Array:
+        """Come to rest at the reference (A,), reached from 0 V on the virgin curve; returns the command (A,) in V."""
+        return self._filter.settle(np.asarray(reference, dtype=float))
+
+    def process(self, block: Array) -> Array:
+        """Command rows (N, A) in V for a `block` of reference rows (N, A) in the measurement unit."""
+        return self._filter.process(np.ascontiguousarray(block, dtype=float))
+
+    def c_code(self) -> CCode:
+        """The compensator in C, see `chain.c_code`. Raises `InputError` where a stage has none."""
+        return self._filter.c_code()
+
+
+@dataclass(frozen=True)
+class Design:
+    """Options of `build_compensator`, checked, as a kind's function gets them beside the model.
+
+    kind: under which it was called; sample_time: s; limits (2, A): V, lower and upper. The others as `build_compensator` has them.
+    """
+
+    kind: str
+    sample_time: float
+    limits: Array
+    inverse: str = "zpetc"
+    discretisation: str = "zoh"
+    preview: bool = True
+    iterations: int | None = None
+    inverse_model: Model | None = None
+    rate_filter: Sequence[float] | None = RATE_FILTER
+    smoothing: int = 0
+
+    @property
+    def rating(self) -> Saturation:
+        """The stage that ends every compensator: it never leaves the drive's limits."""
+        return Saturation(self.limits[0].tolist(), self.limits[1].tolist())
+
+
+Builder = Callable[[Model, Design], Compensator]
+"""Builds one kind of compensator; a plugin's, under `hyst_control.controllers`, is one too."""
+
+
+def build_compensator(
+    model: Model,
+    kind: str,
+    *,
+    sample_time: float | None = None,
+    inverse: str = "zpetc",
+    discretisation: str = "zoh",
+    limits: tuple[ArrayLike, ArrayLike] | None = None,
+    preview: bool = True,
+    iterations: int | None = None,
+    inverse_model: Model | None = None,
+    rate_filter: Sequence[float] | None = RATE_FILTER,
+    smoothing: int = 0,
+) -> Compensator:
+    """Build the compensator of a model; the module's table describes the kinds.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    kind
+        One of `KINDS`.
+    sample_time
+        Sample time, s; the model's by default.
+    inverse
+        Inverse of the dynamics: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only); used by the kinds that invert them.
+    discretisation
+        "zoh" (exact, delays included) or "tustin" (as published), of the dynamics, or of N(s) Ψ'.
+    limits
+        Lower and upper limit of the drive, V, one value or (A,); the model's valid command range by default.
+    preview
+        True to look ahead, False for the causal form.
+    iterations
+        Steps per sample of the inverse multiplicative structure (default 4; 1 is HAMPI paper Eq. 13, 0 solves exactly), or passes
+        over the rate correction of `mhl_inverse` (default 6).
+    inverse_model
+        Model from the measurement to V with separately identified inverse curves, for `mhl` and `mhl_static`.
+    rate_filter
+        Denominator of N(s), descending powers of s; None for no filter.
+    smoothing
+        Order of the low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes first, 0 for none;
+        for the kinds that look ahead, which then look as many ticks further ahead. For `mhl` that of an N without phase in place of
+        `rate_filter` (`mhl_inverse.composite`), which looks `smoothing` + 1 ticks ahead.
+
+    Returns
+    -------
+    Compensator
+        Compensator, from reference rows to command rows.
+
+    Raises
+    ------
+    InputError
+        The kind is not known or does not fit the model, or the model cannot be inverted within the limits.
+    """
+    if kind not in KINDS:
+        raise InputError(f"kind: {kind!r} is not one of {', '.join(KINDS)}")
+    if smoothing < 0:
+        raise InputError(f"smoothing: must be >= 0, got {smoothing}")
+    bounds = drive_limits(model, limits)
+    design = Design(
+        kind,
+        float(sample_time or model.sample_time),
+        bounds,
+        inverse,
+        discretisation,
+        preview,
+        iterations,
+        inverse_model,
+        rate_filter,
+        smoothing,
+    )
+    return KINDS[kind](model, design)
+
+
+def _proportional(model: Model, design: Design) -> Compensator:
+    """The model's mean static gain alone."""
+    slope, offset = mean_line(model, *design.limits)
+    return _without_preview([Offset((-offset).tolist()), Gain((1.0 / slope).tolist())], model, design)
+
+
+def _mhl(model: Model, design: Design) -> Compensator:
+    """The MHL paper's compensators."""
+    tustin = Sampling(design.sample_time, len(model.axes), "foh") if design.discretisation == "tustin" else None
+    if design.smoothing and design.kind == "mhl":
+        if design.inverse_model is None:
+            raise InputError(f"smoothing: {design.smoothing} for kind mhl needs an inverse_model that was identified behind it")
+        stages = mhl_stages(model, design.kind, design.inverse_model, None, tustin, design.smoothing)
+        ahead = design.smoothing + 1
+        late = 0 if design.preview else ahead
+        return Compensator([*stages, design.rating], model, design.sample_time, ahead - late, late, design.limits)
+    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter, tustin), model, design)
+
+
+def _without_preview(stages: Sequence[Stage], model: Model, design: Design) -> Compensator:
+    """A compensator that does not look ahead."""
+    if design.smoothing:
+        raise InputError(f"smoothing: {design.smoothing} for kind {design.kind}, which does not look ahead: leave it out")
+    return Compensator([*stages, design.rating], model, design.sample_time, 0, 0, design.limits)
+
+
+def _inverse_chain(model: Model, design: Design) -> Compensator:
+    """Inverse dynamics, then the inverse of the hysteresis."""
+    before, core, after = split(model)
+    # A DAC holds the command; behind dynamics the signal is smooth.
+    held = Sampling(design.sample_time, len(model.axes), "zoh")
+    entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
+    behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation)
+    front, further = dynamics_inverse(before, held, design.inverse, design.discretisation)
+    # The hysteresis sees the drive through the static gain of what stands before it.
+    drive = np.sort(quasi_static_stages(before, design.limits, held.axes), axis=0)
+    valid = model.valid.get("command")
+    needed = drive if valid is None else np.sort(quasi_static_stages(before, drive_limits(model, None), held.axes), axis=0)
+    inverted_core = core_inverse(core, after, design.kind, entering, drive, needed[1], design.iterations)
+    stages = [*behind, *inverted_core, *front, design.rating]
+    ahead += further
+    if design.inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
+        ahead = 1  # Without dynamics the sample still comes one tick after its command.
+    if design.smoothing:
+        stages.insert(0, zero_phase_low_pass(design.smoothing, held.axes, design.sample_time))
+        ahead += design.smoothing
+    late = 0 if design.preview else ahead
+    return Compensator(stages, model, design.sample_time, ahead - late, late, design.limits)
+
+
+KINDS: Registry[Builder] = Registry(
+    "controllers",
+    "a function of a model and a Design",
+    lambda name, value: callable(value),
+    {
+        "none": _proportional,
+        "hapi": _inverse_chain,
+        "hampi": _inverse_chain,
+        "mhl": _mhl,
+        "mhl_static": _mhl,
+        "mhl_inverse": _inverse_chain,
+    },
+)
+"""Every kind of compensator by name."""
+
+
+def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Array:
+    """Lower and upper limit of the drive.
+
+    Parameters
+    ----------
+    model
+        Model whose valid command range is the default.
+    limits
+        Lower and upper limit, V, one value or (A,); None for the model's.
+
+    Returns
+    -------
+    Array
+        Limits (2, A), V: the lower ones, then the upper ones.
+
+    Raises
+    ------
+    InputError
+        Neither the limits nor the model give a range, or a lower limit is not below its upper one.
+    """
+    given = limits if limits is not None else model.valid.get("command")
+    if given is None:
+        raise InputError("limits: the model says no valid command range: give the drive's rating, lower and upper in V")
+    if limits is None:
+        given = np.array(given, dtype=float).T
+    bounds = np.stack([np.broadcast_to(np.asarray(side, dtype=float), (len(model.axes),)) for side in given])
+    if not np.all(np.isfinite(bounds)) or np.any(bounds[0] >= bounds[1]):
+        raise InputError(f"limits: lower must be below upper, got {bounds[0].tolist()} to {bounds[1].tolist()} V")
+    return np.array(bounds)
+
+
+def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
+    """Split a model's chain at its hysteresis; delays go to a linear side.
+
+    Quantization and limits, which have no inverse that a feedforward could use, are left out.
+
+    Parameters
+    ----------
+    model
+        Model with one hysteresis at most.
+
+    Returns
+    -------
+    tuple[list[Stage], Stage | None, list[Stage]]
+        Linear stages before the hysteresis, the hysteresis or None, and linear stages after it.
+
+    Raises
+    ------
+    InputError
+        The chain has a second hysteresis, or a stage without an inverse.
+    """
+    delays = [stage for stage in model.chain.stages if isinstance(stage, Delay)]
+    sides: tuple[list[Stage], list[Stage]] = ([], [])
+    core: Stage | None = None
+    for index, stage in enumerate(model.chain.stages):
+        if hysteretic(stage):
+            if core is not None:
+                raise InputError(
+                    f"chain[{index}] ({stage.name}): a second hysteresis: a compensator inverts one; "
+                    "use the lifted inverse of the whole chain"
+                )
+            core = stage
+        elif isinstance(stage, (LinearStage, Gain, Offset)):
+            sides[core is not None].append(stage)
+        elif not (isinstance(stage, Delay) or stage.only_limits):
+            raise InputError(f"chain[{index}] ({stage.name}): has no inverse here: use the lifted inverse of the whole chain")
+    # A delay commutes with the hysteresis, so it joins the dynamics that follow it.
+    target = sides[1] if any(isinstance(stage, LinearStage) for stage in sides[1]) or not sides[0] else sides[0]
+    target.extend(delays)
+    return sides[0], core, sides[1]
+
+
+def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discretisation: str) -> tuple[list[Stage], int]:
+    """Inverse of linear stages, gains and offsets.
+
+    Parameters
+    ----------
+    side
+        Stages in the order of the chain.
+    sampling
+        Sample time and number of axes A.
+    method
+        Inverse of the dynamics: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only).
+    discretisation
+        "zoh" or "tustin".
+
+    Returns
+    -------
+    tuple[list[Stage], int]
+        Stages of the inverse, and the number of ticks that they look ahead.
+
+    Raises
+    ------
+    InputError
+        A gain is 0, so that the command does not reach the output.
+    """
+    axes = sampling.axes
+    linear = [stage for stage in side if isinstance(stage, (LinearStage, Delay))]
+    static = [stage for stage in side if isinstance(stage, (Gain, Offset))]
+    if not side:
+        return [], 0
+    # Offsets are carried to the output of the side; gains and the static gain of the dynamics commute with the dynamics.
+    bias = quasi_static_stages(side, np.zeros((1, axes)), axes)[0]
+    gain = np.prod(
+        [per_axis_scalar(stage.gain, axes, "gain") for stage in static if isinstance(stage, Gain)] or [np.ones(axes)], axis=0
+    )
+    stages: list[Stage] = [Offset((-bias).tolist())] if np.any(bias != 0.0) else []
+    if np.any(gain == 0.0):
+        raise InputError("gain: is 0: the command does not reach the output")
+    if np.any(gain != 1.0):
+        stages.append(Gain((1.0 / gain).tolist()))
+    if not linear:
+        return stages, 0
+    if method == "none":
+        whole = quasi_static_stages(linear, np.stack([np.zeros(axes), np.ones(axes)]), axes)
+        return [*stages, Gain((1.0 / (whole[1] - whole[0])).tolist())], 0
+    inverted = invert_dynamics(linear, sampling, method, discretisation)
+    return [*stages, inverted.stage], inverted.preview
+
+
+def core_inverse(
+    core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array, iterations: int | None
+) -> list[Stage]:
+    """Inverse of the hysteresis of a model.
+
+    Parameters
+    ----------
+    core
+        Hysteresis, None for a model without one.
+    after
+        Linear stages that follow it in the model.
+    kind
+        One of `KINDS`.
+    sampling
+        Sample time and number of axes A.
+    drive
+        Limits (2, A) of its input, V.
+    needed
+        Value (A,) up to which it must be invertible, V.
+    iterations
+        Steps per sample or passes, as for `build_compensator`; None for the default of the kind.
+
+    Returns
+    -------
+    list[Stage]
+        Stages of the inverse; none where there is no hysteresis to invert.
+
+    Raises
+    ------
+    InputError
+        The kind does not fit the hysteresis.
+    """
+    if kind == "mhl_inverse":
+        hysteresis, correction = rate_dependent_parts(core)
+        return whole_inverse(hysteresis, correction, after, sampling, 6 if iterations is None else iterations)
+    if core is None:
+        return []
+    if isinstance(core, Madelung):
+        return [inverted(core)]
+    if isinstance(core, RateDependentPrandtlIshlinskii) and kind == "hapi":
+        core = PrandtlIshlinskii(core.thresholds, core.weights, w0=core.w0)
+    if not isinstance(core, (PrandtlIshlinskii, ModifiedPrandtlIshlinskii)):
+        raise InputError(f"kind: {kind!r} inverts prandtl_ishlinskii and modified_prandtl_ishlinskii, not {core.name}")
+    own = {item.name: getattr(core, item.name) for item in fields(core)}
+    if kind == "hapi":
+        own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b")}
+    lower, upper = invertible_range(core.__class__(**own), drive, needed)
+    return [
+        InverseMultiplicative(**own, lower=lower.tolist(), upper=upper.tolist(), iterations=4 if iterations is None else iterations)
+    ]
+
+
+def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive: Array, needed: Array) -> Array:
+    """Part of the drive over which the output rises with the command, 0 < dY/du.
+
+    Parameters
+    ----------
+    core
+        Hysteresis.
+    drive
+        Limits (2, A) of its input, V.
+    needed
+        Value (A,) up to which it must be invertible, V.
+
+    Returns
+    -------
+    Array
+        Limits (2, A) of the invertible part, V.
+
+    Raises
+    ------
+    InputError
+        The invertible part ends below `needed`.
+    """
+    axes = drive.shape[1]
+    coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
+    operators = play_filter(core, Sampling(1.0, axes))
+    upper = drive[1].copy()
+
+    def least_slope(axis: int, end: float) -> tuple[float, float, float, float]:
+        w0, k, b = coefficients[:, axis]
+        return slope_range(
+            operators.thresholds[axis], operators.release[axis], operators.weights[axis], w0, k, b, drive[0, axis], end
+        )
+
+    for axis in range(axes):
+        if least_slope(axis, upper[axis])[0] > 0.0:
+            continue
+        low, high = min(needed[axis], upper[axis]), upper[axis]
+        least, _, _, where = least_slope(axis, low)
+        if least <= 0.0:
+            raise InputError(
+                f"weights of axis {axis}: the model's output falls while the command rises near {where:.4g} V "
+                f"(dY/du {least:.3g}): no inverse; narrow the limits or fit it with positive weights"
+            )
+        while high - low > 1e-3 * (drive[1, axis] - drive[0, axis]):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if least_slope(axis, middle)[0] > 0.0 else (low, middle)
+        upper[axis] = low
+    return np.stack([drive[0], upper])
+
+
+def mhl_stages(
+    model: Model,
+    kind: str,
+    inverse_model: Model | None,
+    rate_filter: Sequence[float] | None,
+    tustin: Sampling | None = None,
+    smoothing: int = 0,
+) -> list[Stage]:
+    """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+    kind
+        "mhl", or "mhl_static" for H_S^-1 alone.
+    inverse_model
+        Model from the measurement to V; None to invert the curves of `model`.
+    rate_filter
+        Denominator of N(s), descending powers of s; None for no filter.
+    tustin
+        Sampling with which N(s) Ψ' is discretized by Tustin's rule; None for the exact discretization.
+    smoothing
+        Order of an N without phase, with an `inverse_model` (`mhl_inverse.composite`); 0 for none.
+
+    Returns
+    -------
+    list[Stage]
+        Stages from the reference to the command.
+
+    Raises
+    ------
+    InputError
+        The model has no Madelung stage.
+    """
+    axes = len(model.axes)
+    if inverse_model is not None:
+        front, core, _ = split(inverse_model)
+        hysteresis, correction = rate_dependent_parts(core)
+        return front + composite(hysteresis, correction if kind == "mhl" else None, rate_filter, tustin, smoothing)
+    before, core, after = split(model)
+    if not isinstance(core, (Madelung, Parallel)):
+        raise InputError(f"kind: {kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi")
+    direct, forward = rate_dependent_parts(core)
+    stages, _ = dynamics_inverse(after, Sampling(model.sample_time, axes), "none", "zoh")
+    stages += constant_removed(forward, axes)
+    lead = inverse_rate_correction(direct, forward, axes) if forward is not None and kind == "mhl" else None
+    front, _ = dynamics_inverse(before, Sampling(model.sample_time, axes), "none", "zoh")
+    return [*stages, *composite(inverted(direct), lead, rate_filter, tustin), *front]

@@ -1,0 +1,170 @@
+"""Inverses of the MHL model's rate-dependent hysteresis H_D = H_S + Ψ, as chains of stages (MHL paper §3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyst_control.base.errors import InputError
+from hyst_control.chain import Parallel, Sampling, Stage
+from hyst_control.chain.hysteresis.madelung import Madelung
+from hyst_control.chain.linear.linear_stages import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
+from hyst_control.chain.linear.symmetric_filter import smooth_weights, weighted_sum
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.stage import Array, per_axis_scalar
+from hyst_control.control.feedforward.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
+
+
+def rate_dependent_parts(core: Stage | None) -> tuple[Madelung, RateCorrection | None]:
+    """H_S and Ψ of `core`, an MHL model's rate-dependent part. Raises `InputError` when it is something else."""
+    if isinstance(core, Madelung):
+        return core, None
+    flat = [stage for branch in core.branches for stage in branch] if isinstance(core, Parallel) else []
+    hysteresis = [stage for stage in flat if isinstance(stage, Madelung)]
+    correction = [stage for stage in flat if isinstance(stage, RateCorrection)]
+    if len(hysteresis) != 1 or len(correction) > 1 or len(flat) != len(hysteresis) + len(correction):
+        raise InputError(
+            "kind: an MHL compensator needs a model with a madelung stage, alone or in parallel with one "
+            f"rate_correction, not {core.name if core else 'one without hysteresis'}"
+        )
+    return hysteresis[0], correction[0] if correction else None
+
+
+def inverted(stage: Madelung) -> Madelung:
+    """The curves of a Madelung `stage` with input and output exchanged."""
+    return replace(stage, inverse=not stage.inverse)
+
+
+def mean_slope(stage: Madelung, axes: int) -> Array:
+    """Output at full input over full input (A,) of a Madelung `stage` with so many `axes`, measurement unit per V."""
+    full = np.array([float(up(np.ones(1))[0]) for up, _ in stage.curves(axes)])
+    return (
+        full * per_axis_scalar(stage.output_scale, axes, "output_scale") / per_axis_scalar(stage.input_scale, axes, "input_scale")
+    )
+
+
+def inverse_rate_correction(stage: Madelung, correction: RateCorrection, axes: int) -> RateCorrection:
+    """Ψ' such that (1/a + Ψ')(a + Ψ) = 1 with a the mean slope of H_S: again a first-order lag driven by the rate.
+
+    1 / (a + k1 s / (k2 s + b2)) - 1 / a = (-k1 / a²) s / ((k2 + k1 / a) s + b2).
+    """
+    a = mean_slope(stage, axes)
+    k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
+    if np.any(np.abs(k1) >= a * k2):
+        raise InputError(
+            "k1: at high frequency the rate correction outweighs the hysteresis itself (|k1| / k2 is not below the "
+            "mean slope): it has no stable inverse; take kind mhl_static"
+        )
+    return RateCorrection((-k1 / a**2).tolist(), (k2 + k1 / a).tolist(), 0.0, b2.tolist())
+
+
+def constant_removed(correction: RateCorrection | None, axes: int) -> list[Stage]:
+    """Offset that subtracts the constant b1 / b2 of `correction`, for so many `axes`; no stage where there is none."""
+    if correction is None:
+        return []
+    constant = per_axis_scalar(correction.b1, axes, "b1") / per_axis_scalar(correction.b2, axes, "b2")
+    return [Offset((-constant).tolist())] if np.any(constant) else []
+
+
+def composite(
+    hysteresis: Madelung,
+    correction: RateCorrection | None,
+    rate_filter: Sequence[float] | None,
+    sampling: Sampling | None = None,
+    smoothing: int = 0,
+) -> list[Stage]:
+    """u_ff = H_S^-1[y] + N(s) Ψ'[y] from an inverse curve and a leading correction (MHL paper Eq. 6, 7, §4.4).
+
+    An exactly discretized rate of a reference that is linear between samples is half a sample late, which at 100 Hz and 5 kHz is
+    0.9 % too much amplitude. Tustin's rule avoids that.
+    """
+    # smoothing: order of an N without phase in place of the rate filter, which needs `sampling`: smooth weights, one tick ahead.
+    # The command is late by `smoothing` + 1 ticks. 0 for none
+    if correction is None:
+        return [hysteresis]
+    if smoothing:
+        if sampling is None:
+            raise InputError("smoothing: an N(s) without phase is a sampled one: take discretisation tustin")
+        axes, period = sampling.axes, sampling.sample_time
+        ahead: tuple[Stage, ...] = (tustin_lead(correction, None, sampling), weighted_sum(smooth_weights(smoothing), axes, period))
+        late = weighted_sum(np.eye(1, smoothing + 2, smoothing + 1)[0], axes, period)
+        return [Parallel(((hysteresis, late), ahead))]
+    lead: list[Stage] = [correction]
+    if sampling is not None:
+        lead = [tustin_lead(correction, rate_filter, sampling)]
+    elif rate_filter is not None:
+        lead.append(TransferFunction([float(rate_filter[-1])], [float(value) for value in rate_filter]))
+    return [Parallel(((hysteresis,), tuple(lead)))]
+
+
+def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None, sampling: Sampling) -> StateSpace:
+    """(k1 s + b1) / (k2 s + b2) times N(s), discretized by Tustin's rule for all axes."""
+    axes = sampling.axes
+    values = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "b1", "k2", "b2"))
+    poles_of_filter = np.roots([float(value) for value in rate_filter]) if rate_filter is not None else np.zeros(0)
+    found = []
+    for k1, b1, k2, b2 in zip(*values, strict=True):
+        scale = float(rate_filter[-1]) / float(rate_filter[0]) if rate_filter is not None else 1.0
+        from scipy.signal import bilinear_zpk  # here, not above: it takes longer to import than all that a node needs
+
+        zeros, poles, gain = bilinear_zpk([-b1 / k1], [-b2 / k2, *poles_of_filter], scale * k1 / k2, 1.0 / sampling.sample_time)
+        found.append(DiscreteSystem(np.asarray(zeros, dtype=complex), np.asarray(poles, dtype=complex), float(np.real(gain))))
+    return discrete_stage(found, sampling.sample_time)
+
+
+def whole_inverse(
+    stage: Madelung, correction: RateCorrection | None, after: Sequence[Stage], sampling: Sampling, passes: int
+) -> list[Stage]:
+    """Solve H_S[v] + Ψ[v] = w by v_0 = H_S^-1[w] + Ψ'[w], v_j+1 = H_S^-1[w - Ψ[v_j]].
+
+    The result is a chain of chains without an algebraic loop. The error shrinks per pass by |Ψ| / a, with the published parameters
+    0.25 at 100 Hz and 0.56 at most.
+    """
+    inverse = inverted(stage)
+    if correction is None:
+        return [inverse]
+    axes = sampling.axes
+    subtracted = sampled_correction(replace(correction, b1=0.0), after, sampling)
+    solution: list[Stage] = [Parallel(((inverse,), (inverse_rate_correction(stage, correction, axes),)))]
+    for _ in range(passes):
+        solution = [Parallel(((Gain(1.0),), (*solution, subtracted, Gain(-1.0)))), inverse]
+    return [*constant_removed(correction, axes), *solution]
+
+
+def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampling: Sampling) -> Stage:
+    """Ψ as the sampled plant shows it: (Ψ G)(z) / G(z), both discretized exactly for the held command.
+
+    Between two samples Ψ's output is not held as H_S's is; discretized by itself it leaves 0.45 % NRMSE at 100 Hz and 5 kHz in an
+    otherwise exact inverse of the published model, this way 0.01 %. Where G(z) has a zero that cannot be inverted, the correction
+    itself is returned, which the chain discretizes sample by sample.
+    """
+    linear = [stage for stage in after if isinstance(stage, (LinearStage, Delay))]
+    if not any(isinstance(stage, LinearStage) for stage in linear):
+        return correction
+    axes = sampling.axes
+    k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
+    # Ψ = (k1/k2) (1 - L), L = b2 / (k2 s + b2), so that only systems with a static gain are sampled.
+    low_pass = TransferFunction([[b] for b in b2], [[k, b] for k, b in zip(k2, b2)])
+    ratios = []
+    for axis, (g, lg) in enumerate(zip(sampled_systems(linear, sampling), sampled_systems([low_pass, *linear], sampling))):
+        size = np.abs(g.zeros)
+        if np.any((size >= 1.0 - 1e-9) | ((g.zeros.real < 0.0) & (size > RINGING_LIMIT))):
+            return correction
+        pole = np.exp(-b2[axis] / k2[axis] * sampling.sample_time)
+        if lg.relative_degree < g.relative_degree:
+            return correction
+        ratios.append(
+            DiscreteSystem(
+                lg.zeros,
+                np.concatenate(
+                    [g.zeros, [pole], np.zeros(len(lg.zeros) + lg.relative_degree - g.relative_degree - len(g.zeros) - 1)]
+                ),
+                lg.gain / g.gain,
+            )
+        )
+    stage = discrete_stage(ratios, sampling.sample_time)
+    scale = np.diag(k1 / k2)
+    c, d = (np.array(getattr(stage, part), dtype=float) for part in "CD")
+    return StateSpace(stage.A, stage.B, (-scale @ c).tolist(), (scale @ (np.eye(axes) - d)).tolist(), stage.sample_time)

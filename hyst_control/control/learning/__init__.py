@@ -1,0 +1,1 @@
+"""Learning from trial to trial and from the feedback."""

@@ -1,1 +1,0 @@
-"""Families of hysteretic oscillators: Duhem and Bouc-Wen."""

@@ -1,0 +1,189 @@
+"""Learning in a feedforward node: what it needs to hear, when its rows may go out, and the parameters that describe it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hyst_control.base.errors import InputError
+from hyst_control.chain.stage import Array
+from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning, RunningFeedbackErrorLearning
+from hyst_control.control.learning.iterative_learning import IterativeLearning, RunningIterativeLearning
+from hyst_control.control.learning.learning_filter import model_filter
+from hyst_control.control.learning.learning_loop import Learner, Played
+from hyst_control.model_file import load_model
+from hyst_control.nodes.signal_node.parameters import Setting
+
+if TYPE_CHECKING:
+    from hyst_control.nodes.signal_node.base import SignalNode
+
+NONE, PLAYED, TRIALS, FEEDBACK_ERROR = "none", "played", "trials", "feedback_error"
+SETTINGS = (
+    Setting("learning", NONE, "", "what is added to the feedforward", choices=(NONE, PLAYED, TRIALS, FEEDBACK_ERROR)),
+    Setting("learned_file", "", "", "played, trials: .npy with one period that was learned before, in V (see hyst learn)"),
+    Setting("learning_period", 0, "samples", "trials: period of the reference, which the generator repeats", 0, 10_000_000),
+    Setting("learning_settling", 1, "periods", "trials: of a trial, not measured", 1, 1000),
+    Setting("learning_averaged", 2, "periods", "trials: of a trial, measured", 2, 1000),
+    Setting("learning_trials", 20, "trials", "trials: at most", 1, 1_000_000),
+    Setting("learning_gain", 1.0, "relative", "trials: share of a correction that is applied at first", 1e-3, 1.0),
+    Setting(
+        "learning_mode_spread", 0.0, "relative", "trials: of the model's first resonance, with which no trial may lose", 0.0, 0.9
+    ),
+    Setting("learning_peak", 2.0, "ratio", "trials: greatest sensitivity |S| of the feedback, 1 without", 1.0, 100.0),
+    Setting("learning_time", 0.2, "s", "feedback_error: in which it learns most of an error", 1e-6, 1e6),
+    Setting("learning_corner", 1.0, "Hz", "feedback_error: what is slower is left to the feedback", 1e-6, 1e6),
+    Setting("learning_excitation", 1.0, "V", "feedback_error: amplitude of the feedforward from which it learns", 1e-9, 1e6),
+    Setting("gain_bound", 0.3, "relative", "feedback_error: greatest relative gain that is learned, either way", 0.0, 0.99),
+    Setting("lag_bound", 5e-4, "s", "feedback_error: greatest lag that is learned, either way", 0.0, 1e3),
+)
+
+
+def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learner | None:
+    """Learner that the parameters of a node describe, None without learning. Raises `InputError` naming the parameter."""
+    if given.learning == NONE:
+        return None
+    if given.learning == FEEDBACK_ERROR:
+        return FeedbackErrorLearning(
+            period, given.learning_time, given.learning_corner, given.learning_excitation, given.gain_bound, given.lag_bound
+        ).start(axes)
+    begin = _period_of(given.learned_file, axes) if given.learned_file else None
+    if given.learning == PLAYED:
+        if begin is None:
+            raise InputError("learned_file: must be given for learning: played")
+        return Played(begin)
+    if not given.model or not given.learning_period:
+        raise InputError("model, learning_period: must be given for learning: trials")
+    if begin is not None and len(begin) != given.learning_period:
+        raise InputError(f"learned_file: {given.learned_file}: has {len(begin)} rows, learning_period {given.learning_period}")
+    learning_filter = model_filter(
+        load_model(given.model),
+        given.learning_period,
+        sample_time=period,
+        mode_spread=given.learning_mode_spread,
+        peak_sensitivity=given.learning_peak,
+    )
+    return IterativeLearning(
+        learning_filter, given.learning_settling, given.learning_averaged, given.learning_gain, given.learning_trials
+    ).start(begin)
+
+
+class FeedforwardLearning:
+    """Rows of the feedforward that wait until what they depend on was observed.
+
+    It publishes `learned` (V), which is within `feedforward`, and hears `measurement` and `feedback`. In lockstep a row goes out once
+    all is observed that it depends on, so that it equals the offline computation; under the timer at once.
+    """
+
+    def __init__(self, node: SignalNode, learner: Learner, send: Callable[[int, Array], None]) -> None:
+        """`send(tick, rows)` takes the feedforward with what was learned in it."""
+        self.learner = learner
+        self._node, self._send = node, send
+        self.learned = node.output("learned", "V")
+        self._observed = () if isinstance(learner, Played) else (node.input("measurement", node.unit), node.input("feedback", "V"))
+        self._waiting = _Queue(len(node.axes))
+        self._reference = _Queue(len(node.axes))
+
+    def add_reference(self, tick: int, rows: Array) -> None:
+        """Store `rows` (N, A) of the reference, in the measurement unit, of the ticks from `tick` on."""
+        if self._observed:
+            self._reference.add(tick, rows)
+
+    def add(self, tick: int, rows: Array) -> None:
+        """Store `rows` (N, A) of the compensator's output, in V, of the ticks from `tick` on."""
+        self._waiting.add(tick, rows)
+
+    def advance(self) -> None:
+        """Observe what has come, and send what may go out."""
+        while self._observe() or self._give():
+            pass
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.learner.reset()
+        self._waiting.clear()
+        self._reference.clear()
+        self.learned.clear()
+
+    def status(self) -> dict[str, str]:
+        """Entries for the diagnostics."""
+        learner = self.learner
+        if isinstance(learner, RunningFeedbackErrorLearning):
+            return {"learned gain": _listed(learner.gain), "learned lag [s]": _listed(learner.lag)}
+        if isinstance(learner, RunningIterativeLearning):
+            error = f"{learner.history[-1].error:.6g}" if learner.history else "none yet"
+            return {
+                "trials": str(len(learner.history)),
+                "error of the last trial": error,
+                "learning stopped": learner.stopped or "no",
+            }
+        return {}
+
+    def _observe(self) -> bool:
+        if not self._observed:
+            return False
+        rows = [signal.rows for signal in self._observed]
+        if any(not each.available for each in rows) or not len(self._reference.rows):
+            return False
+        first = max(self._reference.first, *(each.start for each in rows))
+        for each in rows:
+            each.skip_to(first)
+        self._reference.skip_to(first)
+        if any(not each.available or each.start != first for each in rows) or not len(self._reference.rows):
+            return False
+        measurement, feedback = (each.take(1) for each in rows)
+        self.learner.observe(first, self._reference.take(1), measurement, feedback)
+        return True
+
+    def _give(self) -> bool:
+        first, count = self._waiting.first, len(self._waiting.rows)
+        if self._node.lockstep:
+            count = min(count, self.learner.available(first))
+        if not count:
+            return False
+        rows = self._waiting.take(count)
+        learned = self.learner.learned(first, rows)
+        self.learned.send(first, learned)
+        self._send(first, rows + learned)
+        return True
+
+
+class _Queue:
+    """Successive rows by tick."""
+
+    def __init__(self, axes: int) -> None:
+        self._axes = axes
+        self.clear()
+
+    def clear(self) -> None:
+        self.first, self.rows = 0, np.empty((0, self._axes))
+
+    def add(self, tick: int, rows: Array) -> None:
+        """Rows from `tick` on; where ticks are missing before them, those that waited are dropped."""
+        if tick != self.first + len(self.rows):
+            self.first, self.rows = tick, self.rows[:0]
+        self.rows = np.concatenate([self.rows, rows])
+
+    def take(self, count: int) -> Array:
+        taken, self.rows = self.rows[:count], self.rows[count:]
+        self.first += count
+        return taken
+
+    def skip_to(self, tick: int) -> None:
+        self.take(min(max(tick - self.first, 0), len(self.rows)))
+
+
+def _period_of(path: str, axes: int) -> Array:
+    try:
+        rows = np.asarray(np.load(path), dtype=float)
+    except (OSError, ValueError) as error:
+        raise InputError(f"learned_file: {path}: {error}: give an .npy file as hyst learn writes it") from None
+    if rows.ndim != 2 or rows.shape[1] != axes or not len(rows) or not np.isfinite(rows).all():
+        raise InputError(f"learned_file: {path}: must be finite rows by {axes} axes, got shape {rows.shape}")
+    return rows
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{value:.6g}" for value in values)

@@ -1,0 +1,1 @@
+"""The base of every node: its signals, its parameters, its schedule, its diagnostics."""

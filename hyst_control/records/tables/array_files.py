@@ -1,0 +1,184 @@
+"""Arrays out of NumPy and MATLAB files. What a file announces is held against its size before any memory is taken for it."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.base.child_reader import arrays_from_child
+from hyst_control.base.errors import InputError
+from hyst_control.base.foreign_readers import foreign_reader
+from hyst_control.records.bags.decompression import Budget
+from hyst_control.records.stream.row_store import IN_MEMORY, blocks, empty_rows
+
+Array = NDArray[np.float64]
+
+KINDS = (".npy", ".npz", ".mat")
+CRASHING = (".mat",)
+"""Kinds whose readers are machine code that a damaged file can crash: read in a child process."""
+PIECE = 2**20
+MAT_HEADER, MAT_COMPRESSED = 128, 15
+
+
+def read_array(path: str | Path) -> Array:
+    """Numbers of the .npy file at `path`, of any shape. Raises `InputError` when it holds no array of real numbers."""
+    found = read_arrays(path, ".npy")
+    if not found:
+        raise InputError(f"{path}: holds no real numbers: give an array of them")
+    return found[""]
+
+
+def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str, Array]:
+    """All arrays of real numbers in a file, by name."""
+    path = Path(path)
+    if kind in CRASHING and not in_child and path.exists():
+        return arrays_from_child(path, kind)
+    remedy = "check how it was written, or save it as CSV"
+    try:
+        with foreign_reader(path, f"a {kind} file", remedy):
+            if kind == ".npy":
+                with open(path, "rb") as file:
+                    found: dict[str, Any] = {"": _npy(file, path.stat().st_size, path)}
+            elif kind == ".npz":
+                found = _npz(path)
+            else:
+                found = _mat(path)
+            return {
+                name: _as_float64(value)
+                for name, value in found.items()
+                if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+            }
+    except _MatlabHdf:
+        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
+
+
+class _MatlabHdf(BaseException):
+    """Not an `Exception`: the wrapper of foreign readers lets it pass."""
+
+
+def hdf5_arrays(path: Path) -> dict[str, Any]:
+    """Arrays of an HDF5 file by their path, with dots; those that MATLAB wrote are turned, as it stores columns first."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    budget = Budget(path.stat().st_size)
+
+    def keep(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim and not item.external:
+            budget.take(item.size * item.dtype.itemsize)
+            value = item[()]
+            by_matlab = "MATLAB_class" in item.attrs
+            found[name.replace("/", ".")] = np.squeeze(value.T) if by_matlab else value
+
+    with h5py.File(path, "r") as file:
+        file.visititems(keep)
+    return {name: _as_float64(value) for name, value in found.items() if not name.startswith("#")}
+
+
+def _as_float64(value: Any) -> Array:
+    """An array of real numbers as float64; a large one that has to be converted is put on a file."""
+    if value.dtype == np.float64 or value.nbytes <= IN_MEMORY or value.ndim == 0:
+        return np.asarray(value, dtype=np.float64)
+    found = empty_rows(*value.shape)
+    for part in blocks(len(value)):
+        found[part] = value[part]
+    return found
+
+
+def _npy(file: IO[bytes], size: int, path: Path | None = None) -> Any:
+    """The array of a .npy stream of so many bytes; None where it holds no real numbers. A large one in a file is mapped, not read."""
+    shape, dtype = _npy_header(file)
+    if dtype.kind not in "biuf":
+        return None  # texts, objects, complex numbers
+    count = 1
+    for length in shape:
+        count *= length  # of Python's integers: they do not overflow
+    if count * dtype.itemsize > size:
+        raise ValueError(f"it announces {count * dtype.itemsize} bytes and has {size}")
+    if path is not None and count * dtype.itemsize > IN_MEMORY:
+        return np.lib.format.open_memmap(path, "r")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], Any]:
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    return shape, dtype
+
+
+def _npz(path: Path) -> dict[str, Any]:
+    budget = Budget(path.stat().st_size)
+    found: dict[str, Any] = {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if member.filename.endswith(".npy"):
+                budget.take(member.file_size)
+                with archive.open(member) as file:
+                    found[member.filename.removesuffix(".npy")] = _npy(file, member.file_size)
+    return found
+
+
+def _mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    _check_mat(path)
+    try:
+        content = loadmat(path, simplify_cells=True)
+    except NotImplementedError:
+        try:
+            return hdf5_arrays(path)
+        except (ModuleNotFoundError, OSError):
+            raise _MatlabHdf from None
+    found: dict[str, Any] = {}
+    objects: list[str] = []
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _flatten(name, value, found, objects)
+    if objects and not any(isinstance(value, np.ndarray) and value.dtype.kind in "iuf" for value in found.values()):
+        raise InputError(
+            f"{path}: {objects[0]}: only MATLAB reads it: save its columns there as arrays (u = T.u; save run.mat u y)"
+        )
+    return found
+
+
+def _flatten(name: str, value: Any, found: dict[str, Any], objects: list[str]) -> None:
+    """Collect the arrays within structures and cells by their path; MATLAB's own objects by name and class."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _flatten(f"{name}.{key}", inner, found, objects)
+    elif isinstance(value, list):
+        for number, inner in enumerate(value, start=1):
+            _flatten(f"{name}({number})", inner, found, objects)
+    elif isinstance(value, np.ndarray) and value.dtype.names and "s2" in value.dtype.names:
+        said = value.ravel()[0]
+        title, kind = (part.decode() if isinstance(part, bytes) else str(part) for part in (said["s0"], said["s2"]))
+        objects.append(f"{title or name} is a MATLAB object ({kind})")
+    else:
+        found[name] = value
+
+
+def _check_mat(path: Path) -> None:
+    """Hold what the compressed variables of a MATLAB 5 file expand to against its size."""
+    budget = Budget(path.stat().st_size)
+    with open(path, "rb") as file:
+        order: Any = {b"IM": "little", b"MI": "big"}.get(file.read(MAT_HEADER)[126:])
+        if order is None:
+            return  # MATLAB 4: nothing is compressed
+        while len(tag := file.read(8)) == 8:
+            kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            if kind != MAT_COMPRESSED:
+                file.seek(length, 1)
+                continue
+            expander, left = zlib.decompressobj(), length
+            while left and (piece := file.read(min(left, PIECE))):
+                left -= len(piece)
+                while piece:
+                    budget.take(len(expander.decompress(piece, PIECE)))
+                    piece = expander.unconsumed_tail

@@ -1,0 +1,225 @@
+"""Foreign recordings as records: columns, units and rate named by the caller, sample times on the ticks of one clock."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.record import Array, Record, Signal, axis_names, check_times
+from hyst_control.records.stream.row_store import blocks, empty_rows
+from hyst_control.records.stream.signal_message import Encoder, label_for
+from hyst_control.records.tables.columns import TIME, Column, parse_columns
+from hyst_control.records.tables.frequency_response import response_record
+from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, without_repeated
+from hyst_control.records.tables.selection import read_columns
+
+__all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
+
+RATE_TOLERANCE = 0.01
+"""Relative difference between a rate that is given and that of the column of times."""
+
+BLOCK = 50
+
+
+def import_table(
+    path: str | Path,
+    columns: Sequence[Column],
+    rate: float | None,
+    rows: tuple[int, int | None] = (0, None),
+    hold: str = "zoh",
+    variable: str | None = None,
+) -> Record:
+    """The record of a file that holds one run; see `import_records`."""
+    found = import_records(path, columns, rate, rows, hold, variable)
+    if len(found) > 1:
+        raise InputError(f"{path}: holds {len(found)} runs: choose the rows of one")
+    return found[0]
+
+
+def import_records(
+    path: str | Path,
+    columns: Sequence[Column],
+    rate: float | None,
+    rows: tuple[int, int | None] = (0, None),
+    hold: str = "zoh",
+    variable: str | None = None,
+    skip: int = 0,
+    resample: float | None = None,
+    allow_gaps: bool = False,
+) -> list[Record]:
+    """Records from a table or an array file, one for each run in it."""
+    # path: A text table (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5 or .tdms. A text may have an instrument's header above or
+    # beside its numbers
+    # columns: by number from 1 (from 0 where a column 0 is named), by the header's name, or by the name or path of an array: a
+    # vector, a matrix (its columns are the axes, its rows the samples), or one column or row of a matrix as ``name(:,2)`` or
+    # ``name(2,:)``. The topic `time` is the column of sample times
+    path = Path(path)
+    if rate is not None and (not np.isfinite(rate) or rate <= 0):
+        raise InputError(f"rate: {rate!r} Hz, a positive rate is due")
+    signal_columns = [column for column in columns if column.topic != TIME]
+    times = [column for column in columns if column.topic == TIME]
+    if not signal_columns:
+        raise InputError("columns: name command and measurement (command=1[V],measurement=5[um])")
+    selected = read_columns(path, [name for column in columns for name in column.columns], variable, skip)
+    count = len(next(iter(selected.columns.values())))
+    begin, end = rows[0], count if rows[1] is None else rows[1]
+    if not 0 <= begin < end <= count:
+        raise InputError(f"{path}: rows must be a range within 0:{count}, got {begin}:{end}")
+    notes = list(selected.notes)
+    if any(column.topic == "frequency" for column in columns):
+        held = {name: array[begin:end] for name, array in selected.columns.items()}
+        record = response_record(str(path), columns, held)
+        return [replace(record, notes=(*notes, *record.notes))]
+    if rate is None and not times:
+        if not selected.sample_time:
+            raise InputError("rate: is missing: give it in Hz, or name the column of sample times (time=1[s])")
+        rate = 1.0 / selected.sample_time
+        notes.append(f"{path}: the file states {rate:.6g} samples/s")
+    time = _times(path, times[0], selected.columns, begin, end) if times else None
+    values = {column.topic: _scaled(path, column, selected.columns, begin, end) for column in signal_columns}
+    for column in signal_columns:
+        if column.topic == "measurement" and column.unit == "V":
+            notes.append(f"{path}: measurement is in V: with a sensor of 5 um/V, say, write its unit as [5um/V]")
+    units = {column.topic: column.unit for column in signal_columns}
+    if time is None:
+        stamps = empty_rows(end - begin)
+        for part in blocks(end - begin):
+            stamps[part] = np.arange(part.start, part.stop) / rate
+        for topic in values:
+            check_times(f"{path}: {topic}", stamps)
+        return [_record(str(path), stamps, values, units, notes, hold)]
+    check_times(f"{path}: time", time)
+    found, runs = [], runs_of(str(path), time, begin, gaps=resample is not None)
+    for run in runs:
+        parts = {topic: array[run] for topic, array in values.items()}
+        found.append(_of_run(path, time[run], parts, units, hold, rate, begin + run.start, resample, allow_gaps))
+    if len(found) > 1:
+        starts = ", ".join(str(begin + run.start) for run in runs[1:])
+        what = "starts again" if resample is None else "starts again, or goes on behind a long gap,"
+        notes.append(f"{path}: time: {what} in row {starts}: {len(found)} runs, each of which is a record")
+    found[0] = replace(found[0], notes=(*notes, *found[0].notes))
+    return found
+
+
+def _of_run(
+    path: Path,
+    time: Array,
+    values: dict[str, Array],
+    units: dict[str, str],
+    hold: str,
+    rate: float | None,
+    begin: int,
+    resample: float | None,
+    allow_gaps: bool,
+) -> Record:
+    """The record of a run, whose rows are counted from `begin`, on the ticks of its clock."""
+    notes = []
+    if time[0] != 0.0:
+        time = time - time[0]
+    kept = without_repeated(str(path), time, list(values.values()), begin)
+    if kept is not None:
+        notes.append(
+            f"{path}: {int(np.sum(~kept))} rows are duplicates, with the time and values of the row before, and were left out"
+        )
+        time, values = time[kept], {topic: array[kept] for topic, array in values.items()}
+    raw = _record(str(path), time, values, units, notes, hold)
+    signals, more = on_one_clock(str(path), raw.signals, hold, resample, allow_gaps)
+    record = Record(signals, str(path), (*notes, *more), hold)
+    if rate is not None and len(time) > 1:
+        own = 1.0 / record.sample_time(list(signals)[:1])
+        if abs(own - rate) > RATE_TOLERANCE * rate:
+            raise InputError(
+                f"{path}: time: has {own:.6g} samples/s, --rate says {rate:g}: leave one of them out, or check the unit"
+            )
+    return record
+
+
+def _record(source: str, time: Array, values: dict[str, Array], units: dict[str, str], notes: Sequence[str], hold: str) -> Record:
+    signals = {topic: Signal(time, array, axis_names(array.shape[1]), units[topic]) for topic, array in values.items()}
+    return Record(signals, source, tuple(notes), hold)
+
+
+def _scaled(path: Path, column: Column, held: dict[str, Array], begin: int, end: int) -> Array:
+    """Values (N, A) of a signal in its unit. Raises `InputError` naming the first row that holds no finite number."""
+    arrays = [held[name] for name in column.columns]
+    factors = [scale for array, scale in zip(arrays, column.scales, strict=True) for _ in range(array.shape[1])]
+    scaled = empty_rows(end - begin, len(factors))
+    bad, first_bad, finite = 0, 0, True
+    for part in blocks(end - begin):
+        found = np.concatenate([array[begin + part.start : begin + part.stop] for array in arrays], axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):  # a signalling NaN, too, is found below
+            scaled[part] = found * factors
+        wrong = ~np.isfinite(scaled[part]).all(axis=1)
+        if wrong.any():
+            first_bad = first_bad if bad else begin + part.start + int(np.argmax(wrong))
+            bad, finite = bad + int(wrong.sum()), finite and bool(np.isfinite(found).all())
+    if bad and finite:
+        raise InputError(
+            f"{path}: {column.topic}: row {first_bad} is too large for a number once it is in other units: check the unit"
+        )
+    if bad:
+        which = f"row {first_bad} holds" if bad == 1 else f"row {first_bad} and {bad - 1} more hold"
+        raise InputError(f"{path}: {column.topic}: {which} no finite number: choose other rows or repair the file")
+    return scaled
+
+
+def _times(path: Path, column: Column, held: dict[str, Array], begin: int, end: int) -> Array:
+    """Sample times (N,) in s, counted from the first, of the column of times, or of the sum of those that are its parts."""
+    parts = _scaled(path, column, held, begin, end)
+    if parts.shape[1] != 1 and not column.summed:
+        raise InputError(f"columns: time: {parts.shape[1]} columns, one is due")
+    parts -= parts[0].copy()  # before the sum: seconds since 1970 leave few digits for the microseconds
+    return np.ascontiguousarray(parts[:, 0]) if parts.shape[1] == 1 else np.asarray(parts.sum(axis=1))
+
+
+def write_bag(path: str | Path, record: Record) -> None:
+    """Write a record as a finished MCAP bag: under a temporary name, then renamed. Raises `InputError` when the path exists."""
+    path = Path(path)
+    if os.path.lexists(path):
+        raise InputError(f"{path}: exists already: choose another name or remove it")
+    if not record.signals:
+        raise InputError(f"{path}: there is nothing to write: {record.source} has no signals")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
+        part = Path(temporary) / path.name
+        with BagWriter(part, {"hold": record.hold} if record.hold != "zoh" else None) as writer:
+            _write_signals(writer, record)
+        part.rename(path)
+
+
+def write_bags(path: str | Path, records: Sequence[Record]) -> None:
+    """Write one record as a bag, or several as bags 1, 2, … in a folder of this name. Raises `InputError` when it exists."""
+    path = Path(path)
+    if len(records) == 1:
+        write_bag(path, records[0])
+        return
+    if os.path.lexists(path):
+        raise InputError(f"{path}: exists already: choose another name or remove it")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
+        part = Path(temporary) / path.name
+        for number, record in enumerate(records, start=1):
+            write_bag(part / f"{number:0{len(str(len(records)))}d}", record)
+        part.rename(path)
+
+
+def _write_signals(writer: BagWriter, record: Record) -> None:
+    encoders = {topic: Encoder(label_for(signal.axes, signal.unit)) for topic, signal in record.signals.items()}
+    for topic in encoders:
+        writer.add_topic(f"/{topic}")
+    longest = max(len(signal.time) for signal in record.signals.values())
+    for begin in range(0, longest, BLOCK):
+        for topic, signal in record.signals.items():
+            part = slice(begin, begin + BLOCK)
+            block = np.column_stack([signal.time[part], signal.values[part]])
+            if len(block):
+                writer.write(
+                    f"/{topic}", encoders[topic].encode(np.ascontiguousarray(block)), max(int(round(block[-1, 0] * 1e9)), 0)
+                )

@@ -1,0 +1,176 @@
+"""Signals whose sample times are put on the ticks of one regular clock, or interpolated on them where the caller wishes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hyst_control.base.errors import InputError
+from hyst_control.records.record import Array, Signal, commonest_step, regular_times
+from hyst_control.records.stream.row_store import blocks
+from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
+
+OWN_RATE = 0.0
+"""Rate to resample to that stands for the signals' own."""
+
+SHORTEST_RUN = 10
+"""Rows of a run from which a time that starts again begins a new record, and is no disorder."""
+
+LATEST = 20.0
+"""Steps by which messages may be received beside their ticks: they come in bursts, but none is thought to be lost."""
+
+MOST_RUNS = 100
+RATES_DIFFER = 0.01
+TOLD_DEVIATION = 0.01
+"""Steps by which times may lie beside their ticks without a note."""
+
+
+def runs_of(where: str, time: Array, begin: int, gaps: bool) -> list[slice]:
+    """Rows of the runs within times (N,) that start again, and with `gaps` of those apart by long gaps; row 0 is called `begin`."""
+    longest = LONGEST_FILLED * commonest_step(time) if gaps and len(time) > 1 else np.inf
+    edges: list[int] = []
+    for part in blocks(max(len(time) - 1, 0)):
+        steps = np.diff(time[part.start : part.stop + 1])
+        edges += (part.start + 1 + np.flatnonzero((steps < 0.0) | (steps > max(longest, 0.0)))).tolist()
+    bounds = [0, *edges, len(time)]
+    if len(bounds) > 2 and (len(bounds) - 1 > MOST_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
+        more = f" and {len(edges) - 1} more" if len(edges) > 1 else ""
+        raise InputError(
+            f"{where}: time: does not increase in row {begin + bounds[1]}{more}: choose rows in which it does, or leave the time out and "
+            "give the rate"
+        )
+    return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]
+
+
+def without_repeated(where: str, time: Array, values: list[Array], begin: int) -> NDArray[np.bool_] | None:
+    """Mask (N,) of the rows that do not repeat the row before them, its time included; None where all are kept."""
+    parts = blocks(len(time) - 1)
+    again = np.concatenate(
+        [part.start + 1 + np.flatnonzero(np.diff(time[part.start : part.stop + 1]) == 0.0) for part in parts] or [[]]
+    )
+    again = again.astype(int)
+    if not len(again):
+        return None
+    same = np.all([np.all(array[again] == array[again - 1], axis=1) for array in values], axis=0)
+    if not same.all():
+        if find_grid(time) is None:
+            raise InputError(
+                f"{where}: time: does not increase in row {begin + int(again[np.argmin(same)])}: another row has the same time: choose "
+                "rows in which it does, or leave the time out and give the rate"
+            )
+        return None
+    kept = np.ones(len(time), dtype=bool)
+    kept[again] = False
+    return kept
+
+
+def on_one_clock(
+    where: str, signals: Mapping[str, Signal], hold: str, resample: float | None = None, allow_gaps: bool = False
+) -> tuple[dict[str, Signal], list[str]]:
+    """Signals on the ticks of one clock, from 0 on, and notes on what was done for it.
+
+    Times that lie near ticks are put on them. Irregular ones, gaps and several rates are refused, or interpolated at the rate
+    `resample` (Hz, or `OWN_RATE`); with `allow_gaps` missing ticks stay missing. Raises `InputError` naming the remedy.
+    """
+    grids = {id(signal.time): _grid(where, topic, signal) for topic, signal in signals.items()}
+    by_topic = {topic: grids[id(signal.time)] for topic, signal in signals.items()}
+    known = [grid for grid in by_topic.values() if grid is not None]
+    if resample is None and len(known) == len(by_topic):
+        return _at_ticks(where, signals, {topic: grid for topic, grid in by_topic.items() if grid is not None}, allow_gaps)
+    if resample is None:
+        topic = next(topic for topic, grid in by_topic.items() if grid is None)
+        steps = np.diff(signals[topic].time)
+        least, most = np.quantile(steps, [0.01, 0.99])
+        raise InputError(
+            f"{where}: time: is irregular: steps of {least:.3g} to {most:.3g} s: --resample interpolates it at "
+            f"{1.0 / np.median(steps):.4g} Hz, with an error that it tells"
+        )
+    return _interpolated(where, signals, by_topic, hold, resample)
+
+
+def _grid(where: str, topic: str, signal: Signal) -> Grid | None:
+    """The grid of a signal; times of reception are taken as consecutive where they are too late for their ticks."""
+    if len(signal.time) < 2:
+        raise InputError(f"{where}: {topic}: {len(signal.time)} samples, at least two are needed")
+    grid = find_grid(signal.time)
+    return find_grid(signal.time, LATEST) if grid is None and signal.timing == "receive" else grid
+
+
+def _at_ticks(
+    where: str, signals: Mapping[str, Signal], grids: dict[str, Grid], allow_gaps: bool
+) -> tuple[dict[str, Signal], list[str]]:
+    first_topic, longest = max(grids.items(), key=lambda item: len(signals[item[0]].time))
+    step, origin, notes = longest.step, min(grid.origin for grid in grids.values()), []
+    found: dict[str, Signal] = {}
+    times: dict[int, Array] = {}
+    for topic, grid in grids.items():
+        signal = signals[topic]
+        if abs(grid.step - step) > RATES_DIFFER * step:
+            raise InputError(
+                f"{where}: {topic} has {1.0 / grid.step:.6g} samples/s, {first_topic} {1.0 / step:.6g}: record both at one rate, or let "
+                "--resample interpolate"
+            )
+        if id(signal.time) not in times:
+            if grid.missing:
+                notes.append(_refuse_gaps(where, signal.time, grid, allow_gaps))
+            if grid.deviation > TOLD_DEVIATION * step:
+                notes.append(
+                    f"{where}: time: lies up to {grid.deviation:.2g} s beside the ticks of {1.0 / step:.6g} Hz, which stand for it"
+                )
+            shift = int(np.rint((grid.origin - origin) / step))
+            times[id(signal.time)] = _tick_times(grid.ticks, len(signal.time), shift, step)
+        timing = "layout" if grid.missing else signal.timing  # ticks that are known to be missing are no jitter
+        found[topic] = replace(signal, time=times[id(signal.time)], timing=timing)
+    return found, notes
+
+
+def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> str:
+    """The note on missing ticks, or the refusal of them."""
+    assert grid.ticks is not None
+    gaps = np.flatnonzero(np.diff(grid.ticks) > 1)
+    after = f"after {float(time[gaps[0]] - time[0]):.6g} s"
+    rows = "1 row is missing" if grid.missing == 1 else f"{grid.missing} rows are missing"
+    text = f"{where}: time: {rows}, {after if len(gaps) == 1 else f'in {len(gaps)} gaps, the first {after}'}"
+    if allow_gaps:
+        return f"{text}: what needs equal steps uses the stretches between (identify --allow-gaps)"
+    raise InputError(f"{text}: --resample interpolates them, --allow-gaps leaves them out, or choose rows between them (--rows)")
+
+
+def _tick_times(ticks: NDArray[np.int64] | None, count: int, shift: int, step: float) -> Array:
+    if ticks is not None:
+        return np.asarray((ticks + shift) * step, dtype=np.float64)
+    time = regular_times(count, step)
+    for part in blocks(count) if shift else ():
+        time[part] = np.arange(part.start + shift, part.stop + shift) * step
+    return time
+
+
+def _interpolated(
+    where: str, signals: Mapping[str, Signal], grids: Mapping[str, Grid | None], hold: str, rate: float
+) -> tuple[dict[str, Signal], list[str]]:
+    steps = {topic: grid.step if grid else float(np.median(np.diff(signals[topic].time))) for topic, grid in grids.items()}
+    own = min(steps.values())
+    step = 1.0 / rate if rate else own
+    if step > 2.0 * own:
+        raise InputError(f"{where}: resample: {rate:g} Hz is below half of {1.0 / own:.4g} Hz: faster parts would be aliased")
+    for topic, signal in signals.items():
+        longest = float(np.diff(signal.time).max())
+        if longest > LONGEST_FILLED * steps[topic]:
+            raise InputError(f"{where}: {topic}: a gap of {longest:.3g} s is too long to interpolate: choose rows beside it")
+    begin = max(float(signal.time[0]) for signal in signals.values())
+    count = int(np.floor((min(float(signal.time[-1]) for signal in signals.values()) - begin) / step + 1e-6)) + 1
+    due = regular_times(max(count, 0), step)
+    if count < 2:
+        raise InputError(f"{where}: {' and '.join(signals)} are not of one time: they share no two samples")
+    found, missed = {}, []
+    for topic, signal in signals.items():
+        held = hold == "zoh" and topic not in ("measurement", "reference")
+        values = resampled(signal.time, signal.values, begin + due, step, held)
+        found[topic] = replace(signal, time=due, values=values, timing="layout")
+        if not held:
+            missed.append(f"{100 * interpolation_error(signal.time, signal.values):.2g} % of the range of {topic}")
+    told = f"; every second row, interpolated from its neighbors, is missed by {' and '.join(missed)}" if missed else ""
+    return found, [f"{where}: interpolated at {1.0 / step:.6g} Hz{told}"]
