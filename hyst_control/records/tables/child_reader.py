@@ -19,7 +19,7 @@ from hyst_control.records.stream.row_store import IN_MEMORY
 
 Array = NDArray[np.float64]
 
-CHILD = "from hyst_control.records import array_files, child_reader; child_reader.main(array_files.read_arrays)"
+CHILD = "from hyst_control.records.tables import array_files, child_reader; child_reader.main(array_files.read_arrays)"
 REFUSED = 2
 
 
