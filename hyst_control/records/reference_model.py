@@ -68,9 +68,14 @@ def condensed(command: Array, measurement: Array) -> tuple[Array, Array, int]:
 
 
 def averaged(rows: Array, together: int) -> Array:
-    """Means (N // together, A) of neighboring rows (N, A)."""
-    count = len(rows) // together
-    return np.asarray(rows[: count * together].reshape(count, together, -1).mean(axis=1), dtype=np.float64)
+    """Every `together`-th of the means, twice over, of twice as many neighboring rows (N, A)."""
+    if together == 1:
+        return rows
+    # Plain means fold what is faster than the new rate, and a plant's lag of a part of a new row is causal only for what is slower.
+    for _ in range(2):
+        sums = np.cumsum(np.concatenate([np.zeros((1, rows.shape[1])), rows - rows[0]]), axis=0)
+        rows = rows[0] + (sums[2 * together :] - sums[: -2 * together]) / (2 * together)
+    return np.ascontiguousarray(rows[::together])
 
 
 def _power_is_kept(command: Array, together: int) -> bool:
