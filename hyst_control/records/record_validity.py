@@ -57,13 +57,16 @@ FOLLOWS = 0.2
 """Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
 
 FAR_LESS = 0.05
-"""Such a ratio for an exchange: any measurement explains a command of one frequency."""
+"""Ratio of what an arrangement leaves to what it leaves at another time, where that is little, too: motion of one frequency fits any other."""
 
 HALF = 0.5
 """Share of a measurement's power that initial states alone must leave of a sound record, and that an arrangement may leave at most."""
 
 EXPLAINED = 0.3
 """Share of a measurement's power that is coherent with the commands, from which it follows them."""
+
+MODELED = 0.02
+"""Share of a measurement's power that a model leaves up to which standing still is the machine's, not the sensor's."""
 
 SATURATION_MATTERS = 1e-3
 """Share of a measurement's power that a model leaves from which it is asked whether the command stops acting."""
@@ -248,7 +251,7 @@ def refuse_invalid(trials: Sequence[Trial]) -> list[Finding]:
 
 def _of_trial(trial: Trial) -> list[Finding]:
     moving = [index for index in range(len(trial.axes)) if np.ptp(trial.command[:, index]) > 0]
-    dead = {index: finding for index in moving if (finding := _dead(trial, index)) is not None}
+    dead = {index: finding for index in moving if not _modeled(trial, index) and (finding := _dead(trial, index)) is not None}
     if len(trial.command) < SHORTEST_RECORD or not moving:
         return list(dead.values())
     left = _Condensed.of(trial)
@@ -364,38 +367,43 @@ def _alternative(trial: Trial, left: _Condensed, index: int, ahead: Reference, l
     """The record read backwards, exchanged or shifted, where a model explains that clearly better."""
     command, measured = left.inputs(index), left.measurement[:, index]
     both = left.measurement if _independent(left.command) else measured[:, None]
-    exchanged = hysteretic_reference(both, left.command[:, index])
     other = _Condensed.of(replace(trial, command=np.ascontiguousarray(trial.command[::-1])))
     opposite, beside = other.inputs(index), other.measurement[:, index]
-    turned = min(hysteretic_reference(opposite, beside), hysteretic_reference(opposite[::-1], beside[::-1]), key=_left)
     cleaner = _cleaner(trial, index)
-    tried = {
-        "early_measurement": (lead, CLEAR_LEAD),
-        "reversed_time": (hysteretic_reference(command[::-1], measured[::-1]), CLEAR),
-        "reversed_command": (turned, CLEAR),
-        "swapped_signals": (exchanged, CLEAR_EXCHANGE if cleaner else CLEAR_LEAD),
+    end = len(measured) + shift
+    ways = {
+        "early_measurement": ((command[-shift:], measured[:end]), CLEAR_LEAD),
+        "reversed_time": ((command[::-1], measured[::-1]), CLEAR),
+        "reversed_command": ((opposite, beside), CLEAR),
+        "swapped_signals": ((both, left.command[:, index]), CLEAR_EXCHANGE if cleaner else CLEAR_LEAD),
     }
+    tried = {name: lead if name == "early_measurement" else hysteretic_reference(*way) for name, (way, _) in ways.items()}
+    tried["reversed_command"] = min(tried["reversed_command"], hysteretic_reference(opposite[::-1], beside[::-1]), key=_left)
     clear = {
         name: fit.unexplained
-        for name, (fit, ratio) in tried.items()
-        if fit.unexplained * ratio < ahead.unexplained and fit.unexplained < HALF
+        for name, fit in tried.items()
+        if fit.unexplained * ways[name][1] < ahead.unexplained and fit.unexplained < HALF
     }
-    if "swapped_signals" in clear:
-        elsewhen = hysteretic_reference(_of_another_time(both), left.command[:, index])
-        told = exchanged.unexplained < FAR_LESS * elsewhen.unexplained and ahead.unexplained > SATURATION_MATTERS
-        if elsewhen.unexplained < EXPLAINED and not told:
-            del clear["swapped_signals"]
-        elif "early_measurement" in clear:  # an inverse is explained by a lead of few samples, too, and a lead by an inverse
-            del clear["early_measurement" if cleaner else "swapped_signals"]
+    clear = {name: share for name, share in clear.items() if _of_this_time(share, *ways[name][0], ahead)}
+    if {"swapped_signals", "early_measurement"} <= set(clear):  # an inverse is explained by a lead of few samples, too
+        del clear["early_measurement" if cleaner else "swapped_signals"]
     if not clear:
         return None
     name = min(clear, key=lambda each: clear[each])
-    ratio = ahead.unexplained / max(tried[name][0].unexplained, 1e-300)
+    ratio = ahead.unexplained / max(tried[name].unexplained, 1e-300)
     if name != "early_measurement":
-        return Finding(name, trial.name, trial.axes[index], ratio, tried[name][1])
+        return Finding(name, trial.name, trial.axes[index], ratio, ways[name][1])
     seconds = -shift * trial.sample_time * left.together
     remedy = f"check that both recordings start together, or pass --shift {seconds:.3g}"
     return Finding(name, trial.name, trial.axes[index], seconds, 0.0, f"by {_time(seconds)}", remedy)
+
+
+def _of_this_time(share: float, inputs: Array, wanted: Array, ahead: Reference) -> bool:
+    """Whether an arrangement leaves clearly less than its inputs (N, A) of other times do: those of slow or periodic motion fit anything."""
+    others = min(hysteretic_reference(_of_another_time(inputs, shift), wanted).unexplained for shift in OTHER_TIMES)
+    if others > EXPLAINED:
+        return share < HALF * others
+    return share < FAR_LESS * others and ahead.unexplained > SATURATION_MATTERS
 
 
 def _independent(command: Array) -> bool:
@@ -419,17 +427,19 @@ def _time(seconds: float) -> str:
 
 def _shifted(command: Array, measured: Array, ahead: Reference) -> tuple[tuple[Reference, int], Reference, int]:
     """The best model of a delay and the delay in rows, and the best one of a lead and the lead in rows, below 0."""
-    reach = len(measured) // 16
+    reach = len(measured) // 8
     curve = shift_curve(command, measured, ahead.poles, reach)
+    static = shift_curve(command, measured, ahead.poles[:0], reach)
 
     def fitted(shift: int) -> Reference:
         end = len(measured) - abs(shift)
         first, second = max(-shift, 0), max(shift, 0)
         return continued(command[first : first + end], measured[second : second + end], ahead)
 
-    late = int(np.argmin(curve[reach:]))
-    delayed = fitted(late) if late > 0 and curve[reach + late] < 0.5 * curve[reach] else ahead
-    ahead, late = (delayed, late) if delayed.unexplained < ahead.unexplained else (ahead, 0)
+    late = 0
+    for each in {int(np.argmin(left[reach:])) for left in (curve, static) if left[reach:].min() < 0.5 * left[reach]}:
+        delayed = fitted(each)
+        ahead, late = (delayed, each) if delayed.unexplained < ahead.unexplained else (ahead, late)
     early = {-SMALL_LEAD}
     if curve[:reach].min() < 0.5 * curve[reach:].min():
         early.add(int(np.argmin(curve[:reach])) - reach)
@@ -462,6 +472,11 @@ def _coherent(trial: Trial, index: int) -> float:
     rows = slice(0, LONGEST_RECORD)
     length = segment_length(len(trial.command[rows]))
     return float(Spectra.of(trial.command[rows], trial.measurement[rows], length).explained[index])
+
+
+def _modeled(trial: Trial, index: int) -> bool:
+    """Whether a model explains an axis but for a few percent of its power: a compensator's output may stand still."""
+    return trial.simulated is not None and _misfit(trial.simulated[:, index], trial.measurement[:, index]) < MODELED
 
 
 def _misfit(expected: Array, measured: Array) -> float:
