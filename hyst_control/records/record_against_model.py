@@ -11,7 +11,6 @@ from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 Array = NDArray[np.float64]
 Simulation = Callable[[Array, float], Array]
@@ -30,12 +29,6 @@ FACTORS = (0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0)
 UNITS = (1e-6, 1e-3, 1e3, 1e6)
 MIN_SHIFT = 3
 """Rows of a shift that counts."""
-PIECES = 24
-"""Parts of a record whose shifts are compared."""
-ONE_WAY = 0.5
-"""Share of the way between the parts' shifts that goes in one direction."""
-CLEAR_PATH = 2.5
-"""Ratio of what one shift leaves and what a growing one does."""
 MOST_AXES = 4
 
 
@@ -90,38 +83,6 @@ def time_shift(expected: Array, measured: Array) -> int:
     shift = _best_shift(expected, measured, reach)
     own, left = misfit(expected, measured), _shifted_misfit(expected, measured, shift)
     return shift if abs(shift) >= MIN_SHIFT and own > EXPLAINED and left * CLEAR < own else 0
-
-
-def growing_shift(expected: Array, measured: Array) -> tuple[int, int] | None:
-    """Rows by which a measurement (N,) is late at its beginning and at its end, where a shift that grows or falls fits clearly better."""
-    expected, measured = expected[:LONGEST], measured[:LONGEST]
-    length = len(measured) // PIECES
-    reach = length // 4
-    if reach < MIN_SHIFT:
-        return None
-    begins = np.arange(reach, len(measured) - length - reach + 1, length)
-    found = np.array(
-        [_piece_shift(expected[begin - reach : begin + length + reach], measured[begin : begin + length]) for begin in begins]
-    )
-    path = median_filter(found, 5, mode="nearest")
-    rows = np.arange(len(measured))
-    moved = np.interp(rows - np.interp(rows, begins + 0.5 * length, path), rows, expected)
-    own = _shifted_misfit(expected, measured, _best_shift(expected, measured, reach))
-    steps = np.diff(path)
-    one_way = abs(float(np.sum(steps))) > ONE_WAY * float(np.sum(np.abs(steps)))
-    if own > EXPLAINED and one_way and abs(path[-1] - path[0]) >= MIN_SHIFT and misfit(moved, measured) * CLEAR_PATH < own:
-        return int(path[0]), int(path[-1])
-    return None
-
-
-def _piece_shift(expected: Array, measured: Array) -> int:
-    """Shift of a piece (n,) that fits best within what is expected of it and of as many rows before and after (n + 2 reach,)."""
-    length = len(measured)
-    reach = (len(expected) - length) // 2
-    sums, squares = (np.concatenate([[0.0], np.cumsum(each)]) for each in (expected, expected**2))
-    mean, power = ((each[length:] - each[:-length]) / length for each in (sums, squares))
-    product = np.correlate(expected, measured - measured.mean(), mode="valid") / length
-    return reach - int(np.argmin(power - mean**2 - 2.0 * product))
 
 
 def _best_shift(expected: Array, measured: Array, reach: int) -> int:
