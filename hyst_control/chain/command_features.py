@@ -218,7 +218,7 @@ for _name, _value in (
     ("FIRST_PLAY", FIRST_PLAY),
 ):
     FEATURES_IN_C = FEATURES_IN_C.replace(_name, str(_value))
-FEATURES_IN_C = FEATURES_IN_C.replace("LEAST_REVERSAL", repr(MIN_REVERSAL))
+FEATURES_IN_C = FEATURES_IN_C.replace("MIN_REVERSAL", repr(MIN_REVERSAL))
 """`features_of_tick` in C, and the memories at rest; in double also where signals are float."""
 
 

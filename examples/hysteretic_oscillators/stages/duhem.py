@@ -113,7 +113,7 @@ static double followed_memory(double u_from, double z_from, double way, const do
     }
     return z;
 }
-""".replace("STEP_SIZE", repr(STEP)).replace("MOST_PIECES", repr(float(MAX_PIECES)))
+""".replace("STEP_SIZE", repr(STEP)).replace("MAX_PIECES", repr(float(MAX_PIECES)))
 
 ADVANCE = """
 for (int i = 0; i < AXES; i++) {
