@@ -42,18 +42,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="state at the start: settled at the first command, reached from 0 V on the virgin curve; unknown; or found from the "
         "record (default)",
     )
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
-    )
-    parser.add_argument(
-        "--strict",
-        action="store_true",
-        help="exit status 3 where a record is no measurement of its command, or the model does not describe it",
-    )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
@@ -73,6 +61,4 @@ def run(arguments: argparse.Namespace) -> Table:
         arguments.namespace,
         arguments.unit,
         arguments.columns,
-        shift=arguments.shift,
-        strict=arguments.strict,
     )
