@@ -14,7 +14,7 @@ import termios
 
 LONG = """
 import sys, time
-from hyst_control import progress
+from hyst_control.base import progress
 with progress.shown():
     progress.step("a long step")
     begin = time.monotonic()
