@@ -73,7 +73,7 @@ def test_the_command_has_no_step_of_a_tenth_of_its_range_and_is_never_slew_limit
         heard = np.isin(np.arange(ticks[0] - MARGIN, ticks[-1] + 1), np.rint(rows[topic][:, 0] / period))
         heard[:MARGIN] = True
         sound &= np.convolve(~heard, np.ones(MARGIN))[ticks[1:] - ticks[0] + MARGIN] == 0
-    assert sound.all() or common["schedule"] == "timer" and sound.sum() > 50
+    assert sound.all() or common["schedule"] == "timer"
     for axis in rows["command"].T[1:]:
         assert abs(axis[0]) < 0.1 * span, "it begins at 0 V"
         step = np.abs(np.diff(axis))[sound]
@@ -82,6 +82,7 @@ def test_the_command_has_no_step_of_a_tenth_of_its_range_and_is_never_slew_limit
         ):  # what catches up after late inputs of a busy machine is no step: the feedforward has every tick
             ahead = rows["feedforward"]
             step = np.abs(np.diff(ahead[:, 1:], axis=0))[np.diff(np.rint(ahead[:, 0] / period)) == 1].ravel()
+            assert len(step) > 500
         assert step.max() < 0.1 * span
         if given.get("slew_limit"):
             assert step.max() < 0.99 * given["slew_limit"] * period
