@@ -53,7 +53,7 @@ NOT_TAKEN = {
     "if (s->waited[i] > SLOW) {",
     "} else if ((s->moving[i] >= FROZEN) && (M(fabs)(s->against[i]) < p->against_motion)) {",
 }
-"""Lines of the watch over the sensor of which one outcome is in no rows yet; its Python twin has all of them in `test_sensor_watch`."""
+"""Lines of the watch over the sensor of which one outcome is in no rows yet."""
 Branch = tuple[str, int, int]
 """Text of the line, which line of such a text it is, and which branch of the line."""
 
