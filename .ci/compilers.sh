@@ -8,6 +8,12 @@ packages=()
 for pair in gcc:gcc clang:clang cppcheck:cppcheck qemu-arm:qemu-user arm-linux-gnueabihf-gcc:gcc-arm-linux-gnueabihf; do
     command -v "${pair%%:*}" > /dev/null || packages+=("${pair#*:}")
 done
+# Debian's clang comes without the libraries of its sanitizers.
+if ! command -v clang > /dev/null; then
+    packages+=(libclang-rt-dev)
+elif ! echo 'int main(void) { return 0; }' | clang -fsanitize=address -o /dev/null -x c - 2> /dev/null; then
+    packages+=("libclang-rt-$(clang -dumpversion | cut -d. -f1)-dev")
+fi
 ((${#packages[@]})) || { echo "compilers: all there"; exit 0; }
 [[ " ${packages[*]} " == *gcc-arm* ]] && packages+=(libc6-dev-armhf-cross)
 install=(apt-get install --yes --no-install-recommends "${packages[@]}")

@@ -181,7 +181,7 @@ def test_gram_matrices_of_neighbors_are_added_up(monkeypatch):
         return gram_sums.gram_matrices([window], Operators(np.array([0.0])), Structure(), np.zeros(0), np.zeros(1), "offset", 1)
 
     many = grams()
-    monkeypatch.setattr(gram_sums, "MOST_BLOCKS", 300)
+    monkeypatch.setattr(gram_sums, "MAX_BLOCKS", 300)
     few = grams()
     assert len(many.blocks) == 1000 and len(few.blocks) == 250
     np.testing.assert_array_equal(few.fitted, many.fitted)
