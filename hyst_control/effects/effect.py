@@ -73,7 +73,7 @@ class Surroundings:
         s from the start of the record to the first sample that is compared.
     moved
         s from the start of the record to the first sample that is compared at which the command has moved.
-    modelled
+    modeled
         Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
     poles
         Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order of size.
