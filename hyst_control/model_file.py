@@ -13,12 +13,13 @@ import numpy as np
 import yaml
 
 import hyst_control.effects  # noqa: F401  (makes the effects' stages known)
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_text
 from hyst_control.base.yaml_files import EXPONENT, read_yaml
 from hyst_control.chain import STAGES, Chain, Filter, Sampling, Stage
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.parameter import Array, Kind, declared
+from hyst_control.chain.parameter import Kind, declared
 from hyst_control.chain.stage import HOLDS
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.tables.units import refusal_of_unit

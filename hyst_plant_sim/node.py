@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.timer import Timer
 from std_msgs.msg import Int64
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import parse_yaml
@@ -29,8 +29,6 @@ from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.nodes.signal_node.timer import LONGEST_GAP
 from hyst_control.records.stream.row_repetition import Standstill
 from hyst_control.records.stream.signal_rows import Wait
-
-Array = NDArray[np.float64]
 
 CONFIRMATION = 0.1
 """Share of `retry` for which the executor must have served events, without progress, before a standstill is believed."""

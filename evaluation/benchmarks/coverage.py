@@ -16,13 +16,13 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.signal import lfilter
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.linear.rational_factors import rational
-from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate

@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
-from hyst_control.chain.parameter import Array
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
 from hyst_control.control.feedback.sensor_watch import MeasurementWatch

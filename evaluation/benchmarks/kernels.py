@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung, madelung_branches
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
 from hyst_control.chain.linear.linear_kernels import advance_single
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.chain.stage import Array
 
 ROWS = 200_000
 REPEATS = 9

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.chain import Chain
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.run.diagnosis import diagnose
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.fleet.population_model import population_model

@@ -22,20 +22,18 @@ from typing import Annotated, Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.processes import environment
-
-Array = NDArray[np.float64]
 
 LIMITS = (0.0, 100.0)  # V
 MAX_WAITING = 5000  # rows of a signal

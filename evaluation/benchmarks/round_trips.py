@@ -16,13 +16,13 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain, Parallel, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Offset
-from hyst_control.chain.stage import Array
 from hyst_control.identify import Dataset, Fit, identify
 from hyst_control.identify.assess.fit_report import record_rows
 from hyst_control.identify.data.initial_memory import with_beginning

@@ -22,10 +22,10 @@ import numpy as np
 from evaluation.blind_test.effect_sizes import SEVERITIES, draw_effect
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_json, write_text
 from hyst_control.base.parallel import map_spawned
-from hyst_control.chain.stage import Array
 from hyst_control.model_file import save_model
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal

@@ -17,8 +17,8 @@ from evaluation.blind_test.case_drawing import draw
 from evaluation.blind_test.case_records import record_of, run_case
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SETUPS
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import executor
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from evaluation.blind_test.case import Case
 from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.records.excitation.excitation import build

@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-Array = NDArray[np.float64]
 
 SAMPLE_TIME = 5e-5
 UPPER_FREQUENCY = 4000.0

@@ -25,7 +25,7 @@ from evaluation.blind_test.mirror_models import DELAYS, fit, stated_model
 from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model

@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
 from evaluation.blind_test.injected_machines import Clean
-
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 SCALES = np.geomspace(1e-6, 1e3, 37)
 """Strengths among which that of a given size is sought."""

@@ -12,9 +12,10 @@ from scipy.linalg import block_diag
 
 from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
-from hyst_control.chain.stage import Array, Stage, frozen
+from hyst_control.chain.stage import Stage, frozen
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of

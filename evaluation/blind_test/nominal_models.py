@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from evaluation.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, TOLERANCE
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
-from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning

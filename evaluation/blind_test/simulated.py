@@ -13,7 +13,7 @@ from evaluation.blind_test.case import Case, Label, Made
 from evaluation.blind_test.case_records import commands, plant_of, record_of, run_case
 from evaluation.blind_test.nominal_models import nominal, stated_noise
 from evaluation.blind_test.plant_setups import SETUPS
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.report.augmented_model import without_lines
 from hyst_control.model_file import Model, simulate
 

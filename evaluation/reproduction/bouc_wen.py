@@ -26,8 +26,8 @@ import numpy as np
 
 from evaluation.reproduction.measured_data import data_folder
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.model_file import Model, simulate

@@ -16,7 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.identify.modal.softening_modes import stop_operators
 

@@ -11,9 +11,9 @@ from typing import Annotated
 import numpy as np
 
 from evaluation.reproduction.measured_data import data_folder
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
-from hyst_control.chain.stage import Array
 from hyst_control.identify.modal.frequency_response import excited_lines
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import stages_of

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import minimize, nnls
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 
 BUMPS = 2
 """Numbers of a curve: v + c1 v (1 - v) + c2 v (1 - v) (1 - 2 v), for an input v from 0 to 1."""

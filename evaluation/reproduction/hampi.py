@@ -26,8 +26,8 @@ from evaluation.reproduction import claims, hampi_figures, hampi_tables
 from evaluation.reproduction.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
 from evaluation.reproduction.hampi_tables import SCORED_CYCLES, Place
 from evaluation.reproduction.mhl_robustness import robustness
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.tuning import tune
 from hyst_control.demo.node_runs import run_processes

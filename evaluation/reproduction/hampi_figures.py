@@ -14,8 +14,7 @@ from plotly.subplots import make_subplots
 from evaluation.reproduction import hampi_tables
 from evaluation.reproduction.hampi_tables import Place
 from evaluation.reproduction.mhl_figures import line
-from hyst_control.chain.stage import Array
-from hyst_control.control.feedforward.inverse_dynamics import Complex
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.excitation import excitation

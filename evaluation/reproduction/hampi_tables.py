@@ -11,10 +11,11 @@ from typing import Annotated
 import numpy as np
 
 from evaluation.reproduction.hampi_published import FIGURE_2, FREQUENCIES, TABLE_1, TABLE_2, TABLE_4, TABLE_4_RMSE, TABLE_5
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import LinearStage
-from hyst_control.chain.stage import Array, Sampling
-from hyst_control.control.feedforward.inverse_dynamics import METHODS, Complex, invert_dynamics, sampled_systems
+from hyst_control.chain.stage import Sampling
+from hyst_control.control.feedforward.inverse_dynamics import METHODS, invert_dynamics, sampled_systems
 from hyst_control.control.linearization import sampled_response
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset

@@ -41,8 +41,8 @@ from evaluation.reproduction.mhl_runs import (
     record,
     track,
 )
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import CrossCoupling
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import RATE_FILTER, build_compensator
 from hyst_control.control.tuning import AUTOMATIC, tune
 from hyst_control.identify import identify

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from evaluation.reproduction import mhl_responses, mhl_tables
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.model_file import simulate
 from hyst_control.reporting.html_page import COLORS, Page

@@ -13,7 +13,7 @@ import numpy as np
 from evaluation.reproduction.mhl_robustness import MEASURED
 from evaluation.reproduction.mhl_runs import CENTRE, REACH, SAMPLE_TIME, track
 from evaluation.reproduction.mhl_tables import TRADITIONAL
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.control.tuning import Tuning
 from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table

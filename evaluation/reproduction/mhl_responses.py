@@ -8,14 +8,11 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
-
-Complex = NDArray[np.complex128]
 
 
 def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, Complex, Complex]:

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.tuning import Tuning
 from hyst_control.demo.node_runs import run_processes

@@ -10,9 +10,9 @@ from typing import Annotated, Any, cast
 import numpy as np
 
 from evaluation.reproduction.mhl_responses import bandwidth, fundamental, open_loop_responses, response, settling_time
+from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table

@@ -23,9 +23,9 @@ from scipy.optimize import minimize, minimize_scalar
 
 from evaluation.reproduction.generalized_play import fit_generalized_play
 from evaluation.reproduction.measured_data import data_folder
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.chain.stage import Array
 from hyst_control.identify import identify
 from hyst_control.identify.assess.fit_report import record_rows, residual
 from hyst_control.identify.data.dataset import Dataset

@@ -16,9 +16,9 @@ from hyst_control import model_file
 from hyst_control.api.record import Record, from_arrays
 from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, table_frame
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.linearization import hysteresis_slopes, linearized

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, xarray
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records import record as records
 from hyst_control.records.bags.bag_reader import read_bag as read_signals
@@ -447,7 +448,7 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
     )
 
 
-def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) -> records.Array:
+def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) -> Array:
     """Make a command to excite a stage with, as `hyst excite` does.
 
     Parameters

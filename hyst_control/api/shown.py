@@ -13,8 +13,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.signal_figures import Panel, draw, write_drawing
 from hyst_control.reporting.tables import Table
@@ -54,7 +55,7 @@ def promoted(kind: type[Kind], found: Any, **more: Any) -> Kind:
     return kind(**{each.name: getattr(found, each.name) for each in fields(found)}, **more)
 
 
-def rows_of(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def rows_of(name: str, values: ArrayLike) -> Array:
     """Samples by axes (N, A) of an array (N,) or (N, A)."""
     try:
         rows = np.asarray(values, dtype=float)

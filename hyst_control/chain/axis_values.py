@@ -9,9 +9,10 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import PLAIN
-from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, VectorPerAxis
+from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, VectorPerAxis
 
 
 def frozen(value: Any) -> Any:

@@ -25,11 +25,12 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, parallel, series
 from hyst_control.chain.linear.linear_stages import Delay, linear_filter
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.parameter import Array, chains
+from hyst_control.chain.parameter import chains
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, register
 
 Piece = tuple[tuple[Stage, ...], bool]

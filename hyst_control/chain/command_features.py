@@ -16,11 +16,9 @@ from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import Member, reals
-
-Array = NDArray[np.float64]
 
 PLAYS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Half widths of the play operators, as shares of the command's range; together they approximate the memory of any hysteresis."""
@@ -105,7 +103,7 @@ def features_of_tick(
     ring: Annotated[Array, "L"],
     now: int,
     rate: float,
-    lags: NDArray[np.int64],
+    lags: Integers,
     half_widths: Array,
     keeps: Array,
     turning: Annotated[Array, "3"],
@@ -234,11 +232,11 @@ def feature_rows(
     command: Annotated[Array, "N"],
     rate: Annotated[Array, "N"],
     crossing: float,
-    ticks: NDArray[np.int64],
+    ticks: Integers,
     half_widths: Array,
     keeps: Array,
     ring: Annotated[Array, "L"],
-    position: NDArray[np.int64],
+    position: Integers,
     turning: Array,
     plays: Array,
     slow: Array,

@@ -12,10 +12,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, each_axis
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
 
 

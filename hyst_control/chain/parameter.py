@@ -20,11 +20,10 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
-Array: TypeAlias = NDArray[np.float64]
 ScalarPerAxis: TypeAlias = float | Sequence[float] | Array
 """A number for every axis alike, or a list with one per axis; a stage keeps it as a number or a tuple."""
 VectorPerAxis: TypeAlias = Sequence[float] | Sequence[Sequence[float]] | Sequence[Array] | Array

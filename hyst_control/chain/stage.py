@@ -22,6 +22,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array as Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.plugins import Registry
 from hyst_control.chain import stage_coordinates
@@ -33,7 +34,6 @@ from hyst_control.chain.axis_values import per_axis_scalars as per_axis_scalars
 from hyst_control.chain.axis_values import scaled as scaled
 from hyst_control.chain.axis_values import thawed as thawed
 from hyst_control.chain.c_code.c_code import CCode, each_axis
-from hyst_control.chain.parameter import Array as Array
 from hyst_control.chain.parameter import Coordinate, Parameter, declared, undeclared
 
 HOLDS = ("zoh", "foh")

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array, Coordinate, Kind, Parameter, Scattering
+from hyst_control.base.arrays import Array
+from hyst_control.chain.parameter import Coordinate, Kind, Parameter, Scattering
 
 UNCERTAIN = (Scattering.RELATIVE, Scattering.ABSOLUTE, Scattering.POLES)
 NEXT = 1e-3

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import schur
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
@@ -23,11 +23,9 @@ from hyst_control.chain.linear.linear_stages import (
     stacked,
     transfer_function_system,
 )
-from hyst_control.chain.stage import Array, Filter
+from hyst_control.chain.stage import Filter
 from hyst_control.control.feedforward.quasi_static import hysteretic, quasi_static_stages
 from hyst_control.model_file import Model
-
-Complex = NDArray[np.complex128]
 
 
 def hysteresis_slopes(model: Model) -> tuple[Array, Array]:

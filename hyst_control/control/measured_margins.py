@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Complex
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Plant, run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.tuning import Margins, controller_response, margins
 from hyst_control.records.excitation.excitation import cosine_ramp, multisine
-
-Complex = NDArray[np.complex128]
 
 PERIODS, SETTLING_PERIODS = 6, 2
 SMOOTHED = 5

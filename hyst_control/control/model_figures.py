@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
-from hyst_control.control.linearization import Complex, hysteresis_slopes, linearized, sampled_response
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches

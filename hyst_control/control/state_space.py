@@ -9,14 +9,14 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.chain import ParallelFilter, SeriesFilter
 from hyst_control.chain.linear.linear_filter import LinearFilter
-from hyst_control.chain.stage import Array, Filter
+from hyst_control.chain.stage import Filter
 
 ABSORBED = 1e-12
 """Relative residual up to which a delay of the output is one of the states."""
@@ -73,7 +73,7 @@ def _system(running: LinearFilter, index: int) -> Discrete:
     return Discrete(np.vstack([earlier, shift]), newest, c @ earlier + direct, c @ b0 + d0)
 
 
-def _delay(ticks: NDArray[np.int64]) -> Discrete:
+def _delay(ticks: Integers) -> Discrete:
     """Delays of channels by whole numbers of ticks."""
     parts = [(np.eye(n, k=-1), np.eye(n, 1), np.eye(1, n, k=n - 1), np.full((1, 1), float(n == 0))) for n in ticks.tolist()]
     return Discrete(*(block_diag(*matrices) for matrices in zip(*parts, strict=True)))

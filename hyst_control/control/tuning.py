@@ -21,18 +21,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI, roll_off_share
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
-
-Complex = NDArray[np.complex128]
 
 LOWEST_SCALE = 1e-15
 """Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 SETBACK = 0.5
 """s by which a time goes back when a loop was started anew; less is a row that came twice."""

@@ -16,13 +16,10 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, CustomJSTickFormatter, DataRange1d, LinearAxis
 from bokeh.models.widgets import Button, Div
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
 from hyst_control.dashboard.live_state import LiveState, LoopEvent, NodeState, Trace
 from hyst_control.reporting.html_page import COLORS
 from hyst_control.reporting.templates import render
-
-Array = NDArray[np.float64]
 
 INTERVAL = 150  # ms, between two looks at the state
 REST = 3.0

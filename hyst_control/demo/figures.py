@@ -13,7 +13,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.report.document import named, sentence
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.identify.data.record_segmentation import stretches_between_rests

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.processes.node_processes import Processes
 from hyst_control.processes.ros_domain import own_domain
 

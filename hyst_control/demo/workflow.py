@@ -17,9 +17,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.feedforward.reachable_stroke import check_reachable
 from hyst_control.control.tuning import tune

@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_json
 from hyst_control.base.progress import step
@@ -139,7 +137,7 @@ def diagnose_records(
     model: Model | None,
     baseline: Sequence[Record] = (),
     *,
-    coming: tuple[str, NDArray[np.float64]] | None = None,
+    coming: tuple[str, Array] | None = None,
     **settings: Any,
 ) -> GapResult:
     """Diagnose records that are measurements of their command; say so of those that are none."""
@@ -188,7 +186,7 @@ def diagnosed(
     return document, diagnosis, better
 
 
-def _command(path: str, namespace: str | None, unit: str) -> NDArray[np.float64]:
+def _command(path: str, namespace: str | None, unit: str) -> Array:
     if not path.endswith(".npy"):
         return read_bag(path, namespace, unit).aligned(("command",))[0].values["command"]
     rows = read_array(path)

@@ -9,9 +9,10 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, stacked, transfer_function_system
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import Changed

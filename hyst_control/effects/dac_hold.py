@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
-from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values
 
@@ -124,10 +124,10 @@ for (int i = 0; i < AXES; i++) {
 def take_and_hold(
     block: Array,
     count: int,
-    samples: NDArray[np.int64],
-    phase: NDArray[np.int64],
+    samples: Integers,
+    phase: Integers,
     step: Array,
-    rounding: NDArray[np.int64],
+    rounding: Integers,
     held: Array,
     output: Array,
 ) -> None:

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.chain.stage import Filter, Sampling, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 from hyst_control.effects.random_stages import NoiseFilter, NoiseStage

@@ -9,9 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 from hyst_control.effects.random_stages import RANDOM, RandomStage, seed

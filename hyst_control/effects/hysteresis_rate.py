@@ -9,9 +9,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import RateCorrection
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalar, per_axis_scalars, register, replaced
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 from hyst_control.effects.modifiers import beside

@@ -10,10 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, discretise, linear_filter
-from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
 from hyst_control.effects.effect import Parameter, Surroundings, Values
 

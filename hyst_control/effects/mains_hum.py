@@ -10,8 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, each_axis
-from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Line, Parameter, RecordCheck
 from hyst_control.effects.time_dependent import TimedStage

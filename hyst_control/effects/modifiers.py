@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
-from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Sampling, Stage
 
 

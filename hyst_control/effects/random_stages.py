@@ -9,9 +9,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.parameter import Array, ScalarPerAxis, count, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, count, scalar
 from hyst_control.chain.stage import Filter, Stage, per_axis_scalar
 
 

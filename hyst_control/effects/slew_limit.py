@@ -10,8 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 

@@ -9,15 +9,15 @@ from typing import Annotated, Any, ClassVar, cast
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array, Complex, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import COMPLEX, LARGER, CCode, integers, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, TransferFunction
-from hyst_control.chain.parameter import Array, ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
+from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.placement import mechanics_index
@@ -177,7 +177,7 @@ class ModesMovedFilter(Filter):
         return output
 
     def c_code(self) -> CCode:
-        def pairs(values: NDArray[np.complex128]) -> Array:
+        def pairs(values: Complex) -> Array:
             return np.stack([np.real(values), np.imag(values)], axis=-1)
 
         return CCode(
@@ -212,7 +212,7 @@ class ModesMovedFilter(Filter):
 
 
 @remembered
-def modal(system: LinearSystem) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128], Array]:
+def modal(system: LinearSystem) -> tuple[Complex, Complex, Complex, Array]:
     """Decompose a system into its modes: y = D u + Re Σ c x, dx/dt = λ x + b u."""
     own, vectors = np.linalg.eig(system.A)
     if len(own) and not np.linalg.cond(vectors) < DEFECTIVE:
@@ -318,11 +318,11 @@ for (int i = 0; i < MODES; i++) {
 @njit(cache=True)
 def settle_modes_moved(
     value: Annotated[Array, "A"],
-    poles: NDArray[np.complex128],
-    inputs: NDArray[np.complex128],
+    poles: Complex,
+    inputs: Complex,
     static: Array,
     mean: Array,
-    state: NDArray[np.complex128],
+    state: Complex,
 ) -> None:
     """Bring the modes to rest at a constant input."""
     for o in range(len(value)):
@@ -342,16 +342,16 @@ def advance_modes_moved(
     block: Annotated[Array, "N A"],
     step: float,
     smooth: float,
-    poles: NDArray[np.complex128],
+    poles: Complex,
     change: Annotated[Array, "M"],
-    inputs: NDArray[np.complex128],
-    outputs: NDArray[np.complex128],
+    inputs: Complex,
+    outputs: Complex,
     static: Array,
     last: Annotated[Array, "A"],
     mean: Annotated[Array, "A"],
     square: Annotated[Array, "A"],
-    whose: NDArray[np.int64],
-    state: NDArray[np.complex128],
+    whose: Integers,
+    state: Complex,
     output: Annotated[Array, "N A"],
 ) -> None:
     """Run the equations of `SofteningModes` over a block."""

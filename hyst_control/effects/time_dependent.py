@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter, Sampling, Stage
 
 STEP = """

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.parameter import Array
 from hyst_control.control.feedback import pi_c_code
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.export.c_source import Program, Slot

@@ -16,8 +16,8 @@ import cffi
 import numpy as np
 from platformdirs import user_cache_path
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.parameter import Array
 from hyst_control.export.c_source import Program, header, source
 
 COMPILERS = ("gcc", "clang", "cc")

@@ -18,10 +18,10 @@ from typing import Protocol
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
-from hyst_control.chain.parameter import Array
 from hyst_control.control.feedback import pi_c_code, sensor_watch_c_code
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety

@@ -15,10 +15,10 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_text
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.parameter import Array
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
 from hyst_control.export.controller import Controller

@@ -13,11 +13,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.parameter import Array
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import RATE_FILTER, Compensator, build_compensator
 from hyst_control.control.feedforward.static_gain import Proportional

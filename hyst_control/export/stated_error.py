@@ -16,8 +16,8 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
@@ -33,7 +33,6 @@ from hyst_control.chain.command_features import (
     feature_memory,
     features_of_tick,
 )
-from hyst_control.chain.parameter import Array
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
 
@@ -42,13 +41,13 @@ from hyst_control.model_file import Model
 def stated_errors(
     command: Annotated[Array, "N A"],
     scale: Annotated[Array, "A 3"],
-    ticks: NDArray[np.int64],
+    ticks: Integers,
     half_widths: Annotated[Array, "P"],
     keeps: Annotated[Array, "P"],
     mean: Annotated[Array, "A F"],
     factor: Annotated[Array, "A F"],
     rest: Annotated[Array, "A F"],
-    position: NDArray[np.int64],
+    position: Integers,
     ring: Annotated[Array, "1"],
     turning: Annotated[Array, "A 3"],
     plays: Annotated[Array, "A 3"],

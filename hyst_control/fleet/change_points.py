@@ -19,11 +19,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.fleet.course_fit import CourseFit, named_within, night_variance
-
-Array = NDArray[np.float64]
 
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.3)
 """Shares of units that change, among which the fleet's records choose."""

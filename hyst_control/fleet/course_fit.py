@@ -12,10 +12,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""

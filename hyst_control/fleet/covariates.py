@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.fleet.course_fit import MAD
-
-Array = NDArray[np.float64]
 
 HUBER = 1.345
 """Residual, in standard deviations, from which a difference counts less: 95 % efficient for a normal law (Huber 1981)."""

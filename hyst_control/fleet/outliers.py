@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, false_discovery_control
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 STARTS = 50
 STEPS = 20

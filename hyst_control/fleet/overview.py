@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.fleet.change_points import Onset, Trend, find_changes
 from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
 from hyst_control.fleet.covariates import CovariateEffect, take_out
@@ -18,8 +19,6 @@ from hyst_control.fleet.forecast import forecast
 from hyst_control.fleet.outliers import Outlier, find_outliers
 from hyst_control.fleet.record_jobs import NO_GAP, OPEN
 from hyst_control.fleet.results import DONE
-
-Array = NDArray[np.float64]
 
 SCHEMA = "hyst_control/fleet-overview"
 GAP = "gap_rms"

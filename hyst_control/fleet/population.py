@@ -22,12 +22,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 FARTHEST_NIGHTS = 5
 """Nights between two records up to which the growth of their difference is looked at."""

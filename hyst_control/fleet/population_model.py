@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.fleet.population import Population, find_population
 from hyst_control.fleet.results import DONE, Results
 from hyst_control.model_file import DISCREPANCY_VERSION, Model, load_model, save_model
-
-Array = NDArray[np.float64]
 
 USUAL_ZERO = 0.9
 """Quantile over the records of the zero, drift and curvature up to which a session is usual."""

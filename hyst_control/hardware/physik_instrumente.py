@@ -14,15 +14,11 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.parameters import Setting
-
-Array = NDArray[np.float64]
 
 ERROR_CHECK_INTERVAL = 1.0
 """s, between two questions for the controller's error, which would cost a third exchange at every tick."""

@@ -7,15 +7,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
 from hyst_control.model_file import Simulator, load_model
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.parameters import Setting
-
-Array = NDArray[np.float64]
 
 
 class Converter:

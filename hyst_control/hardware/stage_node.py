@@ -12,8 +12,9 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.hardware.driver_thread import Call, DriverThread
@@ -27,8 +28,6 @@ from hyst_control.nodes.signal_node.managed import AUTOSTART, UNCONFIGURED, Mana
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
-
-Array = NDArray[np.float64]
 
 READ_PHASE = 0.1
 """Share of a tick after its beginning at which the sensor is read; the feedback computes at 0.5."""

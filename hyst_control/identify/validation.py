@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.parameter import Array
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning

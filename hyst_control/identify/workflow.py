@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import check_writable, write_json
-from hyst_control.chain.stage import Array
 from hyst_control.identify import estimator_of, estimators, identify
 from hyst_control.identify.assess.attainable import poorly_explained
 from hyst_control.identify.assess.explained_share import (

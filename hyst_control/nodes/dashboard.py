@@ -23,8 +23,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from numpy import float64
-from numpy.typing import NDArray
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
@@ -32,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.dashboard.live_state import LiveState, NodeState
 from hyst_control.nodes.execution import interrupts
@@ -41,8 +40,6 @@ from hyst_control.nodes.live_view import LiveView
 from hyst_control.nodes.signal_node.message_io import CallbackSubscription
 from hyst_control.processes import environment
 from hyst_control.processes.node_processes import Processes
-
-Array = NDArray[float64]
 
 POLL_INTERVAL = 0.05  # s, between two looks at what the page has asked
 ANSWER_TIMEOUT = 3.0

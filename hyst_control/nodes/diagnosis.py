@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.diagnose.model_error.baseline import error_on
@@ -34,8 +34,6 @@ from hyst_control.records.actuator_following import APPLIED, FollowingWatch
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.stream.signal_message import Encoder, label_for
-
-Array = NDArray[np.float64]
 
 GAP_LABEL = "t[s],nrmse[%],alarm[]"
 DRAIN_INTERVAL = 0.02  # s, between two polls of the subscriptions: their queues hold far more
@@ -247,13 +245,13 @@ class DiagnosisNode(SignalNode):
                 stop = begin  # the model has the actuator's voltages, and nothing is compared
             self._follow(first, voltages[part], measured_ticks[begin:stop], measured[begin:stop])
 
-    def _driven(self, ticks: NDArray[np.int64], commands: Array) -> tuple[NDArray[np.bool_], Array]:
+    def _driven(self, ticks: Integers, commands: Array) -> tuple[Mask, Array]:
         """Mask (N,) of the ticks at which the actuator does not follow its command (N, A), and its voltages (N, A), V, at all of them."""
         if self._applied is None:
             return np.zeros(len(ticks), bool), commands
         return self._following.look((ticks, commands), self._applied.rows.take_before(int(ticks[-1]) + 1))
 
-    def _follow(self, first: int, commands: Array, ticks: NDArray[np.int64], measured: Array) -> None:
+    def _follow(self, first: int, commands: Array, ticks: Integers, measured: Array) -> None:
         """Run the model over successive commands (N, A) and compare it with the measurements (M, A) of these ticks that exist."""
         missing = None if self._due is None else first - self._due
         if missing is None or missing > self.settings.bridge:

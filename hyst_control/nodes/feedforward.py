@@ -8,8 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedback.loop import Compensator
 from hyst_control.control.feedback.slope_demand import SlopeDemand
 from hyst_control.control.feedforward.compensator import KINDS, RATE_FILTER, build_compensator

@@ -9,8 +9,8 @@ from collections import deque
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.duration_histogram import Durations
@@ -18,8 +18,6 @@ from hyst_control.nodes.signal_node.message_io import Sender
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.extremes import ExtremeRows
-
-Array = NDArray[np.float64]
 
 DRAIN_INTERVAL = 0.05  # s, between two polls of the subscriptions: their queues hold far more
 TURN_EVERY = 4
@@ -124,7 +122,7 @@ class LiveView(SignalNode):
             if len(both):
                 self._look(both, self._matched(both, *references), commands[first], measured[second])
 
-    def _matched(self, ticks: NDArray[np.int64], reference_ticks: NDArray[np.int64], references: Array) -> Array:
+    def _matched(self, ticks: Integers, reference_ticks: Integers, references: Array) -> Array:
         """References (N, A) of ticks, NaN where there is none, as in open loop."""
         matched = np.full((len(ticks), len(self.axes)), np.nan)
         _, here, there = np.intersect1d(ticks, reference_ticks, assume_unique=True, return_indices=True)
@@ -132,7 +130,7 @@ class LiveView(SignalNode):
             matched[here] = references[there]
         return matched
 
-    def _look(self, ticks: NDArray[np.int64], references: Array, commands: Array, measured: Array) -> None:
+    def _look(self, ticks: Integers, references: Array, commands: Array, measured: Array) -> None:
         """Publish the extremes of new rows (N, A) of the three signals, and now and then the newest stretch for the loop."""
         self._seen += len(ticks)
         self._polls += 1

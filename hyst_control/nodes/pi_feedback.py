@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.duration import Duration
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
@@ -28,8 +28,6 @@ from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.actuator_following import CLOSE
 from hyst_control.records.stream.signal_message import label_for
-
-Array = NDArray[np.float64]
 
 ENDING, RIVAL = "the node is ending", "another node publishes command"
 NOT_FOLLOWED = "the actuator does not follow the command: the feedback tracks what is applied"

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.nodes.execution.run import main as run_main
@@ -25,8 +25,6 @@ from hyst_control.records.excitation.signal_change import ChangingSignal
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 from hyst_control.records.stream.row_repetition import KEPT_ROWS
 from hyst_control.records.tables.array_files import read_array
-
-Array = NDArray[np.float64]
 
 
 class ReferenceGenerator(SignalNode):

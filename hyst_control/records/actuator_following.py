@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array, Integers, Mask
 
 APPLIED = "applied"
 """Topic on which the plant says what is on the actuator while that is not the command."""
@@ -73,8 +72,8 @@ class FollowingWatch:
         self._said, self._voltages = np.zeros(0, np.int64), np.zeros((0, self._axes))  # the two newest messages
 
     def look(
-        self, command: tuple[NDArray[np.int64], Array], applied: tuple[NDArray[np.int64], Array]
-    ) -> tuple[NDArray[np.bool_], Array]:
+        self, command: tuple[Integers, Array], applied: tuple[Integers, Array]
+    ) -> tuple[Mask, Array]:
         """Find the ticks at which the actuator does not follow its command, and its voltage at every tick."""
         ticks, commands = command
         found = np.zeros(len(ticks), bool)
@@ -98,7 +97,7 @@ class FollowingWatch:
         self._said, self._voltages = self._said[-2:], self._voltages[-2:]
         return found, voltages
 
-    def _between(self, ticks: NDArray[np.int64], commands: Array) -> Array:
+    def _between(self, ticks: Integers, commands: Array) -> Array:
         """Voltages (N, A) on straight lines between messages; after the last one the line goes on until it meets the command."""
         said, voltages = self._said, self._voltages
         found: Array = np.stack([np.interp(ticks, said, voltage) for voltage in voltages.T], axis=1)

@@ -10,11 +10,8 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
-Complex = NDArray[np.complex128]
+from hyst_control.base.arrays import Array, Complex, Mask
 
 SEGMENTS = 32
 """Parts of a record over which spectra are averaged, at least: few averages show a coherence where there is none."""
@@ -81,7 +78,7 @@ class Spectra:
         return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
 
     @cached_property
-    def independent(self) -> NDArray[np.bool_]:
+    def independent(self) -> Mask:
         """Frequencies (F,) at which no command is a sum of others."""
         own = np.sqrt(np.maximum(np.einsum("faa->fa", self.auto).real, 1e-300))
         normal = self.auto / (own[:, :, None] * own[:, None, :])
@@ -117,7 +114,7 @@ class Spectra:
             made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
         return cross, np.asarray(made, dtype=np.float64)
 
-    def determinant(self, axes: Sequence[int]) -> list[tuple[Complex, NDArray[np.bool_]]]:
+    def determinant(self, axes: Sequence[int]) -> list[tuple[Complex, Mask]]:
         """Determinant (F,) of the responses of all axes to independent commands, and a mask (F,) of where it is known.
 
         Of commands that are not independent, and of a single one: the response of every one of `axes` to its own command.
@@ -148,12 +145,12 @@ class Spectra:
         sine = -float((turned.imag * counted)[used].sum() / weights.sum())
         return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
 
-    def response(self, index: int) -> tuple[Complex, NDArray[np.bool_]]:
+    def response(self, index: int) -> tuple[Complex, Mask]:
         """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""
         return self._responses[index]
 
     @cached_property
-    def _responses(self) -> list[tuple[Complex, NDArray[np.bool_]]]:
+    def _responses(self) -> list[tuple[Complex, Mask]]:
         found = []
         for index in range(self.auto.shape[1]):
             own = self.auto[:, index, index].real

@@ -7,11 +7,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.records.stream.row_store import blocks, mean_square, spread_parts
-
-Array = NDArray[np.float64]
 
 LONGEST, PARTS = 2**20, 16
 """Samples up to which the whole autocorrelation is computed; stretches into which so many of a longer record are divided."""

@@ -7,10 +7,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Ticks = NDArray[np.int64]
+from hyst_control.base.arrays import Array, Integers
 
 
 class ExtremeRows:
@@ -24,14 +22,14 @@ class ExtremeRows:
         if bin_ticks < 1:
             raise ValueError(f"bin_ticks: must be ≥ 1, got {bin_ticks}")
         self.bin_ticks = bin_ticks
-        self._ticks: Ticks = np.zeros(0, np.int64)  # of the bin that is not complete yet
+        self._ticks: Integers = np.zeros(0, np.int64)  # of the bin that is not complete yet
         self._rows: Array = np.zeros((0, 0))
 
     def reset(self) -> None:
         """Forget the rows of the bin that is not complete."""
         self._ticks, self._rows = np.zeros(0, np.int64), np.zeros((0, 0))
 
-    def add(self, ticks: Ticks, rows: Annotated[Array, "N C"]) -> tuple[Ticks, Array]:
+    def add(self, ticks: Integers, rows: Annotated[Array, "N C"]) -> tuple[Integers, Array]:
         """Take in rows; return those kept of the bins that are complete."""
         if len(self._ticks):
             ticks, rows = np.concatenate([self._ticks, ticks]), np.concatenate([self._rows, rows])
@@ -49,7 +47,7 @@ class ExtremeRows:
         return ticks[chosen], rows[chosen]
 
 
-def _extremes(rows: Array) -> NDArray[np.int64]:
+def _extremes(rows: Array) -> Integers:
     """Indices of the rows (N, C) with the least and the greatest value of a column, each once and in order."""
     unknown = np.isnan(rows)
     least = np.where(unknown, np.inf, rows).argmin(axis=0)

@@ -7,9 +7,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.records.stream.row_store import blocks, empty_rows
 
 LEVELS = 4
@@ -75,7 +74,7 @@ def rounding_weights(command: Annotated[Array, "N"], values: Annotated[Array, "N
     return weight
 
 
-def _repeated(command: Array, values: Array) -> NDArray[np.bool_]:
+def _repeated(command: Array, values: Array) -> Mask:
     """Samples (N,) at which the last three commands and the reading are those of an earlier sample; none where readings scatter."""
     coarse = np.rint(command / max(1e-6 * np.ptp(command), 1e-300))
     moves = np.stack([np.roll(coarse, 2), np.roll(coarse, 1), coarse], axis=1)
@@ -88,5 +87,5 @@ def _repeated(command: Array, values: Array) -> NDArray[np.bool_]:
     repetitions = len(known.ravel()[moving]) - len(counts)
     if not repetitions or np.count_nonzero(again & moving) < REPEATED * repetitions:
         again[:] = False
-    found: NDArray[np.bool_] = again & moving
+    found: Mask = again & moving
     return found

@@ -9,14 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
 from hyst_control.records.stream.foreign_rows import admissible
 from hyst_control.records.stream.row_store import blocks, empty_rows
-
-Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z", "u", "v", "w")
 
@@ -70,7 +68,7 @@ STEPS_LOOKED_AT = 2**22
 """Steps of a record's times from which the commonest is taken: all, or those of stretches spread evenly over it."""
 
 
-def increasing(values: NDArray[np.float64] | NDArray[np.int64], equal: bool = False) -> bool:
+def increasing(values: Array | Integers, equal: bool = False) -> bool:
     """Report whether values increase from each to the next, block by block.
 
     Parameters

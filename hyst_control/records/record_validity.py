@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import (
     FEWEST_LINES,
@@ -28,8 +29,6 @@ from hyst_control.records.averaged_spectra import (
     Spectra,
     segment_length,
 )
-
-Array = NDArray[np.float64]
 
 SHORTEST_RECORD = 1024
 """Samples below which no spectrum is judged: a segment must be longer than a plant rings."""

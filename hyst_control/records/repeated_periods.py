@@ -7,9 +7,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 SAME = 1e-3
 """Rms difference of two commands, in the range of the first, up to which they are the same."""

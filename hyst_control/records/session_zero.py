@@ -12,11 +12,9 @@ from collections.abc import Iterable
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.records.stream.row_store import blocks, empty_rows
-
-Array = NDArray[np.float64]
 
 SHAPES = ("zero", "drift", "curvature")
 """Legendre polynomials of degree 0, 1 and 2 over a record."""

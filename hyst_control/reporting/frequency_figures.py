@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra, segment_length
 from hyst_control.records.record import Record
 from hyst_control.records.repeated_periods import period_of
-from hyst_control.reporting.signal_figures import MAX_POINTS, Array, Line, Panel
+from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel
 
 COHERENT = 0.5
 """Coherence below which a measured response is not drawn: it is noise."""
@@ -33,7 +33,7 @@ class Response:
 
     name: str
     frequency: Annotated[Array, "F"]  # Hz
-    values: Annotated[NDArray[np.complex128], "F"]  # Measurement unit per V
+    values: Annotated[Complex, "F"]  # Measurement unit per V
     coherence: Annotated[Array, "F"] | None = None  # Of a measured one
 
 
@@ -68,7 +68,7 @@ def bode_of_record(record: Record) -> list[Panel]:
     return bode(measured_responses(record), f"{record.signal('measurement').unit}/V")
 
 
-def continuous_phase(values: Annotated[NDArray[np.complex128], "F"]) -> Annotated[Array, "F"]:
+def continuous_phase(values: Annotated[Complex, "F"]) -> Annotated[Array, "F"]:
     """Phase (rad) without jumps, around that of neighbors taken together: one that scatters by half a turn turns no other."""
     if not len(values):
         return np.zeros(0)

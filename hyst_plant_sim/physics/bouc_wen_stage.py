@@ -16,9 +16,8 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_plant_sim.physics.arrays import Array
 
 COMMAND = (-60.0, 60.0)
 """Range of the voltage, V."""

@@ -11,11 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.signal_path import Part
-
-Array = NDArray[np.float64]
 
 
 class Slip(Part):

@@ -5,10 +5,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
-Array = NDArray[np.float64]
+from hyst_plant_sim.physics.arrays import Array
 
 
 def held_step(a: Array, b: Array, step: float) -> tuple[Array, Array]:

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
 from hyst_plant_sim.physics.elastic_slip import PushPull, Slip
@@ -31,8 +30,6 @@ from hyst_plant_sim.physics.mechanics import mechanics, oscillator
 from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Clip, Delay, Held, Mixing, Straight, System
 from hyst_plant_sim.physics.signal_path import Frame, Part, PlantParameters
-
-Array = NDArray[np.float64]
 
 PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2, "mode_damping": 2}
 

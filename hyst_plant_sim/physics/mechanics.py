@@ -13,13 +13,11 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.parts import Held, Sum, System
 from hyst_plant_sim.physics.signal_path import Frame, Part
-
-Array = NDArray[np.float64]
 
 GRID = 201
 """Frequencies at which the steps of a moving mode are prepared."""

@@ -8,12 +8,11 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.signal_path import Part
 
-Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, float]
 
 

@@ -19,14 +19,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.mechanics import mechanics
 from hyst_plant_sim.physics.parts import Delay, Held, Sum
 from hyst_plant_sim.physics.rational_mechanics import rational
 from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError, PlantParameters
-
-Array = NDArray[np.float64]
 
 DEPTH = 512
 """Most turning points remembered; the oldest pair is forgotten beyond it."""

@@ -7,12 +7,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.parts import System
 from hyst_plant_sim.physics.signal_path import PlantError
-
-Array = NDArray[np.float64]
 
 
 def rational(num: Sequence[float], den: Sequence[float], mass_ratio: float = 0.0, frequency_ratio: float = 1.0) -> System:

@@ -20,9 +20,8 @@ from typing import Annotated, Any, Protocol
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_plant_sim.physics.arrays import Array
 
 PLACES = ("dac", "drive", "amplifier", "hysteresis", "piezo", "mechanics", "motion", "sensor", "adc", "transport")
 """In signal order. dac, adc and transport work on samples, the others on the internal steps in between."""

@@ -16,15 +16,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.mechanics import mechanics, oscillator
 from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
 from hyst_plant_sim.physics.signal_path import Frame, Part, PlantError, PlantParameters
-
-Array = NDArray[np.float64]
 
 PIECE = 0.5
 """Most volts in one step of the hysteresis' own equation."""

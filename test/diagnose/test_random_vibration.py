@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.decide.policy import decide
 from hyst_control.diagnose.evidence import HumpEvidence
 from hyst_control.diagnose.noise.narrowband import random_vibration

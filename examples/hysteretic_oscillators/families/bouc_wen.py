@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import NUMBER, Options, option

@@ -16,11 +16,12 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.chain.parameter import Array, declared
+from hyst_control.chain.parameter import declared
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import whole_records

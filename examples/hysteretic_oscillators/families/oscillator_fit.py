@@ -14,10 +14,11 @@ from typing import Annotated, Protocol
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.parameter import Scattering
-from hyst_control.chain.stage import Array, Sampling
+from hyst_control.chain.stage import Sampling
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow

@@ -18,10 +18,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.parameter import Array, ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, per_axis_scalars, register
 
 STEP = 0.05

@@ -16,11 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array, Integers
 
-Values = Array | NDArray[np.int64]
+Values = Array | Integers
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from typing import Annotated, Any
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.parameter import Array
 
 
 @dataclass(frozen=True)

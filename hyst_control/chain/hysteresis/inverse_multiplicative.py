@@ -26,10 +26,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import LARGER, SMALLER, CCode, reals
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import check_operators, play_filter
-from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
+from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 
 

@@ -24,8 +24,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
@@ -33,7 +33,7 @@ from hyst_control.chain.c_code.madelung_c import BACKWARD, CAPACITY, FORGET, FOR
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.hysteresis.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
-from hyst_control.chain.parameter import AllAxes, Array, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
+from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
     Sampling,
@@ -58,7 +58,7 @@ def madelung_branches(
     full: float,
     end_slope: Array,
     stack: Array,
-    stack_depth: NDArray[np.int64],
+    stack_depth: Integers,
     last: Array,
     output: Array,
     start: int,
@@ -146,7 +146,7 @@ def scaled_branches(
     inverse: bool,
     curves: Curves,
     stack: Array,
-    stack_depth: NDArray[np.int64],
+    stack_depth: Integers,
     last: Array,
     output: Array,
     start: int,
@@ -300,7 +300,7 @@ def died_away(rest: float) -> Array:
     return np.append(swings.ravel(), rest)
 
 
-def _padded(curves: list[tuple[Array, Array]]) -> tuple[Array, Array, NDArray[np.int64]]:
+def _padded(curves: list[tuple[Array, Array]]) -> tuple[Array, Array, Integers]:
     """Coefficients (A, 1, K), breaks (A, B) and sizes (A, 2) of curves, one (breaks, coefficients) per axis."""
     sizes = np.array([coefficients.shape for _, coefficients in curves])
     flat = np.zeros((len(curves), 1, max(coefficients.size for _, coefficients in curves)))

@@ -18,10 +18,11 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.chain import Parallel
-from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, flag, scalar, vector
+from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
     Sampling,

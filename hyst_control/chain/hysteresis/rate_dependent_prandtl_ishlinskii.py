@@ -17,9 +17,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
-from hyst_control.chain.parameter import Array, ScalarPerAxis, VectorPerAxis, scalar, vector
+from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
 
 

@@ -9,14 +9,14 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import COMPLEX, CCode, reals
 from hyst_control.chain.c_code.softening_modal_c import ADVANCE, COME_TO_REST, MODES
 from hyst_control.chain.linear.linear_stages import StateSpace
-from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes
+from hyst_control.chain.parameter import AllAxes, Scattering, all_axes
 from hyst_control.chain.stage import Filter, Sampling, Stage, register
 
 
@@ -164,13 +164,13 @@ class Numbers(NamedTuple):
     decay_change: Annotated[Array, "M"]
     frequency_change: Annotated[Array, "M"]
     # c, b, b_change, d, k: Outputs (M, A), inputs and their change (M, A), feedthrough (A, A), elongation (A, A)
-    c: NDArray[np.complex128]
-    b: NDArray[np.complex128]
-    b_change: NDArray[np.complex128]
+    c: Complex
+    b: Complex
+    b_change: Complex
     d: Annotated[Array, "M A"]
     k: Annotated[Array, "M A"]
     # h, h_d: Inputs (M, (K + T) A + P) and feedthrough (A, (K + T) A + P) of all forces
-    h: NDArray[np.complex128]
+    h: Complex
     h_d: Array
     # force_mean, threshold, stop_mean, product_mean: (K A,): mean of n; (T,) and (T A,): of the stop operators; (P,): mean of p
     force_mean: Annotated[Array, "T"]
@@ -182,7 +182,7 @@ class Numbers(NamedTuple):
 class Memory(NamedTuple):
     """Memory of a `SofteningModal`, updated in place."""
 
-    state: NDArray[np.complex128]  # (2, M) complex: x and w
+    state: Complex  # (2, M) complex: x and w
     mean_square: Annotated[Array, "1"]  # (1,): a²
     force: Array  # ((K + T) A + P,): n of the tick that begins the interval, s of the interval, and p as n
     play: Array  # (T A,): command less what the stop operators hold

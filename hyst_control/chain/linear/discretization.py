@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import expm
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear.linear_system import LinearSystem
-from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Sampling
 
 

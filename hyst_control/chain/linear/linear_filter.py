@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.linear.discretization import Discretised
 from hyst_control.chain.linear.linear_kernels import (
@@ -22,7 +22,6 @@ from hyst_control.chain.linear.linear_kernels import (
     advance_single,
     quads_of,
 )
-from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Filter
 
 FLOAT_LOSS = 1e-6
@@ -34,7 +33,7 @@ class LinearFilter(Filter):
 
     hold = "foh"
 
-    def __init__(self, systems: list[Discretised], whole: NDArray[np.int64] | Array) -> None:
+    def __init__(self, systems: list[Discretised], whole: Integers | Array) -> None:
         n = max(len(system.A) for system in systems)
         m = systems[0].C.shape[0]
         count = len(systems)
@@ -47,7 +46,7 @@ class LinearFilter(Filter):
         self.bias = np.concatenate([system.bias for system in systems])
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
         self.reach = _reach(self.a) if n > CLOSE else np.zeros((count, n, 2), dtype=np.int64)  # of few states all are computed
-        self.late: NDArray[np.bool_] = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
+        self.late: Mask = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
         if m > 1:
             self.quads, self.acting, self.ends = quads_of(self.a)
             self.by_input = np.zeros((count, 3, m, n + -n % QUAD))
@@ -136,7 +135,7 @@ def _times(matrices: Array, value: Array) -> Array:
     return total
 
 
-def _reach(a: Array) -> NDArray[np.int64]:
+def _reach(a: Array) -> Integers:
     """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
     there, n = a != 0.0, a.shape[2]
     if not n:

@@ -9,9 +9,8 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 from numba.cpython.unsafe.tuple import tuple_setitem
-from numpy.typing import NDArray
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array, Integers, Mask
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
@@ -110,13 +109,13 @@ for (int i = 0; i < SYSTEMS; i++) {
 def advance_linear(
     block: Array,
     a: Annotated[Array, "S n n"],
-    reach: NDArray[np.int64],
+    reach: Integers,
     b: Annotated[Array, "S 3 n m"],
-    late: NDArray[np.bool_],
+    late: Mask,
     c: Annotated[Array, "S m n"],
     d: Annotated[Array, "S 2 m m"],
     bias: Array,
-    whole: NDArray[np.int64],
+    whole: Integers,
     state: Annotated[Array, "S n"],
     scratch: Annotated[Array, "3 m"],
     taps: Annotated[Array, "3 m"],
@@ -173,13 +172,13 @@ def advance_linear(
 def advance_single(
     block: Array,
     a: Array,
-    reach: NDArray[np.int64],
+    reach: Integers,
     b: Array,
-    late: NDArray[np.bool_],
+    late: Mask,
     c: Array,
     d: Array,
     bias: Array,
-    whole: NDArray[np.int64],
+    whole: Integers,
     state: Array,
     scratch: Array,
     history: Array,
@@ -230,11 +229,11 @@ def advance_few(
     block: Array,
     a: Array,
     b: Array,
-    late: NDArray[np.bool_],
+    late: Mask,
     c: Array,
     d: Array,
     bias: Array,
-    whole: NDArray[np.int64],
+    whole: Integers,
     state: Array,
     zeros: tuple[float, ...],
     history: Array,
@@ -282,7 +281,7 @@ def advance_few(
     return position
 
 
-def quads_of(a: Annotated[Array, "S n n"]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+def quads_of(a: Annotated[Array, "S n n"]) -> tuple[Array, Integers, Integers]:
     """The entries of matrices that act, four rows side by side."""
     systems, n, _ = a.shape
     fours = -(-n // QUAD)
@@ -301,14 +300,14 @@ def quads_of(a: Annotated[Array, "S n n"]) -> tuple[Array, NDArray[np.int64], ND
 def advance_block(
     block: Array,
     quads: Array,
-    acting: NDArray[np.int64],
-    ends: NDArray[np.int64],
+    acting: Integers,
+    ends: Integers,
     b: Annotated[Array, "S 3 m n"],
-    late: NDArray[np.bool_],
+    late: Mask,
     c: Array,
     d: Array,
     bias: Array,
-    whole: NDArray[np.int64],
+    whole: Integers,
     state: Array,
     scratch: Array,
     history: Array,

@@ -16,11 +16,10 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.linear.discretization import Discretised
 from hyst_control.chain.linear.linear_kernels import TINY
-from hyst_control.chain.parameter import Array
 
 TOGETHER = 16
 """Rows T that are computed at once."""
@@ -33,7 +32,7 @@ GROUPS = 128
 @njit(cache=True, error_model="numpy")
 def advance_rows(
     inputs: Annotated[Array, "L M"],
-    begin: NDArray[np.int64],
+    begin: Integers,
     a: Annotated[Array, "L n n"],
     b: Annotated[Array, "L n n"],
     c: Annotated[Array, "L n n"],
@@ -63,7 +62,7 @@ def advance_rows(
 
 
 @njit(cache=True, error_model="numpy")
-def fill_taps(inputs: Array, begin: NDArray[np.int64], acting: Array) -> None:
+def fill_taps(inputs: Array, begin: Integers, acting: Array) -> None:
     """Copy the inputs that act on groups of T rows."""
     lanes, groups = acting.shape[:2]
     for lane in range(lanes):
@@ -197,7 +196,7 @@ class LinearLanes:
         advance_rows(inputs, begin + done, self._a, self._b, self._c, self._d, self._bias, self._state, output[:, done:])
         return output
 
-    def _groups(self, inputs: Array, begin: NDArray[np.int64], output: Array) -> int:
+    def _groups(self, inputs: Array, begin: Integers, output: Array) -> int:
         """Write the outputs (L, K T) of K groups of T rows; returns the number of rows."""
         lanes, n = self._state.shape
         acting = np.empty((lanes, output.shape[1] // TOGETHER, TOGETHER + 2 + n))

@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear import rational_factors
@@ -30,7 +30,6 @@ from hyst_control.chain.linear.linear_system import stacked as stacked
 from hyst_control.chain.linear.linear_system import transfer_function_system as transfer_function_system
 from hyst_control.chain.parameter import (
     AllAxes,
-    Array,
     Coordinate,
     Kind,
     Parameter,
@@ -213,8 +212,8 @@ class Mode:
 
     pole: complex  # Eigenvalue of A; of a discrete system its z
     # right, left: Right and left eigenvector (n,), left @ right = 1
-    right: NDArray[np.complex128]
-    left: NDArray[np.complex128]
+    right: Complex
+    left: Complex
     # frequency, damping: Hz; damping ratio, negative where the mode is unstable
     frequency: float
     damping: float
@@ -224,8 +223,8 @@ class Mode:
     def of(
         cls,
         pole: complex,
-        right: NDArray[np.complex128],
-        left: NDArray[np.complex128],
+        right: Complex,
+        left: Complex,
         b: Array,
         c: Array,
         sample_time: float | None,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgebal
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
-from hyst_control.chain.parameter import Array
 
 
 @dataclass(frozen=True)

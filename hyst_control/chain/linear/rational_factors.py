@@ -14,7 +14,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array, Coordinate
+from hyst_control.base.arrays import Array
+from hyst_control.chain.parameter import Coordinate
 
 CLOSE = 4.0
 """Ratio of two real roots of one sign below which they count as a pair of damping above 1: as they meet, only the pair's frequency and

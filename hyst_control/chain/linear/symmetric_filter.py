@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import StateSpace
-from hyst_control.chain.stage import Array
 
 
 def flat_weights(order: int) -> Array:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 MANY_AXES = 64
 """Axes from which on a look at the array is cheaper than one at each."""

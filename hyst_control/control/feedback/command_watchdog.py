@@ -14,11 +14,9 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.control.feedback.command_limits import MANY_AXES
-
-Array = NDArray[np.float64]
 
 
 class CommandWatchdog:
@@ -36,7 +34,7 @@ class CommandWatchdog:
         self._met = np.zeros(len(self._rest), bool)  # axes whose commands pass unchanged
         self.armed = False
         """True once there was a command: until then there is nothing to bring to safety."""
-        self._below: NDArray[np.bool_] | None = None  # axes that were below the command that they approach
+        self._below: Mask | None = None  # axes that were below the command that they approach
 
     @property
     def following(self) -> bool:

@@ -7,11 +7,9 @@ from __future__ import annotations
 from typing import Annotated, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.pi import RunningPI
-
-Array = NDArray[np.float64]
 
 
 class Plant(Protocol):

@@ -25,11 +25,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -199,7 +197,7 @@ class RunningPI:
         reference: Array,
         measurement: Array,
         feedforward: Array,
-        axes: NDArray[np.bool_] | slice = slice(None),
+        axes: Mask | slice = slice(None),
     ) -> None:
         """Take over without a jump: with these inputs the next command is `command`.
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import LARGER, SMALLER, Member, integers, reals
-from hyst_control.chain.parameter import Array
 from hyst_control.control.feedback.pi import RunningPI
 
 CLAMPED = """

@@ -29,13 +29,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.control.feedback.sensor_watch import MeasurementWatch
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 OVERFLOW = "numbers too large to compute with"
 

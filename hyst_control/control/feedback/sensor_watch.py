@@ -18,10 +18,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 MOTION = 0.01
 """Share of the command's range by which the command must move before the measurement is judged."""

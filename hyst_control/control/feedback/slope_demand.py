@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 
 class SlopeDemand:

@@ -24,6 +24,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.plugins import Registry
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
@@ -34,7 +35,7 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshl
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.chain.memoryless import Gain, Offset, Saturation
-from hyst_control.chain.stage import Array, per_axis_scalar
+from hyst_control.chain.stage import per_axis_scalar
 from hyst_control.control.feedforward.inverse_dynamics import invert_dynamics, zero_phase_low_pass
 from hyst_control.control.feedforward.mhl_inverse import (
     composite,

@@ -22,13 +22,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag, eigvals
 
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.linear.symmetric_filter import flat_weights, weighted_sum
-from hyst_control.chain.stage import Array, Sampling, Stage
+from hyst_control.chain.stage import Sampling, Stage
 
 METHODS = ("zpetc", "zmetc", "npz_ignore")
 DISCRETISATIONS = ("zoh", "tustin")
@@ -38,7 +38,6 @@ sample; at 0.8 that ringing is down to 1 % after 21 samples, beyond it the drive
 INFINITE_ZERO = 1e4
 """A zero farther out than this is a delay of one sample: the difference is below 1e-4 in gain and phase at every frequency."""
 
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Parallel, Sampling, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
 from hyst_control.chain.linear.symmetric_filter import smooth_weights, weighted_sum
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array, per_axis_scalar
+from hyst_control.chain.stage import per_axis_scalar
 from hyst_control.control.feedforward.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
 
 

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.chain import at_rest, resolved
-from hyst_control.chain.parameter import Array
 from hyst_control.model_file import Model
 
 

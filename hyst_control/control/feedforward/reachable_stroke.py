@@ -9,11 +9,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
-from hyst_control.chain.stage import SLOW, Array
+from hyst_control.chain.stage import SLOW
 from hyst_control.control.feedforward.compensator import core_inverse, drive_limits, dynamics_inverse, split
 from hyst_control.control.feedforward.mhl_inverse import constant_removed, inverted, rate_dependent_parts
 from hyst_control.control.feedforward.quasi_static import quasi_static, quasi_static_stages

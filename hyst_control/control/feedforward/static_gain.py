@@ -6,12 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, each_axis
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

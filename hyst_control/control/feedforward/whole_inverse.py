@@ -24,8 +24,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedforward.compensator import drive_limits
 from hyst_control.control.feedforward.quasi_static import mean_line
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response

@@ -24,8 +24,8 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 
 KEPT = 8192
 """Newest rows of the feedforward that wait for what the feedback did in their ticks."""

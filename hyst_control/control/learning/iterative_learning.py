@@ -32,8 +32,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.learning.learning_filter import LearningFilter
 from hyst_control.control.learning.learning_loop import ENDLESS
 

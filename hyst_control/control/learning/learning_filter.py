@@ -25,16 +25,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
-
-Complex = NDArray[np.complex128]
 
 AMPLIFICATION = 5.0
 """Voltage for a unit of error, relative to that at rest, beyond which nothing is learned: what little moves there is noise."""
@@ -151,7 +148,7 @@ def measured_filter(
     return LearningFilter(period, inverse, robustness(gain_spread + error * (1.0 + gain_spread), peak_sensitivity))
 
 
-def amplified(inverse: Complex) -> NDArray[np.bool_]:
+def amplified(inverse: Complex) -> Mask:
     """Lines (F,) at which the inverse (F, A, A) asks for more than `AMPLIFICATION` times the voltage at rest."""
     size = np.linalg.norm(inverse, ord=2, axis=(1, 2))
     return np.asarray(size > AMPLIFICATION * size[0])

@@ -12,7 +12,7 @@ from typing import Annotated, Protocol
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.loop import Compensator, Plant, feedforward_rows
 from hyst_control.control.feedback.pi import RunningPI
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.feedback.loop import Compensator, Plant
 from hyst_control.control.feedback.pi import RunningPI
 from hyst_control.control.feedforward.compensator import build_compensator

@@ -20,7 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide import novelty
 from hyst_control.diagnose.decide.novelty import failed_tests, remainder, unexplained

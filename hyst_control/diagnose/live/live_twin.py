@@ -24,8 +24,8 @@ from typing import Annotated
 import numpy as np
 from scipy.stats import chi2
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.policy import decide
 from hyst_control.diagnose.model_error.baseline import Baseline

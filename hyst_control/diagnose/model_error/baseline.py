@@ -23,10 +23,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.model_error.other_commands import (
     learned_mean,

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from scipy.fft import dct
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.problem import Problem
 
 FREEDOM = 3.0

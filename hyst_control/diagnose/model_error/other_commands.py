@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem

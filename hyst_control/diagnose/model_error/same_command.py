@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from scipy.signal import correlate
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.records.repeated_periods import is_same, period_of

@@ -7,9 +7,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.records.session_zero import without_zero
 
 NOISE_REACH = 20
@@ -37,7 +36,7 @@ def white_noise(rows: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:
     return np.asarray(np.sqrt(_floor_of(without_zero(rows)[0])[2] / (2 * len(rows))), dtype=np.float64)
 
 
-def _floor_of(rest: Array) -> tuple[NDArray[np.complex128], Array, Array]:
+def _floor_of(rest: Array) -> tuple[Complex, Array, Array]:
     """Spectrum (F, A) of rows and their mirror image, its smoothed power, and the power (A,) of its quietest bins above the middle."""
     spectrum = np.fft.rfft(np.concatenate([rest, rest[::-1]]), axis=0)
     power = np.abs(spectrum) ** 2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
 from scipy.signal import butter, sosfiltfilt
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
 from hyst_control.diagnose.evidence import FlickerEvidence
 from hyst_control.records.repeated_periods import period_of
@@ -92,7 +92,7 @@ def flicker(
     )
 
 
-def _at_harmonics(k: NDArray[np.int_], command: Array) -> NDArray[np.bool_]:
+def _at_harmonics(k: NDArray[np.int_], command: Array) -> Mask:
     """True for bins (K,) of the window's lines at the harmonics of a command that repeats: the model's own error is there.
 
     Where it repeats too seldom for bins in between, none is.

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, HumpSettings
 from hyst_control.diagnose.evidence import HumpEvidence
 

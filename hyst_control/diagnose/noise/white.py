@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, NoiseSettings
 from hyst_control.records.repeated_periods import period_of
 from hyst_control.records.session_zero import without_zero

@@ -17,11 +17,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.bounded_cache import KEPT
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
-from hyst_control.chain.parameter import Array, Scattering
+from hyst_control.chain.parameter import Scattering
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.model_file import Model
 from hyst_control.records.session_zero import without_zero

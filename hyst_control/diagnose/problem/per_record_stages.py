@@ -21,8 +21,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import Delay
-from hyst_control.chain.parameter import AllAxes, Array, Scattering, all_axes, count
+from hyst_control.chain.parameter import AllAxes, Scattering, all_axes, count
 from hyst_control.chain.stage import Filter, Sampling, Stage
 from hyst_control.effects.placement import insert
 from hyst_control.effects.time_dependent import TimedStage

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear.linear_stages import LinearStage
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.problem.per_record_stages import CarriedError
 from hyst_control.diagnose.problem.simulation_cache import MAX_BYTES, KnownLinks

@@ -8,9 +8,9 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.chain import Link, Parallel, arrange, link_of, pieces, resolved, started_link
-from hyst_control.chain.stage import Array
 
 MAX_BYTES = 64_000_000
 """Memory for the outputs that are kept; the one that was not asked for longest is dropped first."""

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.command_smoothing import smoothed, white_part

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.signal import fftconvolve
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 
 WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 """Samples to one side of the parabola's windows."""

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CheckSettings
 from hyst_control.effects import EFFECTS
 

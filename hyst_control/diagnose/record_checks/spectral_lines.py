@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.signal import fftconvolve, periodogram
 
-from hyst_control.chain.stage import Array, Sampling
+from hyst_control.base.arrays import Array, Mask
+from hyst_control.chain.stage import Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by
@@ -145,7 +145,7 @@ def _mains(effect: Effect | None, problem: Problem) -> tuple[float, ...]:
     return next(parameter.starts for parameter in effect.parameters(problem.surroundings) if parameter.unit == "Hz")
 
 
-def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> NDArray[np.bool_]:
+def _harmonics(frequency: Array, driven: Array, settings: CheckSettings) -> Mask:
     """Frequencies (N,) that are near a harmonic of a command whose power is near those of one fundamental."""
     fundamental = _peak(frequency, driven, int(np.argmax(driven * frequency**2)))  # of the rate: a mean that wanders is none
     order = np.round(frequency / fundamental)

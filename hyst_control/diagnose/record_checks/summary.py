@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings, NoiseSettings
 from hyst_control.diagnose.evidence import DistortionEvidence, Finding, RecordEvidence
 from hyst_control.diagnose.noise.white import noise_of

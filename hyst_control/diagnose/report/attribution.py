@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import AttributionSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.chain.stage import Array, Stage
+from hyst_control.base.arrays import Array
+from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.coefficient_prior import Coefficient, Scatter
 from hyst_control.diagnose.run.diagnosis import Diagnosis
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import BudgetSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.report.attribution import Attribution

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis

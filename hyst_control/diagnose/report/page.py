@@ -19,7 +19,7 @@ from markupsafe import Markup
 from plotly.subplots import make_subplots
 from scipy.signal import welch
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes

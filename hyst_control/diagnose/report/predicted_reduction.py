@@ -16,8 +16,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.collect import stated_noise
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis

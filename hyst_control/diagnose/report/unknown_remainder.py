@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.command_features import FEATURES
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.problem.problem import axis_model
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.validate.predictability import Predictability, learn_residual, predictability

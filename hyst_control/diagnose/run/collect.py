@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from scipy.fft import dct
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,

@@ -13,8 +13,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.policy import contenders, decide
 from hyst_control.diagnose.decide.record_findings import not_received

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Configuration
 from hyst_control.diagnose.decide.policy import practical_floor
 from hyst_control.diagnose.decide.record_findings import detected

@@ -12,8 +12,8 @@ from typing import Annotated, Any, cast
 import numpy as np
 from scipy.signal import lfilter
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.chain.parameter import Array
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.per_record_stages import with_sensor_delay
 from hyst_control.diagnose.problem.problem import Problem

@@ -25,8 +25,9 @@ from typing import Annotated
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array, Stage
+from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.coefficient_prior import Scatter
 from hyst_control.diagnose.problem.problem import Problem
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 

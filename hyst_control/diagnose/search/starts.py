@@ -10,9 +10,9 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded

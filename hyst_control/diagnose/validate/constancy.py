@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, effective_sample_weight
 from hyst_control.diagnose.search.fit import Linearized, is_bounded

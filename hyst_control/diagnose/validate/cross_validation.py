@@ -18,8 +18,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.fit import Linearized, fit

@@ -15,8 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.command_features import CommandFeatures
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.effects.learned_residual import LearnedResidual
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import FittedHypothesis

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import noise_sigma
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import before

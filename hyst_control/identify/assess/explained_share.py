@@ -9,7 +9,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.records.stream.row_store import blocks
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.memoryless import Offset
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Beginning, Dataset, RecordRow
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.model_file import Model, simulate

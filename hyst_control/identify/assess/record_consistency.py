@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model

@@ -10,8 +10,8 @@ from typing import Annotated, Any, TypedDict
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.model_file import Model
 from hyst_control.records.stream.row_store import all_finite
 

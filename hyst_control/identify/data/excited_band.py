@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import quantization_step
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.data.reversal_points import turning_points

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_states, with_beginning

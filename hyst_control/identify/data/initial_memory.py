@@ -16,9 +16,8 @@ from typing import Annotated
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.identify.data.dataset import Beginning, BeginningRow, Dataset
 from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
@@ -128,18 +127,18 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     return likely if likely is not None and error(likely) <= DOUBT * errors[best] else candidates[best]
 
 
-def spread_rows(begin: int, end: int) -> NDArray[np.int64]:
+def spread_rows(begin: int, end: int) -> Integers:
     """At most `ROWS` rows from `begin` to `end` - 1, evenly spread."""
     return np.unique(np.linspace(begin, max(end - 1, begin), min(max(end - begin, 1), ROWS)).astype(np.int64))
 
 
-def play_states(turns: Array, thresholds: Array, rows: NDArray[np.int64]) -> Array:
+def play_states(turns: Array, thresholds: Array, rows: Integers) -> Array:
     """Outputs (R, n) of play operators of `thresholds` (n,) at some `rows` (R,) of a sequence of `turns` (M,), V, from rest at 0 V."""
     return followed(turns, thresholds, np.zeros(len(thresholds)), rows)
 
 
 @njit(cache=True, error_model="numpy")
-def followed(command: Annotated[Array, "N"], thresholds: Array, states: Array, rows: NDArray[np.int64]) -> Annotated[Array, "R n"]:
+def followed(command: Annotated[Array, "N"], thresholds: Array, states: Array, rows: Integers) -> Annotated[Array, "R n"]:
     """Follow play operators along a command and keep some rows."""
     kept = np.empty((rows.size, thresholds.size))
     present = states.copy()

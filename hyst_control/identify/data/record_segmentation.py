@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.records.stream.row_store import blocks
@@ -71,9 +70,9 @@ def _runs(command: Array, least: float, rest: int) -> list[tuple[int, int]]:
     return list(zip(begins, [*ends, last + 1], strict=True)) if begins else []
 
 
-def _moving(command: Array, least: float) -> Iterator[NDArray[np.int64]]:
+def _moving(command: Array, least: float) -> Iterator[Integers]:
     """Samples (n,) behind which a command changes by more than `least`, block by block; each block begins with the last one's last."""
-    last: list[NDArray[np.int64]] = []
+    last: list[Integers] = []
     for part in blocks(len(command)):
         found = np.flatnonzero(np.abs(np.diff(command[part.start : part.stop + 1])) > least) + part.start
         if len(found):

@@ -13,10 +13,10 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, ParameterRow
 from hyst_control.identify.data.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate

@@ -14,11 +14,12 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array, per_axis_scalars
+from hyst_control.chain.stage import per_axis_scalars
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign

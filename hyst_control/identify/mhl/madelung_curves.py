@@ -9,9 +9,9 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import ParameterRow
 
 MIN_SLOPE = 5e-3

@@ -17,8 +17,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register

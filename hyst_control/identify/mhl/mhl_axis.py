@@ -10,9 +10,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection
-from hyst_control.chain.stage import Array
 from hyst_control.identify.families.options import TRUTH, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.mhl.madelung import CurveOptions

@@ -10,11 +10,11 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.chain.stage import Array
 from hyst_control.identify.assess.assembly import assembled
 from hyst_control.identify.assess.assembly import chain_model as model_of_chain
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow

@@ -21,13 +21,13 @@ from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import RateCorrection
 from hyst_control.chain.linear.symmetric_filter import smooth_weights
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import Array
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.dataset import Dataset, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records

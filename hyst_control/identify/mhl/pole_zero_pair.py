@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.solve.stable_dynamics import Structure
 
 PAIR_DAMPINGS = (0.05, 0.2)

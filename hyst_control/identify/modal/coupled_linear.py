@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH

@@ -15,8 +15,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 
 EXCITED = 1e-3
 """A line is excited when the command's power there exceeds this fraction of the mean power per line."""

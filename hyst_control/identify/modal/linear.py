@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.chain.stage import Array
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band

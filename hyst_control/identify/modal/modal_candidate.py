@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_fit import Problem, refine
 from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra
 

@@ -29,7 +29,7 @@ from scipy.linalg import qr
 from scipy.linalg.blas import zherk
 from scipy.sparse import csr_array
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra, Transients, direct_response, mode_response
 from hyst_control.identify.modal.periodic_gram import periodic_cost, periodic_gram
 from hyst_control.identify.solve import gauss_newton

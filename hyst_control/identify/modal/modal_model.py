@@ -8,9 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -213,10 +212,10 @@ class Layout:
             int(ends[-1]),
         )
 
-    def belongs(self, index: Annotated[Array, "Q"], name: str) -> NDArray[np.bool_]:
+    def belongs(self, index: Annotated[Array, "Q"], name: str) -> Mask:
         """Report which positions in the vector are of a kind of parameter."""
         part = self.slices[name]
-        found: NDArray[np.bool_] = (index >= part.start) & (index < part.stop)
+        found: Mask = (index >= part.start) & (index < part.stop)
         return found
 
     def indices(self, name: str, *shape: int) -> Array:

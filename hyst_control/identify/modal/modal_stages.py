@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage, StateSpace, TransferFunction
-from hyst_control.chain.stage import Array, Stage
+from hyst_control.chain.stage import Stage
 from hyst_control.identify.data.dataset import ParameterRow
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.modal.modal_model import ModalModel

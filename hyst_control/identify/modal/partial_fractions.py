@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
-from hyst_control.chain.stage import Array
 from hyst_control.identify.modal.vector_fitting import Partial
 
 DAMPING = (5e-4, 50.0)

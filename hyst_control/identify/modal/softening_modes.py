@@ -18,8 +18,8 @@ from typing import Annotated, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.chain.hysteresis.softening_modal import SofteningModal
-from hyst_control.chain.stage import Array
 from hyst_control.identify.modal.frequency_response import excited_lines
 from hyst_control.identify.modal.modal_fit import Problem
 from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra
@@ -232,7 +232,7 @@ class _Search:
     problems: Sequence[Problem]
     g: Sequence[float]
     moving: NDArray[np.intp]
-    free: NDArray[np.bool_]
+    free: Mask
 
     def place(self, point: Scheduled) -> None:
         for problem, value in zip(self.problems, self.g, strict=True):

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import qr
 from scipy.signal import lfilter
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import input_taps
 from hyst_control.identify.solve.gram_sums import Window
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 
 OCTAVES = 1.0 / 3.0
 """Octaves to either side over which the largest bin counts: another command's lines are elsewhere."""

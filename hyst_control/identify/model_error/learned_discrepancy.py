@@ -22,8 +22,9 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.linalg import eigh
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.command_features import Array, CommandFeatures, rate_quantile
+from hyst_control.chain.command_features import CommandFeatures, rate_quantile
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length

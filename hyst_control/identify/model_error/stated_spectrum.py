@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.parameter import Array
 from hyst_control.identify.data.excited_band import lowest_frequency
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.records.session_zero import without_zero

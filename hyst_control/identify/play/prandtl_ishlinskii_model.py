@@ -10,11 +10,11 @@ from typing import Annotated, cast
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.chain.stage import Array
 from hyst_control.identify.assess.assembly import assembled, chain_model
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, StructureRow
 from hyst_control.identify.data.excited_band import REACH

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 
 MIN_REST = 1e-4
 """Share of what a block tells of a parameter that the others tell at least: no score grows beyond it."""

@@ -17,12 +17,12 @@ from typing import Annotated, TypeGuard
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Filter, Parallel, Sampling, Stage
 from hyst_control.chain.chain import arrange, resolved, started
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Delay, Discretised
-from hyst_control.chain.stage import Array
 
 SOURCE = -1
 """Number of the signal that enters all chains, which stands behind those of all nodes."""

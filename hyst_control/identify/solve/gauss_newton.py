@@ -21,10 +21,9 @@ from enum import Enum
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array, Mask
 
 P = TypeVar("P")
 
@@ -204,7 +203,7 @@ def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
     return Found(point, End.BUDGET, kept, tried, linearized)
 
 
-def solve_damped(matrix: Array, vector: Array, chosen: NDArray[np.bool_], damping: float) -> Array:
+def solve_damped(matrix: Array, vector: Array, chosen: Mask, damping: float) -> Array:
     """Step of the damped normal equations (J'J + damping · diag J'J) step = J'r over some of the parameters.
 
     Parameters

@@ -16,9 +16,10 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Discretised
-from hyst_control.chain.stage import Array, Sampling
+from hyst_control.chain.stage import Sampling
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.stream import row_store
 

@@ -16,9 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.stage import Array
 
 PRIOR = 0.3
 """Relative standard deviation of a number that the data cannot tell."""

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain import Sampling, Stage
-from hyst_control.chain.stage import Array
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import covariance
@@ -335,7 +334,7 @@ def _root(matrix: Array) -> Array:
 
 
 @njit(cache=True)
-def surviving_turns(values: Array) -> NDArray[np.int64]:
+def surviving_turns(values: Array) -> Integers:
     """Find the turning points that no later excursion has passed: Madelung's rules remember no others."""
     kept = np.empty(values.size, dtype=np.int64)
     count = 0

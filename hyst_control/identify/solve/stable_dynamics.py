@@ -15,6 +15,7 @@ from typing import Annotated
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import (
     Delay,
     Discretised,
@@ -23,7 +24,7 @@ from hyst_control.chain.linear.linear_stages import (
     discretise,
     transfer_function_system,
 )
-from hyst_control.chain.stage import Array, Sampling, Stage
+from hyst_control.chain.stage import Sampling, Stage
 
 MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import cost, solve_bounded
 from hyst_control.identify.solve.gauss_newton import Rules, Trial

@@ -8,16 +8,14 @@ import time
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.control.feedback.command_watchdog import CommandWatchdog
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED, INTERVAL
-
-Array = NDArray[np.float64]
 
 CLOSE = 1e-9
 """V; a voltage that differs by less was not limited."""

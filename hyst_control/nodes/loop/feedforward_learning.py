@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
 from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning, RunningFeedbackErrorLearning
 from hyst_control.control.learning.iterative_learning import IterativeLearning, RunningIterativeLearning
 from hyst_control.control.learning.learning_filter import model_filter

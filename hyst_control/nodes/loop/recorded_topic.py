@@ -9,15 +9,13 @@ from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.stream.foreign_rows import OFF_THE_CLOCK, off_the_clock
 from hyst_control.records.stream.signal_message import Encoder
 from hyst_control.records.stream.signal_rows import Missing, Receipt, successive_parts
-
-Array = NDArray[np.float64]
 
 
 class RecordedTopic:

@@ -12,15 +12,11 @@ import math
 import time
 from collections import deque
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hyst_control.base.arrays import Array
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import PolledSubscription
 from hyst_control.nodes.signal_node.signal_ports import Output
 from hyst_control.records.stream.foreign_rows import Refusal, admit
-
-Array = NDArray[np.float64]
 
 LOOK_INTERVAL = 0.02
 """s, between two looks at the number of publishers and at what they have sent."""

@@ -12,15 +12,13 @@ import math
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.stream.foreign_rows import Refusal, admit
 from hyst_control.records.stream.row_repetition import SentRows
 from hyst_control.records.stream.signal_message import label_for
-
-Array = NDArray[np.float64]
 
 FRESH = 1.0
 """s, for which what was heard counts."""
@@ -83,7 +81,7 @@ class Takeover:
             self._apart = None
         return self._apart
 
-    def _differs(self, applied: Array, sent: SentRows, close: float) -> NDArray[np.bool_]:
+    def _differs(self, applied: Array, sent: SentRows, close: float) -> Mask:
         """Mask (A,) of the axes whose voltage at `self.tick` is none of the commands that may be on the actuator then."""
         rows = sent.since(self.tick - math.ceil(LATE / self._node.period))
         known = len(rows) - (sent.end - 1 - self.tick) if rows is not None else 0  # up to that tick

@@ -12,14 +12,12 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from hyst_control.base.arrays import Array
 from hyst_control.records.stream.signal_message import ROW_LABEL, Decoder, Encoder
-
-Array = NDArray[np.float64]
 
 LOOK_INTERVAL = 0.01
 """s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it."""

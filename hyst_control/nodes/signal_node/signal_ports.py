@@ -11,17 +11,15 @@ from types import SimpleNamespace
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.task import Future
 from rclpy.timer import Timer
 
+from hyst_control.base.arrays import Array
 from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
 from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics
 from hyst_control.records.stream.foreign_rows import Refusal, admit
 from hyst_control.records.stream.row_repetition import SentRows
 from hyst_control.records.stream.signal_rows import Receipt, SignalRows, Wait
-
-Array = NDArray[np.float64]
 
 REPEATED_ROWS = 64
 """Rows per repeated message, or as many as the node streams: every slot of the middleware's queues is as large as the longest message."""

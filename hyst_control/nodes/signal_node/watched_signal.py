@@ -9,15 +9,12 @@ from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.records.stream.foreign_rows import OFF_THE_CLOCK, admissible, off_the_clock, refused_values
 from hyst_control.records.stream.signal_message import label_for
 from hyst_control.records.stream.signal_rows import Missing, Receipt, successive_parts
-
-Array = NDArray[np.float64]
-Ticks = NDArray[np.int64]
 
 
 class WatchedSignal:

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import first_line
 from hyst_control.records.bags.bag_files import Bag
-from hyst_control.records.record import Array, Record, Signal, axis_names, increasing
+from hyst_control.records.record import Record, Signal, axis_names, increasing
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE, decode, parse_label
 from hyst_control.records.tables.columns import TIME, Column, parse_columns

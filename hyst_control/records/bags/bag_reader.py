@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bags.bag_fields import read_fields
@@ -39,7 +39,6 @@ FOREIGN_SHARE = 0.1
 LATEST = 2**63 - 1
 """ns; a damaged file may hold any time."""
 
-Array = NDArray[np.float64]
 
 
 def read_bag(
@@ -202,7 +201,7 @@ class _Topic:
             if len(self._pending) == PENDING:
                 self._decode()
 
-    def taken(self, notes: list[str], where: str) -> tuple[str, _Rows, NDArray[np.int64]]:
+    def taken(self, notes: list[str], where: str) -> tuple[str, _Rows, Integers]:
         """Label, rows in their order and the times of their messages, once.
 
         A few messages of another label or width (of a second source that wrote the topic by mistake) are left out with a note. Raises

@@ -5,12 +5,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.signal_size import check_size, number, sample_times
-
-Array = NDArray[np.float64]
 
 
 def multisine_lines(
@@ -21,7 +19,7 @@ def multisine_lines(
     detection: int = 0,
     avoid_mains: bool = False,
     seed: int = 0,
-) -> NDArray[np.int64]:
+) -> Integers:
     """Harmonics of 1 / period that a multisine excites.
 
     Parameters
@@ -43,7 +41,7 @@ def multisine_lines(
 
     Returns
     -------
-    NDArray[np.int64]
+    Integers
         Harmonic numbers (F,), ascending.
     """
     lines = np.arange(max(int(np.ceil(lower_frequency * period - 1e-9)), 1), int(np.floor(upper_frequency * period + 1e-9)) + 1)

@@ -18,8 +18,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.broadband_signals import multisine, multisine_lines, sweep
 from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, mhl_identification
@@ -62,7 +62,6 @@ __all__ = [
     "triangle",
 ]
 
-Array = NDArray[np.float64]
 
 
 def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:

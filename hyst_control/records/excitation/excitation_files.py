@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import replacing, write_text
 from hyst_control.base.yaml_files import parse_yaml, read_yaml
@@ -20,8 +20,6 @@ from hyst_control.records.excitation.excitation import KINDS
 from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.stream.signal_message import label_for
 from hyst_control.records.tables.importing import write_bag
-
-Array = NDArray[np.float64]
 
 UNITS = ("V", "um", "mrad")
 

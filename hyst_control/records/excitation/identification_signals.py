@@ -7,13 +7,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.records.excitation.broadband_signals import multisine, sweep
 from hyst_control.records.excitation.signal_size import check_size, number
 from hyst_control.records.excitation.waveforms import cosine_ramp, loops, rest, staircase, triangle
-
-Array = NDArray[np.float64]
 
 
 def hampi_identification(

@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.signal_size import check_size, number, sample_count, sample_times
 from hyst_control.records.excitation.waveforms import triangle
-
-Array = NDArray[np.float64]
 
 
 def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:

@@ -8,11 +8,9 @@ from collections import deque
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.records.excitation.waveforms import smooth_step
-
-Array = NDArray[np.float64]
 
 MAX_STRETCHES = 32
 """Replacements that are remembered, for rows that are sent again."""

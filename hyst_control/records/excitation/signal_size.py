@@ -9,11 +9,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 COPIES = 8
 """Times that a signal stands in memory while it is built."""

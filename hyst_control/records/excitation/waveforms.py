@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.signal_size import check_size, number, sample_count, sample_times
-
-Array = NDArray[np.float64]
 
 
 def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:

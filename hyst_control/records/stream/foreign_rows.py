@@ -11,11 +11,9 @@ import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.records.stream.signal_rows import first_tick, tick_at
-
-Array = NDArray[np.float64]
 
 LARGEST_VALUE = 1e12
 """V, um or mrad: no drive and no sensor comes near it, and sums and products of such values with any gain stay finite."""
@@ -53,9 +51,9 @@ def admit(block: Annotated[Array, "N 1 + A"], period: float) -> int | Refusal:
     return Refusal(OFF_THE_CLOCK, off_the_clock(period)) if tick is None else tick
 
 
-def admissible(block: Array) -> NDArray[np.bool_]:
+def admissible(block: Array) -> Mask:
     """Mask (N,) of the rows of a `block` (N, C) whose values are finite and in range."""
-    mask: NDArray[np.bool_] = np.logical_and.reduce(np.abs(block) <= LARGEST_VALUE, axis=1)
+    mask: Mask = np.logical_and.reduce(np.abs(block) <= LARGEST_VALUE, axis=1)
     return mask
 
 

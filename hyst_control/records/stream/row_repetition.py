@@ -7,9 +7,8 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
 
 KEPT_ROWS, KEPT_BLOCKS = 4096, 8
 """Rows and blocks of a signal that are kept at least."""

@@ -13,11 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
-
-Array = NDArray[np.float64]
 
 IN_MEMORY = 2**25
 """Bytes from which rows go to a file: 4 million numbers, 80 s at 50 kHz."""
@@ -81,7 +79,7 @@ def largest_change(values: Array) -> float:
     return max(float(np.abs(np.diff(values[part.start : part.stop + 1])).max(initial=0.0)) for part in blocks(len(values)))
 
 
-def first_row(count: int, found: Callable[[slice], NDArray[np.bool_]]) -> int:
+def first_row(count: int, found: Callable[[slice], Mask]) -> int:
     """First of `count` rows for which something holds; `count` where there is none."""
     for part in blocks(count):
         rows = np.flatnonzero(found(part))

@@ -18,8 +18,8 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
 MESSAGE_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -153,7 +153,7 @@ class Encoder:
         self._rows = -1
         self._header = b""
 
-    def encode(self, block: NDArray[np.float64]) -> bytes:
+    def encode(self, block: Array) -> bytes:
         """The message of a block (N, C) float64. Raises `InputError` when the block has another number of columns."""
         rows = len(block)
         if rows != self._rows:
@@ -172,7 +172,7 @@ class Decoder:
         self._label = ""
         self._shape = (0, 0)
 
-    def decode(self, buffer: bytes) -> tuple[str, NDArray[np.float64]]:
+    def decode(self, buffer: bytes) -> tuple[str, Array]:
         """Label and block (N, C), a view of the buffer. Raises `InputError` as `decode` does."""
         if len(buffer) == self._length and buffer.startswith(self._header):
             return self._label, np.frombuffer(buffer, np.float64, -1, len(self._header)).reshape(self._shape)
@@ -212,7 +212,7 @@ def header(label: str, rows: int, columns: int) -> bytes:
     return bytes(parts)
 
 
-def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.float64]]:
+def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, Array]:
     """Label and block of a serialized Float64MultiArray.
 
     A message without a layout gives the label "" and its data as one row (1, C).
@@ -224,7 +224,7 @@ def decode(buffer: bytes | bytearray | memoryview) -> tuple[str, NDArray[np.floa
 
     Returns
     -------
-    tuple[str, NDArray[np.float64]]
+    tuple[str, Array]
         Label and block (N, C); the block is a view of the buffer where its byte order allows it.
 
     Raises

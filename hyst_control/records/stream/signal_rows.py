@@ -28,12 +28,9 @@ from enum import Enum
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.records.stream.row_repetition import RepetitionBackoff
-
-Array = NDArray[np.float64]
-Ticks = NDArray[np.int64]
 
 CLOCK_TOLERANCE = 1e-3
 """Ticks by which the time of a row may differ from a multiple of the period."""
@@ -234,7 +231,7 @@ class SignalRows:
         self.available = 0
         return blocks
 
-    def take_before(self, tick: int) -> tuple[Ticks, Array]:
+    def take_before(self, tick: int) -> tuple[Integers, Array]:
         """Ticks (N,) and rows (N, A) of all rows before this tick; (0,) and (0, 0) when there is none."""
         ticks, parts = [], []
         while self._blocks and self._blocks[0][0] < tick:

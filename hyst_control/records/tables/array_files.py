@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.stream.row_store import IN_MEMORY, blocks, empty_rows
 from hyst_control.records.tables.child_reader import arrays_from_child
-
-Array = NDArray[np.float64]
 
 KINDS = (".npy", ".npz", ".mat")
 CRASHING = (".mat",)

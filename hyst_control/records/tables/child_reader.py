@@ -14,12 +14,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.stream.row_store import IN_MEMORY
-
-Array = NDArray[np.float64]
 
 CHILD = "from hyst_control.records.tables import array_files, child_reader; child_reader.main(array_files.read_arrays)"
 REFUSED = 2

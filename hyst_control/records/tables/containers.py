@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
-from hyst_control.records.record import Array
 from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arrays
 
 REMEDY = "check how it was written, or save it as CSV"

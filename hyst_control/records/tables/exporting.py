@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import replacing
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.record import Record
 from hyst_control.records.stream.signal_message import Encoder, label_for
-
-Array = NDArray[np.float64]
 
 NANOSECONDS = 1e9
 

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.records.record import Array, Record, Signal, axis_names
+from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.tables.columns import Column
 from hyst_control.records.tables.units import unit_of
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.bags.bag_writer import BagWriter
-from hyst_control.records.record import Array, Record, Signal, axis_names, check_times
+from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.stream.signal_message import Encoder, label_for
 from hyst_control.records.tables.columns import TIME, Column, parse_columns

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hyst_control.records.record import Array
+from hyst_control.base.arrays import Array
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.header import without_unit
 from hyst_control.records.tables.sample_grid import find_grid

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
-from hyst_control.records.record import Array, Signal, commonest_step, regular_times
+from hyst_control.records.record import Signal, commonest_step, regular_times
 from hyst_control.records.stream.row_store import blocks
 from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
 
@@ -47,7 +47,7 @@ def runs_of(where: str, time: Array, begin: int, gaps: bool) -> list[slice]:
     return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]
 
 
-def without_repeated(where: str, time: Array, values: list[Array], begin: int) -> NDArray[np.bool_] | None:
+def without_repeated(where: str, time: Array, values: list[Array], begin: int) -> Mask | None:
     """Mask (N,) of the rows that do not repeat the row before them, its time included; None where all are kept."""
     parts = blocks(len(time) - 1)
     again = np.concatenate(
@@ -141,7 +141,7 @@ def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> str:
     raise InputError(f"{text}: --resample interpolates them, --allow-gaps leaves them out, or choose rows between them (--rows)")
 
 
-def _tick_times(ticks: NDArray[np.int64] | None, count: int, shift: int, step: float) -> Array:
+def _tick_times(ticks: Integers | None, count: int, shift: int, step: float) -> Array:
     if ticks is not None:
         return np.asarray((ticks + shift) * step, dtype=np.float64)
     time = regular_times(count, step)

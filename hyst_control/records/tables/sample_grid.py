@@ -7,11 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.records.stream.row_store import blocks
-
-Array = NDArray[np.float64]
 
 WINDOW = 2**10
 """Rows over which times may not leave their ticks; between windows a clock may wander slowly."""
@@ -41,7 +39,7 @@ class Grid:
 
     step: float
     origin: float
-    ticks: NDArray[np.int64] | None
+    ticks: Integers | None
     deviation: float
 
     @property
@@ -65,7 +63,7 @@ def find_grid(time: Array, nearest: float = NEAREST) -> Grid | None:
     )
 
 
-def _grid(time: Array, ticks: NDArray[np.int64] | None, nearest: float) -> Grid | None:
+def _grid(time: Array, ticks: Integers | None, nearest: float) -> Grid | None:
     """The grid of times whose ticks are thought to be these, where no time lies too far beside its own."""
     part = min(max(len(time) // 3, 1), ENDS)
     last = len(time) - part
@@ -89,7 +87,7 @@ def _grid(time: Array, ticks: NDArray[np.int64] | None, nearest: float) -> Grid 
     return Grid(step, float((time[head] - _ticks(ticks, head) * step).mean()), ticks, deviation)
 
 
-def _min_spread(time: Array, ticks: NDArray[np.int64], step: float) -> float:
+def _min_spread(time: Array, ticks: Integers, step: float) -> float:
     """The step near a first one for which all times lie nearest to their ticks: few rounded times mislead a mean."""
 
     def spread(share: float) -> float:
@@ -101,7 +99,7 @@ def _min_spread(time: Array, ticks: NDArray[np.int64], step: float) -> float:
     return step * float(found.x) if found.fun < (1.0 - 1e-3) * spread(1.0) else step
 
 
-def _ticks(ticks: NDArray[np.int64] | None, rows: slice) -> NDArray[np.int64]:
+def _ticks(ticks: Integers | None, rows: slice) -> Integers:
     return np.arange(rows.start, rows.stop) if ticks is None else ticks[rows]
 
 
@@ -121,7 +119,7 @@ def _resolution(time: Array) -> tuple[bool, float]:
     return coarse, shortest
 
 
-def _ticks_with_gaps(time: Array) -> list[NDArray[np.int64]]:
+def _ticks_with_gaps(time: Array) -> list[Integers]:
     """Ticks that times may have some of which are passed over, with two guesses at the step."""
     steps = np.diff(time)
     median = float(np.median(steps))

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.records.record import Array
 from hyst_control.records.tables.containers import Container, read_container, sheet_lines
 from hyst_control.records.tables.header import without_unit
 from hyst_control.records.tables.text import TextTable, text_table

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
-from hyst_control.records.record import Array
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, is_comment, plain
 

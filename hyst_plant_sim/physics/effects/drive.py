@@ -11,11 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise
 from hyst_plant_sim.physics.parts import Clip, Held, LateReading, Straight
 from hyst_plant_sim.physics.signal_path import Part
-
-Array = NDArray[np.float64]
 
 
 class Hold(Part):

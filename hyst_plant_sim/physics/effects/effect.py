@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.signal_path import Frame, Part
-
-Array = NDArray[np.float64]
 
 SETTLED = ("motion", "sensor", "adc", "transport")
 """Places whose settled value is the sample at t = 0; at earlier places it is the value before t = 0."""

@@ -8,14 +8,12 @@ from collections.abc import Mapping
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.effects.effect import Context, Effect
 from hyst_plant_sim.physics.parts import Straight
 from hyst_plant_sim.physics.signal_path import Part
-
-Array = NDArray[np.float64]
 
 
 class Backlash(Part):

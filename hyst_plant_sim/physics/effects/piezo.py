@@ -8,14 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hyst_plant_sim.physics import exact_discretization
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.effects.effect import Context, Effect
 from hyst_plant_sim.physics.parts import Held
 from hyst_plant_sim.physics.signal_path import Frame, Part
-
-Array = NDArray[np.float64]
 
 CREEP_BEGIN, CREEP_PER_DECADE, CREEP_DECADES = 0.1, 2, 4
 

@@ -10,11 +10,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
 from hyst_plant_sim.physics.signal_path import Part
-
-Array = NDArray[np.float64]
 
 FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
 
