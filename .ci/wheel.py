@@ -27,6 +27,28 @@ print(len(names), "modules imported without ROS")
 """
 
 
+ELSEWHERE = ("win_amd64", "macosx_14_0_arm64")
+"""Platforms for which pip must find a wheel of everything that is needed."""
+
+
+def errors_in_readme() -> set[tuple[str, str, float]]:
+    """Errors in the README's table of the demo: frequency, controller, % of range."""
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    begin = next(number for number, line in enumerate(lines) if line.startswith("| | 10 Hz"))
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[begin:] if line.startswith("|")]
+    return {
+        (frequency, row[0].removesuffix(" (published)"), float(cell.partition(" ")[0]))
+        for row in rows[2:6]
+        for frequency, cell in zip(rows[0][1:], row[1:], strict=True)
+    }
+
+
+def errors_of_demo(text: str) -> set[tuple[str, str, float]]:
+    """The same of what the demo printed."""
+    found = re.findall(r"^ +(\d+ Hz) +(\S.*?) +nrmse +([\d.]+)", text, re.MULTILINE)
+    return {(frequency, subject, round(float(value), 2)) for frequency, subject, value in found}
+
+
 def run(*words: str | Path, **options) -> subprocess.CompletedProcess[str]:
     """Run a command to its end; its output is shown when it fails."""
     ended = subprocess.run([str(word) for word in words], capture_output=True, text=True, **options)
@@ -106,9 +128,19 @@ def main() -> None:
             "simulated",
             **clean,
         )
-        refused = subprocess.run([bin_folder / "hyst", "record", "--output", "bag"], capture_output=True, text=True, **clean)
-        if refused.returncode != 2 or len(refused.stderr.splitlines()) != 1:
-            sys.exit(f"hyst record without ROS: one line and exit status 2 are due, not {refused.returncode}\n{refused.stderr}")
+        for words in (("hyst", "record", "--output", "bag"), ("pipeline",)):
+            refused = subprocess.run([bin_folder / words[0], *words[1:]], capture_output=True, text=True, **clean)
+            if refused.returncode != 2 or len(refused.stderr.splitlines()) != 1:
+                sys.exit(
+                    f"{' '.join(words)} without ROS: one line and exit status 2 are due, not {refused.returncode}\n{refused.stderr}"
+                )
+        demo = run(bin_folder / "hyst", "demo", **clean).stdout
+        if differing := errors_in_readme() - errors_of_demo(demo):
+            sys.exit(f"hyst demo without ROS: README.md says {sorted(differing)}, it printed\n{demo}")
+        for platform in ELSEWHERE:
+            command = ["install", "--quiet", "--dry-run", "--ignore-installed", "--target", folder / platform]
+            run(bin_folder / "pip", *command, "--only-binary", ":all:", "--platform", platform, "--python-version", "3.12", wheel)
+            print(f"installs on {platform}")
         print(f"{wheel.name}: the same bytes twice, complete, installs, runs")
 
 

@@ -52,3 +52,16 @@ def test_the_time_moves_and_the_line_ends_cleanly():
     assert last == "the result"
     blanked = shown[: shown.index("the result")].rstrip("\r").split("\r")[-1]
     assert not blanked.strip()
+
+
+def test_a_redirected_command_prints_its_parts_and_nothing_when_quiet():
+    code = """
+from hyst_control.base import progress
+for wanted in (True, False):
+    with progress.shown(wanted), progress.steps(2) as part:
+        part("excite and record")
+        progress.step("tick by tick")
+        part("identify")
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stderr.splitlines() == ["1/2 excite and record", "2/2 identify"] and not ended.stdout

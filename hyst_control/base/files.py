@@ -84,7 +84,7 @@ def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
         raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
     try:
         with os.fdopen(handle, "wb") as file:
-            if mode is not None and not private:
+            if mode is not None and not private and hasattr(os, "fchmod"):
                 os.fchmod(file.fileno(), stat.S_IMODE(mode))
             yield file
         os.replace(part, target)

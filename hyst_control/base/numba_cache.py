@@ -45,11 +45,16 @@ def _writable(folder: Path) -> bool:
 
 def _own_folder() -> str:
     """A folder that nobody else can write: what is in it is executed. The same at the next start where it can be."""
-    folder = os.path.join(tempfile.gettempdir(), f"hyst_control-numba-{os.getuid()}")
+    folder = os.path.join(tempfile.gettempdir(), f"hyst_control-numba-{_user()}")
     try:
         os.mkdir(folder, 0o700)
     except FileExistsError:
         found = os.lstat(folder)
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != _user() or found.st_mode & 0o022:
             return tempfile.mkdtemp(prefix="hyst_control-numba-")
     return folder
+
+
+def _user() -> int:
+    """Number of the user; 0 on Windows, where a user's temporary folder is the user's own and files have the owner 0."""
+    return os.getuid() if hasattr(os, "getuid") else 0

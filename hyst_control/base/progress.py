@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a long command, on one line of the terminal: shown only if a command requests it and there is a terminal.
+"""Progress of a long command, on one line of the terminal; redirected, the parts of the work, a line each.
 
 The elapsed time moves while a step takes long: a timer's signal draws the line again every second. It is no thread, because the process
 may fork meanwhile, and a forked child has no timer.
@@ -35,14 +35,20 @@ class Bar(Protocol):
 
 _bar: Bar | None = None
 _within = ""
+_lines = False
+"""True when the standard error is no terminal, and parts are printed as lines."""
 
 
 @contextmanager
 def shown(wanted: bool = True) -> Iterator[None]:
-    """Show the steps on the standard error while the context lasts, if that is a terminal."""
-    global _bar
+    """Show the steps on the standard error while the context lasts: all on a terminal, otherwise the counted parts."""
+    global _bar, _lines
     if not wanted or not sys.stderr.isatty():
-        yield
+        _lines = wanted
+        try:
+            yield
+        finally:
+            _lines = False
         return
     from tqdm import tqdm
 
@@ -65,7 +71,9 @@ def end() -> None:
 
 
 def _arm() -> None:
-    """Draw the line again every second, unless something else uses the timer or this is no main thread."""
+    """Draw the line again every second, unless something else uses the timer, this is no main thread, or Windows has no such timer."""
+    if not hasattr(signal, "SIGALRM"):
+        return
     free = signal.getsignal(signal.SIGALRM) is signal.SIG_DFL and threading.current_thread() is threading.main_thread()
     if free and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0:
         signal.signal(signal.SIGALRM, _tick)
@@ -73,7 +81,7 @@ def _arm() -> None:
 
 
 def _disarm() -> None:
-    if signal.getsignal(signal.SIGALRM) is _tick:
+    if hasattr(signal, "SIGALRM") and signal.getsignal(signal.SIGALRM) is _tick:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
 
@@ -106,6 +114,8 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
         nonlocal count
         count += 1
         _within = f"{count}/{total} {text}"
+        if _lines:
+            print(_within, file=sys.stderr, flush=True)
         step("")
 
     try:

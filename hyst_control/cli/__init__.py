@@ -31,9 +31,7 @@ from typing import cast
 from hyst_control.base import plugins, progress
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import check_outputs, check_writable, write_json
-
-ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
-"""Packages that nodes need and pip does not install."""
+from hyst_control.processes.executables import ros_missing
 
 FIRST_STEPS = """\
 Excite, record, identify, control and diagnose piezo stages and fast steering mirrors. To begin with:
@@ -106,13 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"hyst {arguments.command}: {error}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        if error.name not in ROS:
+        if not (missing := ros_missing(error)):
             raise
-        print(
-            f"hyst {arguments.command}: {error.name} is not installed: source a ROS 2 Jazzy installation, or use the environment "
-            "that make builds (make env, then .venv/bin/hyst)",
-            file=sys.stderr,
-        )
+        print(f"hyst {arguments.command}: {missing}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # `hyst … | head` has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end

@@ -1,8 +1,9 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""`hyst demo`: excite, record, identify, track and diagnose, through five real nodes, and the HAMPI paper's Table 5 beside the result.
+"""`hyst demo`: excite, record, identify, track and diagnose, and the HAMPI paper's Table 5 beside the result.
 
-The plant is a truth PEA that shares no code with the models. Open-loop runs stream blocks; the closed loop goes sample by sample.
+The plant is a truth PEA that shares no code with the models. With ROS every run goes through five real nodes, open loops in blocks and the
+closed loop sample by sample; without ROS the same numbers are computed in this process.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.feedforward.reachable_stroke import check_reachable
 from hyst_control.control.tuning import tune
 from hyst_control.demo import figures as demo_figures
+from hyst_control.demo.composed_run import run_composed
 from hyst_control.demo.node_runs import run_processes
 from hyst_control.diagnose.workflow import diagnose_bags
 from hyst_control.identify.workflow import Result, identify_bags
@@ -52,6 +54,9 @@ WITHHELD = {"name": "slew_limit", "rate": 3e4}
 """Effect in the actuator that the diagnosis has to find."""
 RATING = (0.0, 150.0)
 
+Runner = Callable[..., Path]
+"""Function that runs the loop into a bag: `run_processes`, or without ROS `run_composed`."""
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -62,8 +67,9 @@ class Stretch:
     end: int
 
 
-def run(folder: str | Path = "demo_out", progress: Callable[[str], None] = lambda step: None) -> Table:
+def run(folder: str | Path = "demo_out", progress: Callable[[str], None] = lambda step: None, ros: bool = True) -> Table:
     """Run the demo into a folder, which appears only when everything is done; an earlier demo's folder is replaced."""
+    runner: Runner = run_processes if ros else run_composed
     folder = Path(folder)
     if folder.exists() and not (folder / "summary.json").is_file():
         raise InputError(f"{folder}: exists and is not an earlier demo's: choose another folder or remove it")
@@ -71,14 +77,14 @@ def run(folder: str | Path = "demo_out", progress: Callable[[str], None] = lambd
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
         work = Path(temporary) / "demo"
         work.mkdir()
-        table = _run(work, progress)
+        table = _run(work, progress, runner)
         if folder.exists():
             shutil.rmtree(folder)
         work.rename(folder)
     return table
 
 
-def _run(work: Path, progress: Callable[[str], None]) -> Table:
+def _run(work: Path, progress: Callable[[str], None], runner: Runner) -> Table:
     bags, models = work / "bags", work / "models"
     bags.mkdir()
     models.mkdir()
@@ -86,7 +92,7 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
     signal = excitation.build({"signal": "hampi_identification", "peak": PEAK, "lower": RATING[0], "upper": RATING[1]}, SAMPLE_TIME)
     plant = str(config_path(f"plants/{PLANT}.yaml"))
     # The excitation is a drive in V: it passes the feedforward with gain 1.
-    recorded = run_processes(
+    recorded = runner(
         work / "excitation",
         signal,
         SAMPLE_TIME,
@@ -111,11 +117,11 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
     for controller in CONTROLLERS:
         progress(f"track with {controller}")
         tracked[controller] = bags / controller.lower().replace(" + ", "_").replace(" ", "_")
-        shutil.move(track(work / "tracking", controller, reference, results, models, plant), tracked[controller])
+        shutil.move(track(runner, work / "tracking", controller, reference, results, models, plant), tracked[controller])
         shutil.rmtree(work / "tracking")
     shutil.rmtree(work / "excitation")
     progress("diagnose a withheld effect")
-    gap = diagnose_withheld(work, models / "hampi.yaml", plant)
+    gap = diagnose_withheld(runner, work, models / "hampi.yaml", plant)
     progress("figures and report")
     measured = {controller: aligned(bag) for controller, bag in tracked.items()}
     table = score(measured, reference, stretches)
@@ -137,10 +143,10 @@ def _run(work: Path, progress: Callable[[str], None]) -> Table:
     return table
 
 
-def diagnose_withheld(work: Path, model: Path, plant: str) -> dict[str, Any]:
+def diagnose_withheld(runner: Runner, work: Path, model: Path, plant: str) -> dict[str, Any]:
     """Record the actuator with an effect that the model does not have, and diagnose the record without telling which."""
     signal = excitation.build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.7}, SAMPLE_TIME)
-    recorded = run_processes(
+    recorded = runner(
         work / "withheld",
         signal,
         SAMPLE_TIME,
@@ -176,9 +182,15 @@ def tracking_reference() -> tuple[Array, list[Stretch]]:
 
 
 def track(
-    folder: Path, controller: str, reference: Annotated[Array, "N 1"], results: dict[str, Result], models: Path, plant: str
+    runner: Runner,
+    folder: Path,
+    controller: str,
+    reference: Annotated[Array, "N 1"],
+    results: dict[str, Result],
+    models: Path,
+    plant: str,
 ) -> Path:
-    """Run one tracking experiment through the nodes."""
+    """Run one tracking experiment."""
     family = {"no feedforward": "hampi", "HAPI": "hapi", "HAMPI": "hampi", "HAMPI + PI": "hampi"}[controller]
     kind = "none" if controller == "no feedforward" else family
     closed = controller == "HAMPI + PI"
@@ -188,7 +200,7 @@ def track(
     if closed:
         tuned = tune(model, sample_time=SAMPLE_TIME)
         feedback |= {"kp": tuned.kp, "ki": tuned.ki}
-    return run_processes(
+    return runner(
         folder,
         reference,
         SAMPLE_TIME,

@@ -10,10 +10,25 @@ from __future__ import annotations
 
 import importlib
 import signal
+import sys
 from collections.abc import Callable
 from functools import partial
 
 from hyst_control.processes.node_list import NODES
+
+ROS = ("rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces")
+"""Packages that nodes need and pip does not install."""
+
+
+def ros_missing(error: ModuleNotFoundError) -> str:
+    """One line on the part of ROS that could not be imported and how to get it; "" where it was no part of ROS."""
+    package = str(error.name).partition(".")[0]
+    if package not in ROS:
+        return ""
+    return (
+        f"{package} is not installed, and nodes need ROS 2 Jazzy or Kilted: source its setup.bash, or use the environment that make "
+        "builds (make env, then .venv/bin)"
+    )
 
 
 def __getattr__(name: str) -> Callable[[], int]:
@@ -25,7 +40,13 @@ def __getattr__(name: str) -> Callable[[], int]:
 def run(name: str) -> int:
     """Load a node and run its executable."""
     _end_at_once_by_interrupts()
-    status: int = importlib.import_module(NODES[name].module).main()
+    try:
+        status: int = importlib.import_module(NODES[name].module).main()
+    except ModuleNotFoundError as error:
+        if not (missing := ros_missing(error)):
+            raise
+        print(f"{name}: {missing}", file=sys.stderr)
+        return 2
     return status
 
 

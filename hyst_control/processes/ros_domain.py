@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import tempfile
 from collections.abc import Iterator
@@ -25,6 +24,8 @@ def lock_of(domain: int) -> tuple[int, ...]:
 @contextmanager
 def own_domain() -> Iterator[int]:
     """Lock a domain that no other run of this package on this machine uses, until the context and all child processes have ended."""
+    import fcntl  # of Linux and macOS only, as nodes are
+
     for domain in DOMAINS:
         path = os.path.join(tempfile.gettempdir(), f"hyst_control_{os.getuid()}_domain_{domain}.lock")
         handle = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
