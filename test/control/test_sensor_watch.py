@@ -69,6 +69,15 @@ def test_a_reference_out_of_all_bounds_does_not_silence_the_watch_for_long():
     assert set(found[20:64]) == {""} and found[-1] == FROZEN
 
 
+def test_an_error_counts_no_more_than_the_stage_can_move():
+    """A reference of 1e6 in a range of 2e6: once the gain is known, a motion of 2 % of the whole stroke still is an answer."""
+    gain, volts = 0.1, 25.0 + 20.0 * np.sin(np.arange(400) / 10.0)
+    wanted = np.where(np.arange(400) < 200, gain * volts, 1e6)
+    watch = MeasurementWatch(-1e6, 1e6, 20, 0.5, (0.0, 50.0))
+    assert set(faults(gain * volts, volts, wanted=wanted, watch=watch)) == {""}
+    assert faults(np.full(200, 2.5), volts[:200], wanted=wanted[200:], watch=watch)[-1] == FROZEN
+
+
 def test_axes_are_watched_one_by_one_and_afresh_when_their_number_changes_or_they_are_told_to():
     watch = MeasurementWatch(-5.0, 5.0, 2, 1.0)
     for k in range(3):
