@@ -56,6 +56,14 @@ def test_the_last_digit_of_a_dead_sensor_is_no_answer_to_what_the_loop_asks_for(
     assert set(faults(answer, commands, wanted=np.full(20, 3.0))) == {""}
 
 
+def test_a_sensor_found_dead_lives_again_with_a_motion_beyond_its_flicker_however_large_the_error_was():
+    flicker, wanted = 1.0 + 1e-3 * (np.arange(20) % 2), np.full(20, 300.0)
+    watch = MeasurementWatch(-500.0, 500.0, 3, 1.0)
+    assert faults(flicker, np.arange(20.0), wanted=wanted, watch=watch)[-1] == FROZEN
+    assert set(faults(flicker + 1e-3, np.full(20, 5.0), wanted=flicker, watch=watch)) == {FROZEN}
+    assert set(faults(flicker + 0.01, np.full(20, 5.0), wanted=flicker, watch=watch)) == {""}
+
+
 def test_never_frozen_and_out_of_range_on_either_side():
     assert set(faults(np.zeros(50), np.arange(50.0), frozen_ticks=0)) == {""}
     assert faults([5.0, 5.1, -5.0, -5.1, np.nan, 1.0], np.zeros(6)) == ["", OUT_OF_RANGE, "", OUT_OF_RANGE, OUT_OF_RANGE, ""]

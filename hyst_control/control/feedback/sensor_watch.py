@@ -5,7 +5,8 @@
 *No answer.* The command moved by `MOTION` of its range, and for the frozen time since the measurement has stayed within a share `STILL` of
 the mean error that the loop was to take away. The digit that flickers at the end of a dead sensor is much less than that. The deviation
 that is left of a disturbance is much more: the error is that very deviation. A command that moves more slowly, as against a drift, is
-no question that could be left without an answer.
+no question that could be left without an answer. A sensor that was found dead lives again once it moves by `ALIVE` times what it
+flickered by: at the safe value nothing is asked of it that an answer could be measured by.
 
 *Wrong sign.* Measurement and command pass the same low-pass. The ratio of the ranges that they cover is the gain, whatever its sign and
 the lag between them. Once the command has moved in one direction by `AGAINST` and the measurement, from each `MOTION` to the next, the
@@ -24,6 +25,8 @@ MOTION = 0.01
 """Share of the command's range by which the command must move before the measurement is judged."""
 STILL = 0.02
 """Share of the mean error."""
+ALIVE = 3.0
+"""Largest flickers of a dead sensor."""
 AGAINST = 8.0
 """Movements of the command, in `MOTION`, that teach the gain, and against which the measurement has gone when its sign has turned."""
 JUMP = 5.0
@@ -92,8 +95,14 @@ class MeasurementWatch:
         return TURNED if abs(axis.against) >= AGAINST * self.motion else ""
 
     def _look_for_an_answer(self, axis: _Axis, value: float, volts: float) -> None:
-        if not abs(value - axis.value) <= STILL * axis.error:  # it has moved, or is the first one
+        moved, still = abs(value - axis.value), STILL * axis.error
+        if axis.same < self.frozen_ticks:
+            axis.flicker = moved if axis.flicker < moved <= still else axis.flicker
+        else:
+            still = min(still, ALIVE * axis.flicker)
+        if not moved <= still:  # it has moved, or is the first one
             axis.value, axis.same, axis.waited, axis.least, axis.most = value, 0, 0, volts, volts
+            axis.flicker = 0.0
             return
         axis.least, axis.most = min(axis.least, volts), max(axis.most, volts)
         if axis.most - axis.least > self.motion:
@@ -153,6 +162,7 @@ class _Axis:
         "answered",
         "covered",
         "error",
+        "flicker",
         "gain",
         "last",
         "least",
@@ -169,6 +179,7 @@ class _Axis:
     def __init__(self) -> None:
         self.error = self.gain = 0.0
         self.value = math.nan  # around which the measurement stays
+        self.flicker = 0.0  # largest distance from it
         self.least = self.most = 0.0  # V, of the command meanwhile
         self.same = self.waited = 0  # ticks since the command has moved, and before it has
         self.last = math.nan

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hyst_control.chain.c_code.c_code import Member, integers, reals
-from hyst_control.control.feedback.sensor_watch import AGAINST, FORGOTTEN, JUMP, STILL, MeasurementWatch, smoothing_share
+from hyst_control.control.feedback.sensor_watch import AGAINST, ALIVE, FORGOTTEN, JUMP, STILL, MeasurementWatch, smoothing_share
 
 
 def constants(watch: MeasurementWatch) -> Mapping[str, Member]:
@@ -34,6 +34,7 @@ def state(axes: int) -> Mapping[str, Member]:
     return {
         "error": reals(zeros, "mean error"),
         "watched": reals(unknown, "around which the measurement stays; NaN before the first"),
+        "flicker": reals(zeros, "largest distance from it"),
         "least": reals(zeros, "V, command meanwhile"),
         "most": reals(zeros, "V, command meanwhile"),
         "same": integers(zeros, "ticks without an answer since the command has moved"),
@@ -70,6 +71,7 @@ SETTLE = """
 for (int i = 0; i < AXES; i++) {
     s->error[i] = R(0.0);
     s->watched[i] = (real)NAN;
+    s->flicker[i] = R(0.0);
     s->least[i] = R(0.0);
     s->most[i] = R(0.0);
     s->same[i] = 0;
@@ -102,8 +104,17 @@ if ((measurement[i] < p->measurement_lower) || (measurement[i] > p->measurement_
         s->error[i] = s->error[i] + (p->smoothing * (error - s->error[i]));
     }}
     /* Does the measurement answer the command? */
-    if (!(M(fabs)(measurement[i] - s->watched[i]) <= (R({STILL!r}) * s->error[i]))) {{
+    const real moved_by = M(fabs)(measurement[i] - s->watched[i]);
+    real still = R({STILL!r}) * s->error[i];
+    if (s->same[i] < FROZEN) {{
+        s->flicker[i] = ((s->flicker[i] < moved_by) && (moved_by <= still)) ? moved_by : s->flicker[i];
+    }} else {{
+        const real alive = R({ALIVE!r}) * s->flicker[i];
+        still = (alive < still) ? alive : still;
+    }}
+    if (!(moved_by <= still)) {{
         s->watched[i] = measurement[i];
+        s->flicker[i] = R(0.0);
         s->same[i] = 0;
         s->waited[i] = 0;
         s->least[i] = last[i];
