@@ -25,7 +25,6 @@ BUDGET = {
     "docs/hardware.md": 15,
     "docs/identification.md": 40,
     "docs/safety.md": 15,
-    "hyst_control": 150,
     "evaluation": 5,
 }
 """Faults that a document, or a package's docstring titles, may have."""

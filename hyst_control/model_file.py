@@ -19,7 +19,7 @@ from hyst_control.base.files import write_text
 from hyst_control.base.yaml_files import EXPONENT, read_yaml
 from hyst_control.chain import STAGES, Chain, Filter, Sampling, Stage
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.parameter import Kind, declared
+from hyst_control.chain.parameter import Form, declared
 from hyst_control.chain.stage import HOLDS
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.tables.units import refusal_of_unit
@@ -356,7 +356,7 @@ def stage_to_document(stage: Stage) -> dict[str, Any]:
     """
     found = {"stage": stage.name, **_plain(stage.parameters())}
     for key, declaration in stage.declarations().items():
-        if declaration.kind is Kind.CHAINS:
+        if declaration.form is Form.CHAINS:
             found[key] = [[stage_to_document(item) for item in chain] for chain in getattr(stage, key)]
     return found
 
@@ -376,7 +376,7 @@ def _stage_from_document(row: Any, where: str) -> Stage:
         if key not in given and item.default is MISSING:
             raise InputError(f"{where} ({name}).{key}: is missing")
     for key, declaration in declared(STAGES[name]).items():
-        if declaration.kind is Kind.CHAINS:
+        if declaration.form is Form.CHAINS:
             chains = given[key]
             if not isinstance(chains, list) or not chains:
                 raise InputError(f"{where}.{key}: must be a list of chains")

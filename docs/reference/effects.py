@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from docs.reference.tables import table
 from evaluation.blind_test.effect_figures import EXAMPLES, SAMPLE_TIME, UPPER_FREQUENCY, Example
 from hyst_control.effects import EFFECTS as CATALOGUE
 from hyst_control.effects.effect import Surroundings
@@ -81,27 +82,19 @@ def _given(name: str) -> str:
     effect = EFFECTS[name]
     texts = {key: f"absent at {value:g}" for key, value in effect.absent.items()}
     texts |= {key: f"{value:g} by default" for key, value in effect.others.items()}
-    rows = [f"| `{key}` | {effect.units.get(key) or '-'} | {text} |" for key, text in texts.items()]
-    return "\n".join(["| parameter | unit | |", "|---|---|---|", *rows])
+    return table("parameter | unit | ", ((f"`{key}`", effect.units.get(key) or "-", text) for key, text in texts.items()))
 
 
 def _searched(name: str) -> str:
     """Parameters of an effect in the gap report, with the range in which the diagnosis of `RECORD` searches."""
     effect = CATALOGUE[name]
     rows = [
-        f"| `{each.name}` | {each.unit.replace('unit', 'um') or '-'} | {each.lower:.3g} | {each.upper:.3g} |"
+        (f"`{each.name}`", each.unit.replace("unit", "um") or "-", f"{each.lower:.3g}", f"{each.upper:.3g}")
         for each in effect.parameters(replace(RECORD, axes=2) if effect.couples else RECORD)
         if each.told
     ]
-    return "\n".join(
-        [
-            f"In the gap report, with ranges for {described_record()}:",
-            "",
-            "| parameter | unit | searched from | to |",
-            "|---|---|---|---|",
-            *rows,
-        ]
-    )
+    head = f"In the gap report, with ranges for {described_record()}:"
+    return f"{head}\n\n{table('parameter | unit | searched from | to', rows)}"
 
 
 def described_record() -> str:

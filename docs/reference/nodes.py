@@ -9,7 +9,9 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-from hyst_control.nodes.execution.command_line import allowed, liveness
+from docs.reference.tables import table
+from hyst_control.base.quantity import shown
+from hyst_control.nodes.execution.command_line import liveness
 from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_settings import COMMON as OF_EVERY_SIGNAL
@@ -53,8 +55,6 @@ SIGNALS = """# Signals of the reference generator
 Parameters of `reference_generator` for its kind of signal, all live; numbers from -1e+12 to 1e+12. A parameter without a default is
 required, except those of every kind.
 
-| signal | parameter | unit | default | |
-|---|---|---|---|---|
 """
 
 
@@ -66,19 +66,18 @@ def node_pages() -> dict[str, str]:
         if node is not None:
             title = (inspect.getdoc(node) or "").split("\n\n")[0].replace("\n", " ")
             pages[name] = f"# {name}\n\n{title}\n\n{_table(node.SETTINGS)}"
-    pages["signals"] = SIGNALS + "".join(
+    pages["signals"] = SIGNALS + table(
+        "signal | parameter | unit | default | ",
         [
             *(_signal_row(f"`{kind}`", each) for kind in sorted(KINDS) for each in signal_settings(kind)[: -len(OF_EVERY_SIGNAL)]),
             *(_signal_row("every kind", each) for each in signal_settings("rest")[-len(OF_EVERY_SIGNAL) :]),
-        ]
+        ],
     )
     return {"index": HEAD + "".join(f"- [{page.splitlines()[0][2:]}]({name}.md)\n" for name, page in pages.items())} | pages
 
 
-def _signal_row(kind: str, setting: Setting) -> str:
-    several = isinstance(setting.default, tuple)
-    default = ", ".join(_shown(item) for item in setting.default) if several else _shown(setting.default)
-    return f"| {kind} | {setting.name} | {setting.unit} | {default} | {setting.text} |\n"
+def _signal_row(kind: str, setting: Setting) -> tuple[str, ...]:
+    return kind, setting.name, setting.unit, shown(setting.default), setting.meaning
 
 
 def _with_settings(entry: NodeEntry) -> Any:
@@ -89,28 +88,9 @@ def _with_settings(entry: NodeEntry) -> Any:
 
 
 def _table(settings: Iterable[Setting]) -> str:
-    head = "| parameter | type | unit | range | default | live | |\n|---|---|---|---|---|---|---|\n"
-    return head + "".join(_row(setting) for setting in settings)
+    return table("parameter | type | unit | range | default | live | ", map(_row, settings))
 
 
-def _row(setting: Setting) -> str:
-    several = isinstance(setting.default, tuple)
-    value = setting.default[0] if several else setting.default
-    kind = {bool: "truth value", int: "integer", float: "number", str: "text"}[type(value)]
-    default = ", ".join(_shown(item) for item in setting.default) if several else _shown(setting.default)
-    cells = (
-        f"`{setting.name}`",
-        f"list of {kind}s" if several else kind,
-        setting.unit,
-        allowed(setting),
-        default,
-        liveness(setting),
-        setting.text,
-    )
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else f"`{value}`" if isinstance(value, str) and value else str(value)
+def _row(setting: Setting) -> tuple[str, ...]:
+    kind, default = setting.kind.name.removeprefix("a ").removeprefix("an "), shown(setting.default)
+    return f"`{setting.name}`", kind, setting.unit, setting.values, default, liveness(setting), setting.meaning

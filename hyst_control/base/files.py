@@ -24,7 +24,7 @@ LINKS = 40
 
 
 def check_writable(path: str | Path) -> None:
-    """Check that a file can be written at `path`, as far as that can be told beforehand. Raises `InputError` if not."""
+    """Check that a file can be written at `path`, as far as that shows beforehand. Raises `InputError` if not."""
     try:
         target = _target(path)
         mode = _mode(target)

@@ -183,7 +183,7 @@ class Saturation(Stage):
 @register
 @dataclass(frozen=True)
 class Quantization(Stage):
-    """y = step · round(u / step), halves to even: the lattice of a converter. `step` in the signal's own unit; 0: none."""
+    """y = step · round(u / step), halves to even: the value grid of a converter. `step` in the signal's own unit; 0: none."""
 
     name: ClassVar[str] = "quantization"
     equation: ClassVar[str] = r"y = \mathrm{step} \cdot \mathrm{round}\left(\frac{u}{\mathrm{step}}\right)"

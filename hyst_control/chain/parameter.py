@@ -14,15 +14,14 @@ in the documents (`docs/reference/stages.py`).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import INTEGER, NUMBER, TRUTH, Quantity, shortened
 
 ScalarPerAxis: TypeAlias = float | Sequence[float] | Array
 """A number for every axis alike, or a list with one per axis; a stage keeps it as a number or a tuple."""
@@ -37,7 +36,7 @@ SHAPES = ("a number", "a list of numbers", "a matrix (a list of rows)", "a list 
 """Words for a number of dimensions."""
 
 
-class Kind(Enum):
+class Form(Enum):
     """Form of a parameter in the model file."""
 
     SCALAR = "number, or one per axis"
@@ -74,74 +73,58 @@ class Coordinate:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(Quantity):
     """Declaration of one parameter of a stage."""
 
-    kind: Kind  # Form in the model file, which tells how it belongs to the axes
-    unit: str  # "" where it has none
-    text: str  # One phrase for the documents
-    # lower, above, upper, below: Bounds of every number: >= lower, > above, <= upper, < below
-    lower: float = -np.inf
-    above: float = -np.inf
-    upper: float = np.inf
-    below: float = np.inf
+    form: Form = Form.SCALAR  # Form in the model file, which tells how it belongs to the axes
     infinite: bool = False  # Whether infinite numbers are allowed
-    whole: bool = False  # Whether every number is a whole one
     # Nesting of a parameter of all axes: 0 a number, 1 a list, 2 a matrix; several where it may have several
     dimensions: tuple[int, ...] = ()
-    optional: bool = False  # Whether it may be left out without a value (`None`)
     scatter: Scattering = Scattering.RELATIVE  # The way in which it is uncertain
 
     @cached_property
     def per_axis(self) -> int | None:
         """Dimensions of one axis' value; None for a parameter of all axes together."""
-        return {Kind.SCALAR: 0, Kind.VECTOR: 1}.get(self.kind)
+        return {Form.SCALAR: 0, Form.VECTOR: 1}.get(self.form)
 
     @cached_property
     def nestings(self) -> tuple[int, ...]:
         """Depths of nesting that a value may have."""
         return self.dimensions if self.per_axis is None else (self.per_axis, self.per_axis + 1)
 
-    def check(self, name: str, value: Any) -> None:
+    def check(self, value: Any) -> None:
         """Raise `InputError` naming the parameter and the remedy unless a value has the declared form and bounds."""
-        if value is None and self.optional or self.kind is Kind.CHAINS:
+        if value is None and self.default is None or self.form is Form.CHAINS:
             return
-        if self.kind is Kind.FLAG:
-            if not isinstance(value, bool):
-                raise InputError(f"{name}: must be true or false, got {value!r}")
-        elif self.kind is Kind.COUNT:
-            if isinstance(value, bool) or not isinstance(value, int) or value < self.lower:
-                raise InputError(f"{name}: must be a whole number >= {self.lower:g}, got {value!r}")
-        else:
-            self._check_numbers(name, value)
-            if nesting(value) not in self.nestings:
-                raise InputError(f"{name}: must be {self.form}, got {_short(value)}")
+        if self.form in (Form.FLAG, Form.COUNT):
+            if self.checked(value) is not value:  # a count of 2.0 would reach a kernel as such
+                self.refuse(value)
+            return
+        self._check_numbers(value)
+        if nesting(value) not in self.nestings:
+            raise InputError(f"{self.name}: must be {self.shape}, got {shortened(repr(value))}")
 
     @property
-    def form(self) -> str:
-        """The form of a value, in words."""
+    def shape(self) -> str:
+        """The nesting of a value, in words."""
         if self.per_axis is not None:
             return f"{SHAPES[self.per_axis]} for all axes, or a list with one of them per axis"
-        return " or ".join(SHAPES[count] for count in self.dimensions) or self.kind.value
+        return " or ".join(SHAPES[count] for count in self.dimensions) or self.form.value
 
-    def _check_numbers(self, name: str, value: Any) -> None:
+    def _check_numbers(self, value: Any) -> None:
         if isinstance(value, tuple):
             if not value:
-                raise InputError(f"{name}: is empty, at least one value is needed")
+                raise InputError(f"{self.name}: is empty, at least one value is needed")
             for item in value:
-                self._check_numbers(name, item)
+                self._check_numbers(item)
             return
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
-            raise InputError(f"{name}: {_short(value)} is not a finite number")
-        if not self.lower <= value <= self.upper or value <= self.above != -np.inf or value >= self.below != np.inf:
-            bounds = (">=", self.lower), (">", self.above), ("<=", self.upper), ("<", self.below)
-            told = " and ".join(f"{sign} {bound:g}" for sign, bound in bounds if np.isfinite(bound))
-            raise InputError(f"{name}: must be {f'{told} {self.unit}'.strip()}, got {value:g}")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not self.within(value):
+            self.refuse(value)
         if value - value != 0.0:  # infinite
             if not self.infinite:
-                raise InputError(f"{name}: {value!r} is not a finite number")
-        elif self.whole and value % 1.0:
-            raise InputError(f"{name}: must be a whole number, got {value:g}")
+                self.refuse(value)
+        elif self.kind is INTEGER and value % 1.0:
+            self.refuse(value)
 
     def of_axis(self, value: Any, axis: int) -> Any:
         """The value of one axis; one that all axes have alike or together stays."""
@@ -162,43 +145,39 @@ def nesting(value: Any) -> int:
     return 1 + depths.pop() if len(depths) == 1 and -1 not in depths else -1
 
 
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
 def scalar(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
     """Declare a field that is a number for every axis alike or a list with one per axis."""
-    return _field(Parameter(Kind.SCALAR, unit, text, optional=default is None, **declared), default)
+    return _field(Form.SCALAR, unit, text, default, **declared)
 
 
 def vector(unit: str, text: str, *, default: Any = MISSING, **declared: Any) -> Any:
     """Declare a field that is a list for every axis alike or a list of lists, one per axis."""
-    return _field(Parameter(Kind.VECTOR, unit, text, optional=default is None, **declared), default)
+    return _field(Form.VECTOR, unit, text, default, **declared)
 
 
 def all_axes(unit: str, text: str, *dimensions: int, default: Any = MISSING, **declared: Any) -> Any:
     """Declare a field that belongs to all axes together."""
-    return _field(Parameter(Kind.ALL_AXES, unit, text, dimensions=dimensions, optional=default is None, **declared), default)
+    return _field(Form.ALL_AXES, unit, text, default, dimensions=dimensions, **declared)
 
 
 def count(text: str, *, default: Any = MISSING, lower: int = 0) -> Any:
     """Declare a field that is a whole number, and known exactly."""
-    return _field(Parameter(Kind.COUNT, "", text, lower=lower, scatter=Scattering.NONE), default)
+    return _field(Form.COUNT, "", text, default, lower=lower, whole=True, scatter=Scattering.NONE)
 
 
 def flag(text: str, *, default: bool = False) -> Any:
     """Declare a field that is true or false."""
-    return _field(Parameter(Kind.FLAG, "", text, scatter=Scattering.NONE), default)
+    return _field(Form.FLAG, "", text, default, kind=TRUTH, scatter=Scattering.NONE)
 
 
 def chains(text: str) -> Any:
     """Declare a field that is a list of chains; `text` is one phrase for the documents."""
-    return _field(Parameter(Kind.CHAINS, "", text, scatter=Scattering.NONE), MISSING)
+    return _field(Form.CHAINS, "", text, MISSING, scatter=Scattering.NONE)
 
 
-def _field(parameter: Parameter, default: Any) -> Any:
-    metadata = {"parameter": parameter}
+def _field(form: Form, unit: str, text: str, default: Any, whole: bool = False, kind: Any = NUMBER, **declared: Any) -> Any:
+    described = Parameter("", default, unit, text, form=form, kind=INTEGER if whole else kind, **declared)
+    metadata = {"parameter": described}
     return field(metadata=metadata) if default is MISSING else field(default=default, metadata=metadata)
 
 
@@ -208,7 +187,8 @@ _DECLARED: dict[type, Mapping[str, Parameter]] = {}
 def declared(owner: type) -> Mapping[str, Parameter]:
     """Declarations of a stage class, the `owner`, by field name, in the order of its fields."""
     if owner not in _DECLARED:
-        _DECLARED[owner] = {found.name: found.metadata["parameter"] for found in fields(owner) if "parameter" in found.metadata}
+        described = {found.name: found.metadata["parameter"] for found in fields(owner) if "parameter" in found.metadata}
+        _DECLARED[owner] = {name: replace(each, name=name) for name, each in described.items()}
     return _DECLARED[owner]
 
 

@@ -99,7 +99,7 @@ class Filter:
     hold: str
 
     def settle(self, value: Array) -> Array:
-        """Come to rest at the constant input `value` (A,), reached from 0 on the virgin curve; return the output (A,)."""
+        """Come to rest at the constant input `value` (A,), reached from 0 on the initial loading curve; return the output (A,)."""
         raise NotImplementedError
 
     def process(self, block: Array) -> Array:
@@ -140,7 +140,7 @@ class Stage:
         for name in vars(self):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         for name, declaration in self.declarations().items():
-            declaration.check(name, getattr(self, name))
+            declaration.check(getattr(self, name))
         self.check()
 
     def check(self) -> None:
@@ -297,7 +297,7 @@ class Stage:
     # Answers to effects, control and diagnosis.
 
     def companion_size(self, index: tuple[int, ...]) -> float:
-        """Amount in the measurement's unit that 1 stands for in a parameter that scatters as a companion, at an index."""
+        """Amount in the measurement's unit that 1 stands for in a parameter that scatters as a session effect, at an index."""
         return 1.0
 
     def with_loop_width(self, width: Array) -> Stage | None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain.parameter import Coordinate, Kind, Parameter, Scattering
+from hyst_control.chain.parameter import Coordinate, Form, Parameter, Scattering
 
 UNCERTAIN = (Scattering.RELATIVE, Scattering.ABSOLUTE, Scattering.POLES)
 NEXT = 1e-3
@@ -21,7 +21,7 @@ def of_parameters(known: Mapping[str, Parameter], values: Mapping[str, Any], axe
     """Every number of the parameters that are declared as uncertain."""
     found: dict[tuple[str, int | None], Coordinate] = {}
     for name, parameter in known.items():
-        if parameter.scatter not in UNCERTAIN or values[name] is None or parameter.kind in (Kind.FLAG, Kind.COUNT, Kind.CHAINS):
+        if parameter.scatter not in UNCERTAIN or values[name] is None or parameter.form in (Form.FLAG, Form.COUNT, Form.CHAINS):
             continue
         for axis, entries in _by_axis(parameter, values[name], axes):
             size = float(np.mean(np.abs(entries)))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Locate the gap between a model and recorded bags, name the effect that causes it, and compute how far it shrinks with it.
+"""Locate the gap between a model and recorded bags, name the effect that causes it, and compute how much of it that effect removes.
 
 The bags need command and measurement; reference, feedforward and feedback are replayed if they were recorded. The first run for a
 model, command and noise level calibrates its threshold on simulated records without a gap, and stores it for later runs.

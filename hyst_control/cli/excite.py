@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
 
 
 def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
-    """Bounds of an excitation for a truth plant."""
+    """Bounds of an excitation for a reference simulation."""
     from hyst_control.base.errors import InputError
     from hyst_plant_sim.physics import PlantError, load_plant
 

@@ -28,7 +28,7 @@ NUMBER = re.compile(r"[0-9][0-9.e+-]*")
 
 @dataclass(frozen=True)
 class LoopEvent:
-    """A fault that a node's diagnostics told of, or the end of it; `when` in s since the epoch."""
+    """A fault that a node's diagnostics report, or the end of it; `when` in s since the epoch."""
 
     when: float
     node: str

@@ -12,19 +12,23 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import INTEGER, LISTS, NUMBER, OF_TYPE, Quantity
 from hyst_control.base.yaml_files import read_yaml
 
 Group = TypeVar("Group")
 
 
+SEEDS = Quantity("", None, "", "seeds of the blind test on which the values were set", kind=INTEGER)
+
+
 def _setting(unit: str, meaning: str) -> Any:
-    return field(metadata={"unit": unit, "meaning": meaning})
+    return field(metadata={"quantity": Quantity("", None, "" if unit == "1" else unit, meaning, kind=NUMBER)})
 
 
 @dataclass(frozen=True)
@@ -288,7 +292,7 @@ class NullSettings:
 
 @dataclass(frozen=True)
 class ReductionSettings:
-    """Shrink on held-out blocks."""
+    """Reduction on held-out blocks."""
 
     blocks: int = _setting("blocks", "blocks of a record, every other of which is held out")
     resamples: int = _setting("draws", "draws of the bootstrap")
@@ -345,7 +349,7 @@ class LiveTwinSettings:
 
 @dataclass(frozen=True)
 class BaselineSettings:
-    """Clean records beside the new one."""
+    """Baseline records beside the new one."""
 
     same_command: float = _setting("share of the range, rms", "difference up to which two commands are the same")
     similar_command: float = _setting(
@@ -422,8 +426,8 @@ def configuration_text(configuration: Configuration) -> str:
         lines += ["", f"{group.name}:  # {str(type(values).__doc__).rstrip('.')}"]
         for one in fields(values):
             value = getattr(values, one.name)
-            text = _text(value)
-            lines.append(f"  {one.name}: {text}  # {one.metadata['unit']}: {one.metadata['meaning']}")
+            declared = one.metadata["quantity"]
+            lines.append(f"  {one.name}: {_text(value)}  # {declared.unit or '1'}: {declared.meaning}")
     return "\n".join(lines) + "\n"
 
 
@@ -445,30 +449,26 @@ def _group(kind: type[Group], document: object, where: str) -> Group:
         raise InputError(f"{name}: has no {unknown!r}: remove it, or use one of {', '.join(due)}")
     for missing in (one for one in due if one not in document):
         raise InputError(f"{name}: lacks {missing!r}: add it")
+    declared = {one.name: one.metadata.get("quantity", SEEDS) for one in fields(kind)}  # type: ignore[arg-type]
     found = {}
     for one in due:
         path = f"{where}.{one}" if where else one
-        nested = is_dataclass(hints[one])
-        found[one] = _group(hints[one], document[one], path) if nested else _value(hints[one], document[one], path)
+        if is_dataclass(hints[one]):
+            found[one] = _group(hints[one], document[one], path)
+        else:
+            found[one] = _value(hints[one], document[one], replace(declared[one], name=path, unit=""))
     return kind(**found)
 
 
-def _value(kind: Any, value: object, where: str) -> float | tuple[float, ...]:
+def _value(kind: Any, value: object, quantity: Quantity) -> float | tuple[float, ...]:
     """A number, or a list of numbers, of the kind that a field declares."""
-    if getattr(kind, "__origin__", None) is tuple:
-        counts = len(kind.__args__) if kind.__args__[-1] is not Ellipsis else None
-        if not isinstance(value, list) or counts not in (None, len(value)):
-            raise InputError(f"{where}: must be a list of {counts or 'some'} numbers, got {value!r}")
-        return tuple(_number(kind.__args__[0], one, where) for one in value)
-    return _number(kind, value, where)
-
-
-def _number(kind: Any, value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or (kind is int and not isinstance(value, int)):
-        raise InputError(f"{where}: must be {'an integer' if kind is int else 'a number'}, got {value!r}")
-    if not abs(value) < float("inf"):
-        raise InputError(f"{where}: must be finite, got {value!r}")
-    return kind(value)  # type: ignore[no-any-return]
+    kinds: tuple[Any, ...] = getattr(kind, "__args__", ())
+    if not kinds:
+        return replace(quantity, kind=OF_TYPE[kind]).checked(value)  # type: ignore[no-any-return]
+    counts = len(kinds) if kinds[-1] is not Ellipsis else None
+    if not isinstance(value, list) or counts not in (None, len(value)):
+        raise InputError(f"{quantity.name}: must be a list of {counts or 'some'} numbers, got {value!r}")
+    return replace(quantity, kind=LISTS[kinds[0]]).checked(value)  # type: ignore[no-any-return]
 
 
 CONFIGURATION = load_configuration(str(files("hyst_control.diagnose") / "configuration.yaml"))

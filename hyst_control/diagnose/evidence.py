@@ -118,7 +118,7 @@ class DistortionEvidence:
 
 @dataclass(frozen=True)
 class CompanionEvidence:
-    """Companion of all hypotheses, which differs from session to session, as the best explanation has it."""
+    """Session effect of all hypotheses, which differs from session to session, as the best explanation has it."""
 
     effect: str  # Its name among the effects
     parameter: str  # Of that effect

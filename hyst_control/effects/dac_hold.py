@@ -152,7 +152,7 @@ def take_and_hold(
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Samples, phase, step and manner of rounding; the lattice's steps are those that the record suggests."""
+    """Samples, phase, step and manner of rounding; the value grid's steps are those that the record suggests."""
     reach = max(around.command[1] - around.command[0], 1e-9)
     return (
         Parameter("samples", "", 1.0, tuple(float(held) for held in HELD), 1.0, 20.0, 3.0),
@@ -163,7 +163,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """A hold over every number of samples, begun at every one of them; or a lattice, rounded to in every manner."""
+    """A hold over every number of samples, begun at every one of them; or a value grid, rounded to in every manner."""
     crosses = around.command[0] < 0.0 < around.command[1]
     lattices = [
         {"samples": 1.0, "phase": 0.0, "rounding": value} for name, value in ROUNDINGS.items() if crosses or name != "toward zero"

@@ -9,7 +9,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Delay up to 20 samples, 5 ms at most, in a record's surroundings `around`; a period of the slowest line beside clean records."""
+    """Delay up to 20 samples, 5 ms at most, in a record's surroundings `around`; a period of the slowest line beside baseline records."""
     ts = around.sample_time
     if around.lowest_frequency is not None:
         upper = max(1.0 / around.lowest_frequency, 2.5 * ts)

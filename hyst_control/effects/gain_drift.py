@@ -223,7 +223,7 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Change over the record; beside the model's own error from a fifth of the gain to five times as much.
+    """Change over the record; beside the model discrepancy from a fifth of the gain to five times as much.
 
     One that ends before the command has moved is a constant gain.
     """

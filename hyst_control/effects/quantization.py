@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The lattice of the measurement's converter."""
+"""The value grid of the measurement's converter."""
 
 from __future__ import annotations
 

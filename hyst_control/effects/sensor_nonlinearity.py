@@ -95,7 +95,7 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside the model's own error up to all that is measured.
+    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside the model discrepancy up to all that is measured.
 
     ratio: of the constant to the first two's root sum square.
 
@@ -121,7 +121,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """Beside clean records also the second and third term alone: of more the model's own error leaves nothing to be told."""
+    """Beside baseline records also the second and third term alone: more are not identifiable beside the model discrepancy."""
     return ({},) if around.lowest_frequency is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes in a fleet: which unit's quantity shifted, in which night, or drifts, with the number of false claims under control.
+"""Changes in a fleet: which unit's quantity shifted, in which run, or drifts, with the number of false claims under control.
 
 A quantity x of a unit over T nights is its level, a random walk, white noise and, perhaps, a shift from one night on or a steady trend:
 
@@ -71,14 +71,14 @@ class Trend:
 
 @dataclass(frozen=True)
 class _UnitFit:
-    """Shifts at every night, and a trend, in a unit's record."""
+    """Shifts at every run, and a trend, in a unit's record."""
 
     moments: Array
     shifts: CourseFit
     trend: CourseFit
 
     def evidence(self, tau: float) -> float:
-        """Logarithm of the odds of a change of size tau: a trend is as likely beforehand as a shift at one of all nights."""
+        """Logarithm of the odds of a change of size tau: a trend is as likely beforehand as a shift at one of all runs."""
         return float(np.logaddexp(self.shifts.evidence(tau)[0], self.trend.evidence(tau)[0]) - np.log(2.0))
 
     def drifts(self, tau: float) -> bool:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common causes of changes: a driver, a firmware, a night that units which changed share.
+"""Common causes of changes: a driver, a firmware, a run that units which changed share.
 
 Two tests, with the false discovery rate of each kept within a bound (Benjamini and Hochberg 1995): of the units that share a value of
 one of the manifest's columns, more changed than a draw from the whole fleet would have (hypergeometric distribution); in one night, more

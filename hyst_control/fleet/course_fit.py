@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A quantity of one unit over nights, and what a shape added to it explains: generalized least squares under noise and a random walk.
+"""A quantity of one unit over runs, and what a shape added to it explains: generalized least squares under noise and a random walk.
 
     x = mu + walk + noise + delta c(t),   cov(walk + noise) = sigma^2 I + q^2 min(s, t)
 
@@ -21,7 +21,7 @@ MAD = 1.4826
 
 
 class CourseFit:
-    """Generalized least squares of a unit's nights with each of several shapes in turn."""
+    """Generalized least squares of a unit's runs with each of several shapes in turn."""
 
     def __init__(self, values: Annotated[Array, "T"], shapes: Annotated[Array, "T S"], white: float, walk: float) -> None:
         place = np.arange(len(values), dtype=float)
@@ -58,7 +58,7 @@ class CourseFit:
 
 
 def night_variance(values: Annotated[Array, "U T"]) -> float:
-    """Variance of the differences of successive nights over a fleet; robust to a few units that change."""
+    """Variance of the differences of successive runs over a fleet; robust to a few units that change."""
     differences = np.diff(values, axis=1)
     known = differences[np.isfinite(differences)]
     if not len(known):

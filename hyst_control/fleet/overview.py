@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A fleet seen as a whole: changes, drifts, common causes, outlying units, and how verdicts run over units and nights; as JSON."""
+"""A fleet seen as a whole: changes, drifts, common causes, outlying units, and how verdicts run over units and runs; as JSON."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def _series(
 def _covariates(
     rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]], shape: tuple[int, int], columns: Sequence[str]
 ) -> dict[str, Array]:
-    """Columns of the manifest that are numbers, (U, T); those that belong to a unit say nothing of its nights."""
+    """Columns of the manifest that are numbers, (U, T); those that belong to a unit say nothing of its runs."""
     found: dict[str, Array] = {}
     for name in columns:
         values = np.full(shape, np.nan)
@@ -155,7 +155,7 @@ def _covariates(
 def _distances(
     covariates: Mapping[str, Array], rows: Sequence[Mapping[str, Any]], cells: Sequence[tuple[int, int]]
 ) -> dict[str, Array]:
-    """Distances (U, T) of the covariates from those of the clean records: a gap to these grows either way."""
+    """Distances (U, T) of the covariates from those of the baseline records: a gap to these grows either way."""
     compared = {row["unit"] for row in rows if row.get("baseline")}
     clean = [at for at, row in zip(cells, rows, strict=True) if row["unit"] in compared and not row.get("baseline")]
     found: dict[str, Array] = {}
@@ -169,7 +169,7 @@ def _distances(
 
 
 def _quantities(kind: str, row: Mapping[str, Any], compared: bool) -> dict[str, float]:
-    """Numbers of a record that may change over nights; a gap to the model is none to the clean records with which others are compared."""
+    """Numbers of a record that may change over runs; a gap to the model is none to the baseline records with which others are compared."""
     if kind == "identify":
         return {each["name"]: each["value"] for each in row["parameters"] or []}
     if kind == "validate":

@@ -113,11 +113,11 @@ class _Links:
         ).reshape(found.pages.shape)
 
     def of(self, unit: str) -> list[str]:
-        """Links of a unit's nights."""
+        """Links of a unit's runs."""
         return list(self.paths[list(self._found.units).index(unit)])
 
     def to(self, unit: str, moment: float) -> str:
-        """Name of a unit, leading to its record of a night where that has a page."""
+        """Name of a unit, leading to its record of a run where that has a page."""
         link = self.of(unit)[int(np.searchsorted(self._found.moments, moment))]
         return Markup("<a href='{}'>{}</a>").format(link, unit) if link else unit
 

@@ -54,11 +54,11 @@ class Population:
     spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `night` (U,)
 
     def usual(self) -> tuple[Array, Array]:
-        """Mean (K,) and covariance (K, K) of the coefficients of any unit in any night."""
+        """Mean (K,) and covariance (K, K) of the coefficients of any unit in any run."""
         return self.center, self.between + self._single_night()
 
     def of_unit(self, unit: str) -> tuple[Array, Array]:
-        """Mean and covariance of a unit's coefficients in its coming night, by its own nights and the fleet."""
+        """Mean and covariance of a unit's coefficients in its coming run, by its own runs and the fleet."""
         if unit not in self.units:
             raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
         index = self.units.index(unit)
@@ -68,7 +68,7 @@ class Population:
         return mean, 0.5 * (left + left.T) + self.walk * self.night + self._single_night()
 
     def _single_night(self) -> Array:
-        """Covariance of what one night does to a unit, without the errors of its identification."""
+        """Covariance of what one run does to a unit, without the errors of its identification."""
         return _positive(0.5 * (1.0 - self.walk) * self.night - self.error)
 
 
@@ -101,7 +101,7 @@ def _scale(values: Array) -> Array:
 
 
 def _nights(series: Sequence[Array], error: Array) -> tuple[Array, float]:
-    """Covariance of the differences of successive nights, and the share of it that is a walk.
+    """Covariance of the differences of successive runs, and the share of it that is a walk.
 
     Without a unit that was identified twice, nights are taken to differ by the errors of the identifications alone.
     """
@@ -152,7 +152,7 @@ def _shrunk(covariance: Array, count: int) -> Array:
 
 
 def _level(series: Array, walk: float) -> tuple[Array, float]:
-    """Newest level of one unit by its own nights (K,), and its variance in multiples of C: a local level filter, diffuse at first."""
+    """Newest level of one unit by its own runs (K,), and its variance in multiples of C: a local level filter, diffuse at first."""
     error = 0.5 * (1.0 - walk)
     level, spread = series[0].copy(), error
     for night in series[1:]:
@@ -164,7 +164,7 @@ def _level(series: Array, walk: float) -> tuple[Array, float]:
 
 
 def _between(levels: Array, spreads: Array, night: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the units' levels, whose own errors are known, by expectation-maximization."""
+    """Mean and covariance of the units' levels, whose errors are known, by expectation-maximization."""
     count, width = levels.shape
     center = np.median(levels, axis=0)
     between = np.diag(np.maximum(np.array([_variance(column) for column in (levels - center).T]), 1e-12))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Computation of one record of a fleet: a row of results from a bag, its model and its clean records, without anything else."""
+"""Computation of one record of a fleet: a row of results from a bag, its model and its baseline records, without anything else."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _model(path: str, stamp: str) -> Model:
 
 @lru_cache(maxsize=16)
 def _clean(bag: str, stamp: str, namespace: str | None, unit: str) -> Record:
-    """A clean record, which all nights of a unit share."""
+    """A baseline record, which all runs of a unit share."""
     from hyst_control.records.bags.bag_reader import read_bag
 
     return read_bag(bag, namespace, unit)

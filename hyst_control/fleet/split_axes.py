@@ -27,7 +27,7 @@ class ReadingError(Exception):
 
 
 def split_axes(entries: Sequence[Entry], folder: Path, namespace: str | None = None, unit: str = "unknown") -> list[Entry]:
-    """Write a bag for every axis of every record, and of its clean records, where it is not there yet."""
+    """Write a bag for every axis of every record, and of its baseline records, where it is not there yet."""
     done: dict[str, dict[str, str]] = {}
     found: list[Entry] = []
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Studies: every record of a manifest identified, validated or diagnosed, on as many workers as there are, and taken up again.
+"""Studies: every record of a manifest identified, validated or diagnosed, on as many workers as there are, and continued after a stop.
 
 What a record's result depends on is in its mark (`record_jobs.mark`): a record whose mark is in the results already is not computed
 again. A record that fails is listed with its reason, and tried again the next time.

@@ -209,7 +209,7 @@ def identify_records(
 
 
 def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
-    """Identify a model with its own error, the best family unless one is named."""
+    """Identify a model with its model discrepancy, the best family unless one is named."""
     chosen = chosen_families(family, method, options)
     begun = [with_beginning(data) for data in datasets]
     if family not in (None, AUTO):
@@ -247,7 +247,7 @@ def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
 
 
 def discrepancy(model: Model, datasets: Sequence[Dataset], left: Sequence[Array] | None = None) -> dict[str, Any]:
-    """The model's own error in the form of a model file, from what it leaves (N, A) of its records, simulated unless it is known."""
+    """The model discrepancy in the form of a model file, from what it leaves (N, A) of its records, simulated unless it is known."""
     left = [residual(model, data) for data in datasets] if left is None else left
     measured = [data.measurement[-len(rows) :] for data, rows in zip(datasets, left, strict=True)]
     return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time, measured)

@@ -28,7 +28,7 @@ class FamilyOption(Setting):
 
     families: Mapping[str, Option] = field(default_factory=dict)  # The option as each family declares it
 
-    def convert(self, value: object) -> object:
+    def checked(self, value: object) -> object:
         """Check a value."""
         if isinstance(value, str) and value == "":
             return value

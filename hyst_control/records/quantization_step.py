@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step of the lattice that a signal's values lie on, and the weight of a rounded sample."""
+"""Step of the value grid that a signal's values lie on, and the weight of a rounded sample."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def quantization_step(
     off: float = OFF,
     share: float = SHARE,
 ) -> float:
-    """Step of the lattice that all values lie on."""
+    """Step of the value grid that all values lie on."""
     levels = np.unique(values)
     if len(levels) < fewest or len(levels) > crowding * len(values):
         return 0.0

@@ -50,7 +50,7 @@ def basis(part: slice, count: int) -> Array:
 
 
 def usual_zero(coefficients: Annotated[Array, "R A 3"]) -> Annotated[Array, "A 3"]:
-    """Bound of what is usual: the prediction interval of the next session, from those of clean records.
+    """Bound of what is usual: the prediction interval of the next session, from those of baseline records.
 
     For n normal values with mean m and standard deviation s, the next one lies within m +- t s sqrt(1 + 1/n) with probability `USUAL`,
     t being the quantile of Student's distribution with n - 1 degrees of freedom. Two records say little (t = 64), five a good deal (5).

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quantities for people: a few digits, a prefix where the unit takes one, shares in per cent."""
+"""Quantities for people: a few digits, a prefix where the unit takes one, shares in percent."""
 
 from __future__ import annotations
 

@@ -220,8 +220,8 @@ def test_a_falling_curve_is_refused_with_its_interval():
 @pytest.mark.parametrize(
     "make, word",
     [
-        (lambda: Madelung([1.0], [1.0], 0.0, 1.0), "input_scale: must be > 0 V, got 0"),
-        (lambda: Madelung([1.0], [1.0], 1.0, -2.0), "output_scale: must be > 0 measurement unit, got -2"),
+        (lambda: Madelung([1.0], [1.0], 0.0, 1.0), "input_scale: must be a number > 0 V, got 0"),
+        (lambda: Madelung([1.0], [1.0], 1.0, -2.0), "output_scale: must be a number > 0 measurement unit, got -2"),
         (lambda: Madelung([], [1.0], 1.0, 1.0), "ascending: is empty"),
         (lambda: Madelung([0.0, 1.0], [0.0, 1.0], 1.0, 1.0, knots=[0.0, 0.5, 1.0]), "ascending: 2 values for 3 knots"),
         (lambda: Madelung([0.0, 0.5, 1.0], [0.0, 0.6, 1.0], 1.0, 1.0, knots=[0.0, 0.5, 0.5]), "knots"),

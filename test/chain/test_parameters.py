@@ -15,7 +15,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.chain.parameter import Kind, Parameter, Scattering, declared, flag, scalar, vector
+from hyst_control.chain.parameter import Form, Parameter, Scattering, declared, flag, scalar, vector
 from hyst_control.chain.stage import Stage, register
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES
@@ -45,18 +45,18 @@ class Example(Stage):
 @pytest.mark.parametrize(
     "given, message",
     [
-        ({"rate": -3}, "rate: must be >= 0 V/s, got -3"),
-        ({"rate": [1.0, -3.0]}, "rate: must be >= 0 V/s, got -3"),
-        ({"rate": np.inf}, "rate: inf is not a finite number"),
-        ({"rate": np.nan}, "rate: nan is not a finite number"),
-        ({"rate": "fast"}, "rate: 'fast' is not a finite number"),
-        ({"rate": True}, "rate: True is not a finite number"),
+        ({"rate": -3}, "rate: must be a number >= 0 V/s, got -3"),
+        ({"rate": [1.0, -3.0]}, "rate: must be a number >= 0 V/s, got -3"),
+        ({"rate": np.inf}, "rate: must be a finite number >= 0 V/s, got inf"),
+        ({"rate": np.nan}, "rate: must be a finite number >= 0 V/s, got nan"),
+        ({"rate": "fast"}, "rate: must be a number >= 0 V/s, got 'fast'"),
+        ({"rate": True}, "rate: must be a number >= 0 V/s, got True"),
         ({"rate": []}, "rate: is empty, at least one value is needed"),
         ({"rate": [[1.0]]}, "rate: must be a number for all axes, or a list with one of them per axis, got ((1.0,),)"),
-        ({"share": 0.0}, "share: must be > 0 and < 1, got 0"),
-        ({"share": 1.0}, "share: must be > 0 and < 1, got 1"),
-        ({"count": 10}, "count: must be <= 9, got 10"),
-        ({"count": 1.5}, "count: must be a whole number, got 1.5"),
+        ({"share": 0.0}, "share: must be a number > 0 and < 1, got 0"),
+        ({"share": 1.0}, "share: must be a number > 0 and < 1, got 1"),
+        ({"count": 10}, "count: must be an integer <= 9, got 10"),
+        ({"count": 1.5}, "count: must be an integer <= 9, got 1.5"),
         ({"shape": 1.0}, "shape: must be a list of numbers for all axes, or a list with one of them per axis, got 1.0"),
         ({"shape": [1.0, [2.0]]}, "shape: must be a list of numbers for all axes"),
         ({"on": 1}, "on: must be true or false, got 1"),
@@ -79,9 +79,9 @@ def test_every_field_of_a_stage_says_what_it_is(name):
     assert set(known) == {field.name for field in fields(STAGES[name])}
     assert STAGES[name].place in ("", *PLACES)
     for parameter in known.values():
-        assert parameter.text
-        assert parameter.dimensions or parameter.kind is not Kind.ALL_AXES
-        assert parameter.scatter is Scattering.NONE or parameter.kind in (Kind.SCALAR, Kind.VECTOR, Kind.ALL_AXES)
+        assert parameter.meaning
+        assert parameter.dimensions or parameter.form is not Form.ALL_AXES
+        assert parameter.scatter is Scattering.NONE or parameter.form in (Form.SCALAR, Form.VECTOR, Form.ALL_AXES)
 
 
 def test_a_stage_that_declares_nothing_is_not_registered():
@@ -144,9 +144,9 @@ def test_scattered_branches_of_madelung_hysteresis_still_meet():
 
 
 def test_a_bound_is_open_or_closed_as_declared():
-    Parameter(Kind.SCALAR, "", "", lower=0.0).check("x", 0.0)
+    Parameter("x", 0.0, "", "", lower=0.0).check(0.0)
     with pytest.raises(InputError):
-        Parameter(Kind.SCALAR, "", "", above=0.0).check("x", 0.0)
+        Parameter("x", 0.0, "", "", above=0.0).check(0.0)
 
 
 def test_the_catalogue_names_places_that_there_are():

@@ -130,14 +130,17 @@ def test_the_output_does_not_depend_on_the_rate(u, one_sided):
     "make, word",
     [
         (lambda: PrandtlIshlinskii([1.0, 1.0], [1.0, 1.0]), "thresholds: 1 V is followed by 1 V"),
-        (lambda: PrandtlIshlinskii([-1.0, 1.0], [1.0, 1.0]), "thresholds: must be >= 0 V, got -1"),
+        (lambda: PrandtlIshlinskii([-1.0, 1.0], [1.0, 1.0]), "thresholds: must be a number >= 0 V, got -1"),
         (lambda: PrandtlIshlinskii([1.0, 2.0], [1.0]), "weights: 1 weights for 2"),
         (lambda: PrandtlIshlinskii([[1.0], [2.0, 1.0]], [[1.0], [1.0, 2.0]]), "axis 1"),
         (lambda: PrandtlIshlinskii([], []), "thresholds: is empty"),
-        (lambda: PrandtlIshlinskii([float("nan")], [1.0]), "nan is not a finite number"),
-        (lambda: PlayOperator(-1.0), "threshold: must be >= 0 input unit, got -1"),
+        (lambda: PrandtlIshlinskii([float("nan")], [1.0]), "thresholds: must be a finite number >= 0 V, got nan"),
+        (lambda: PlayOperator(-1.0), "threshold: must be a number >= 0 input unit, got -1"),
         (lambda: RateDependentPrandtlIshlinskii([1.0], [1.0], beta=-1.0), "beta"),
-        (lambda: ModifiedPrandtlIshlinskii([1.0], [1.0], m1=float("inf")), "m1: inf"),
+        (
+            lambda: ModifiedPrandtlIshlinskii([1.0], [1.0], m1=float("inf")),
+            "m1: must be a finite number in output unit s / V², got inf",
+        ),
     ],
 )
 def test_operators_that_make_no_sense_are_refused_by_name(make, word):

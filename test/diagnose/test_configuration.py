@@ -28,7 +28,7 @@ def test_every_value_has_a_unit_and_a_meaning():
     for group in groups().values():
         assert is_dataclass(group) and type(group).__doc__
         for one in fields(group):
-            assert one.metadata["unit"] and one.metadata["meaning"], one.name
+            assert one.metadata["quantity"].meaning, one.name
 
 
 def test_what_is_written_is_read_again(tmp_path):
@@ -53,7 +53,7 @@ def test_every_value_is_in_the_hash():
         (("policy",), None, "policy: must be a mapping"),
         (("policy", "margin"), "three", "policy.margin: must be a number, got 'three'"),
         (("policy", "margin"), True, "policy.margin: must be a number, got True"),
-        (("policy", "margin"), float("nan"), "policy.margin: must be finite"),
+        (("policy", "margin"), float("nan"), "policy.margin: must be a finite number, got nan"),
         (("policy", "max_effects"), 2.5, "policy.max_effects: must be an integer, got 2.5"),
         (("noise", "band"), [0.6], "noise.band: must be a list of 2 numbers, got [0.6]"),
         (("checks", "mains_harmonics"), 3, "checks.mains_harmonics: must be a list of some numbers, got 3"),

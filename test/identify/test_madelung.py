@@ -135,7 +135,7 @@ def test_any_drive_has_curves(shift, start):
         (lambda u: 0 * u + 3.0, {}, "never moves"),
         (lambda u: u, {"degree": 0}, "degree: must be an integer from 1 to 12, got 0"),
         (lambda u: u, {"knots": [0.0, 1.0]}, "knots: must be at least three"),
-        (lambda u: u, {"input_scale": -1.0}, "input_scale: must be a number in V >= 0, got -1"),
+        (lambda u: u, {"input_scale": -1.0}, "input_scale: must be a number >= 0 V, got -1"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, options, word):

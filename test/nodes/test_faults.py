@@ -142,6 +142,7 @@ def test_stop_service_ramps_down_and_reset_returns(bench):
 def test_timer_loop_runs_on_the_clock_that_all_share(bench, tmp_path):
     common = dict(schedule="timer", rate_hz=200, timeout=1.0)
     bench.listen("measurement")
+    begin = time.monotonic() - 1.0 / 200.0
     nodes = [
         bench.add(ReferenceGenerator_of(np.full((10, 1), 3.0)), lead=4, **common),
         bench.add(Feedforward_named, kind="proportional", gain=[10], **common),
@@ -155,7 +156,7 @@ def test_timer_loop_runs_on_the_clock_that_all_share(bench, tmp_path):
     measurement = bench.rows("measurement")
     ticks = measurement[:, 0] * 200
     np.testing.assert_allclose(ticks, np.rint(ticks), atol=1e-6)
-    assert abs(measurement[-1, 0] - time.monotonic()) < 2.0
+    assert begin <= measurement[0, 0] and measurement[-1, 0] < time.monotonic() + 1.0 / 200.0
     assert np.all(np.diff(np.rint(ticks)) >= 1)
     assert measurement[-1, 1] > 1.0
 
@@ -237,7 +238,7 @@ def test_commands_that_were_there_before_a_plant_of_the_timer_take_it_nowhere(be
     node.timer.clocks.look_at(now / 200.0, 1.0)  # as at a tick
     node.command.receive("t[s],x[V]", np.column_stack([np.arange(now, now + 100) / 200.0, np.full(100, 5.0)]))
     bench.until(lambda: node.counts["ticks"] >= 10)
-    assert abs(node._tick - time.monotonic() * 200.0) < 50
+    assert now <= node._tick <= time.monotonic() * 200.0 + 1.0
 
 
 def test_live_change_is_checked_and_applied_and_the_rest_is_read_only(bench):

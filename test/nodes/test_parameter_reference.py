@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 
 import pytest
 
@@ -31,7 +32,7 @@ def test_a_reader_finds_unit_range_and_default(name):
         _, unit, allowed, default, live, *_ = found[setting.name]
         assert unit == setting.unit and live.startswith("live") == setting.live
         values = setting.default if isinstance(setting.default, tuple) else (setting.default,)
-        shown = [part.strip("` ") for part in default.split(",")]
+        shown = [part.strip("[] ") for part in default.split(",")]
         for value, text in zip(values, shown, strict=True):
             if isinstance(value, bool):
                 assert text == str(value).lower()
@@ -41,5 +42,6 @@ def test_a_reader_finds_unit_range_and_default(name):
                 assert text == value
         if setting.choices:
             assert [choice.strip("` ") for choice in allowed.split(",")] == list(setting.choices)
-        elif setting.lower is not None and setting.upper is not None:
-            assert [float(bound) for bound in allowed.split(" … ")] == pytest.approx([setting.lower, setting.upper], rel=1e-5)
+        elif math.isfinite(setting.lower) and math.isfinite(setting.upper):
+            bounds = [float(bound) for bound in allowed.removeprefix("from ").split(" to ")]
+            assert bounds == pytest.approx([setting.lower, setting.upper], rel=1e-5)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from contextlib import contextmanager
 
 import pytest
@@ -79,7 +80,7 @@ def test_every_parameter_of_a_node_is_described(name, ros_context, tmp_path):
         assert {setting.name for setting in node.SETTINGS} <= set(declared)
         for parameter in declared:
             described = node.describe_parameter(parameter).description
-            assert settings[parameter].text in described
+            assert settings[parameter].meaning in described
             assert not settings[parameter].unit or f"[{settings[parameter].unit}]" in described
 
 
@@ -89,9 +90,9 @@ def test_every_parameter_says_what_it_is_and_numbers_their_unit_and_range(name, 
         pass
     for setting in (*COMMON, *node.SETTINGS):
         value = setting.default[0] if isinstance(setting.default, tuple) else setting.default
-        assert setting.text, setting.name
+        assert setting.meaning, setting.name
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            assert setting.unit and setting.lower is not None and setting.upper is not None, setting.name
+            assert setting.unit and setting.lower > -math.inf and setting.upper < math.inf, setting.name
             assert setting.lower <= value <= setting.upper
 
 
@@ -120,7 +121,7 @@ def test_a_shipped_file_holds_what_its_nodes_declare(file, ros_context, tmp_path
             signal = set(KINDS[given["signal"]].__code__.co_varnames)
         assert set(given) <= set(settings) | signal, f"{file.name}: {name}"
         for parameter in set(given) & set(settings):
-            settings[parameter].convert(given[parameter])
+            settings[parameter].checked(given[parameter])
 
 
 def test_every_node_has_a_parameter_file():

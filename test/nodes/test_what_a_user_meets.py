@@ -148,7 +148,7 @@ def test_a_bound_given_at_the_start_allows_to_widen_as_far_as_it_says(bench, ros
     node = bench.add(PiFeedback, upper=50.0, max_upper=80.0, max_slew_limit=0.0, slew_limit=100.0, rate_hz=RATE)
     assert changed(bench, "pi_feedback", upper=80.0, slew_limit=0.0) == 2 * [(True, "")]
     [(successful, reason)] = changed(bench, "pi_feedback", upper=80.1)
-    assert not successful and "80 [V], got 80.1" in reason and node.settings.upper == 80.0
+    assert not successful and "80 V, got 80.1" in reason and node.settings.upper == 80.0
     [(successful, reason)] = changed(bench, "pi_feedback", max_upper=1e6)
     assert not successful and "read-only" in reason
     given = [Parameter("upper", value=50.0), Parameter("max_upper", value=40.0)]

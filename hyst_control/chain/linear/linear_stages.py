@@ -31,7 +31,7 @@ from hyst_control.chain.linear.linear_system import transfer_function_system as 
 from hyst_control.chain.parameter import (
     AllAxes,
     Coordinate,
-    Kind,
+    Form,
     Parameter,
     ScalarPerAxis,
     Scattering,
@@ -124,7 +124,7 @@ class TransferFunction(LinearStage):
         if not self.coupled:
             return known
         matrix = {"num": (3,), "den": (1, 3)}
-        return {**known, **{key: replace(known[key], kind=Kind.ALL_AXES, dimensions=due) for key, due in matrix.items()}}
+        return {**known, **{key: replace(known[key], form=Form.ALL_AXES, dimensions=due) for key, due in matrix.items()}}
 
     @property
     def mixes_axes(self) -> bool:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Limits that whoever drives an actuator keeps on its own side, whatever it is told."""
+"""Limits that whoever drives an actuator keeps on its own side, whatever it receives."""
 
 from __future__ import annotations
 

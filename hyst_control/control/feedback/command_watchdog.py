@@ -47,7 +47,7 @@ class CommandWatchdog:
         return self.applied
 
     def wanted(self, command: Array | None, trusted: bool = True) -> Array:
-        """Voltage (A,) to be written next, V, for the newest `command` (A,), if `trusted`; it is to be told to `written` once it is."""
+        """Voltage (A,) to be written next, V, for the newest `command` (A,), if `trusted`; pass it to `written` once it is."""
         if self._wanted is not self.applied:  # it does not follow: it is to approach the command from where it is
             self._met[:], self._below = False, None
         self._wanted = self._next(command, trusted)

@@ -13,7 +13,7 @@ from hyst_control.control.feedback.pi import RunningPI
 
 
 class Plant(Protocol):
-    """Common interface of a simulator and a truth plant."""
+    """Common interface of a simulator and a reference simulation."""
 
     def reset(self, command: Array) -> Array:
         """Settle at the command (A,) in V; measurement[0] (A,)."""

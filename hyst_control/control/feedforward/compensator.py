@@ -71,7 +71,7 @@ class Compensator:
         self._filter = Chain(self.stages).filter(Sampling(sample_time, len(model.axes), "foh"))
 
     def settle(self, reference: Array) -> Array:
-        """Come to rest at the reference (A,), reached from 0 V on the virgin curve; returns the command (A,) in V."""
+        """Come to rest at the reference (A,), reached from 0 V on the initial loading curve; returns the command (A,) in V."""
         return self._filter.settle(np.asarray(reference, dtype=float))
 
     def process(self, block: Array) -> Array:

@@ -92,7 +92,7 @@ def feedback_error_table(
     duration: float,
     subject: str,
 ) -> Table:
-    """Feedback-error learning on a plant: NRMSE in per cent of the range at its beginning and end, and what it learned."""
+    """Feedback-error learning on a plant: NRMSE in percent of the range at its beginning and end, and what it learned."""
     axes = reference.shape[1]
     learner = description.start(axes)
     count = max(int(np.ceil(duration / description.sample_time / len(reference))), 3)

@@ -101,7 +101,7 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that an explanation leaves, or takes off by coefficients many tolerances away only.
+    """Share of the gap's energy that an explanation leaves, or removes by coefficients many tolerances away only.
 
     Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
@@ -118,7 +118,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
 
 
 def _energy_due(evidence: Evidence, chosen: int) -> float:
-    """Energy that the right explanation leaves: the one that the model states, its own error as the effects pass it on."""
+    """Energy that the right explanation leaves: the one that the model states, its model discrepancy as the effects pass it on."""
     own = evidence.stated if evidence.whitened else evidence.stated - 1.0
     return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
 

@@ -258,12 +258,12 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
 
 
 def _has_own_error(evidence: Evidence) -> bool:
-    """True where what is left has the model's own error in it, whose spectrum is known; beside the same command it is carried over."""
+    """True where what is left has the model discrepancy in it, whose spectrum is known; beside the same command it is carried over."""
     return evidence.whitened and not evidence.carried
 
 
 def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> float:
-    """Evidence over "no effect", nats, by which claims are compared: what stays under the model's own error tells little."""
+    """Evidence over "no effect", nats, by which claims are compared: what stays under the model discrepancy tells little."""
     if not _has_own_error(evidence):
         return one.score
     none = evidence.hypotheses[0]
@@ -274,7 +274,7 @@ def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) 
 
 
 def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where a hypothesis is better by what exceeds the model's own error, or by coefficients that need not move as far."""
+    """True where a hypothesis is better by what exceeds the model discrepancy, or by coefficients that need not move as far."""
     better = without.beyond + without.strain - one.beyond - one.strain
     return better > evidence.null + thresholds.margin
 
@@ -376,7 +376,7 @@ def _listed(
 
 
 def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where zero or drift of a session exceed chance, the practical size, and what clean records show."""
+    """True where zero or drift of a session exceed chance, the practical size, and what baseline records show."""
     if np.isnan(companion.usual):
         return False  # nothing says what is usual
     least = max(thresholds.companion_deviations * companion.deviation, companion.usual)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings in a record itself, beside what simulations explain: repeated samples, lattices, noise, single samples far off.
+"""Findings in a record itself, beside what simulations explain: repeated samples, value grids, noise, single samples far off.
 
 Pure functions of the evidence, as the rest of the policy.
 """
@@ -26,7 +26,7 @@ from hyst_control.effects.effect import RecordCheck
 
 
 def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], thresholds: Thresholds) -> tuple[Finding, ...]:
-    """Repeated samples, lattices and commands that were not received as recorded, which the fits have to know of."""
+    """Repeated samples, value grids and commands that were not received as recorded, which the fits have to know of."""
     found = []
     for axis, seen in enumerate(record):
         least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
@@ -142,7 +142,7 @@ def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) ->
 
 
 def is_stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:
-    """True where the measurement comes back to one value again and again, and does not in clean records."""
+    """True where the measurement comes back to one value again and again, and does not in baseline records."""
     return seen.stuck >= thresholds.stuck and seen.stuck > thresholds.beyond_clean * seen.usual_stuck
 
 

@@ -55,7 +55,7 @@ class LiveTwin:
         return len(self._running) - 1
 
     def settle(self, command: Annotated[Array, "A"]) -> None:
-        """Begin anew at rest, reached from 0 V on the virgin curve."""
+        """Begin anew at rest, reached from 0 V on the initial loading curve."""
         self._ahead = [simulator.reset(command) for simulator in self._running]
 
     def follow(self, commands: Annotated[Array, "N A"]) -> tuple[Array, Array]:

@@ -86,7 +86,7 @@ def _energy(residual: Array) -> float:
 
 
 def _no_gap_energy(prepared: Prepared) -> float:
-    """Energy up to which nothing is named, in noise energies: beside clean records that of the model's own error."""
+    """Energy up to which nothing is named, in noise energies: beside baseline records that of the model discrepancy."""
     weighted = prepared.problem.weight != 1.0
     return max(prepared.floor**2, prepared.leaves if weighted else 0.0)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Baseline of a diagnosis: clean records, on which a model's residual is its own error and not a gap.
+"""Baseline of a diagnosis: baseline records, on which a model's residual is its model discrepancy and not a gap.
 
 A clean record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
 time shift, the model's error on it is carried over sample by sample:
@@ -73,7 +73,7 @@ class Baseline:
     error_rows: Problem | None = None
 
     def error_energy(self, command: Annotated[Array, "N A"], sample_time: float) -> float:
-        """Predict the energy of the model's own error on a command."""
+        """Predict the energy of the model discrepancy on a command."""
         if self.learned is None:
             return float(np.sum(self.error**2))
         design, _ = without_zero(self.learned.features.rows(np.ascontiguousarray(command[:, 0]), sample_time))
@@ -82,7 +82,7 @@ class Baseline:
 
 
 def no_model(record: Record) -> Model:
-    """Make a placeholder for a missing model: its output is 0, so that the clean record alone is the prediction."""
+    """Make a placeholder for a missing model: its output is 0, so that the baseline record alone is the prediction."""
     command, measurement = record.signal("command"), record.signal("measurement")
     units = {"command": command.unit, "measurement": measurement.unit}
     sample_time = record.sample_time(("command", "measurement"))
@@ -90,7 +90,7 @@ def no_model(record: Record) -> Model:
 
 
 def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
-    """Measure what a model leaves on clean records, their zeros and drifts included."""
+    """Measure what a model leaves on baseline records, their zeros and drifts included."""
     found = []
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
@@ -105,7 +105,7 @@ def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
 
 
 def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) -> Baseline:
-    """Make the baseline of a problem from clean records."""
+    """Make the baseline of a problem from baseline records."""
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
     if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
         # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
@@ -130,7 +130,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
 
 
 def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: bool = False) -> Baseline:
-    """Make the baseline of a problem from the discrepancy that its model file states, instead of from clean records."""
+    """Make the baseline of a problem from the discrepancy that its model file states, instead of from baseline records."""
     found = _beside_own_error(problem, problem.model.discrepancy, None, settings)
     if not by_spectrum:
         return found
@@ -147,7 +147,7 @@ def _beside_own_error(
     errors: Sequence[Array] = (),
     everything: Sequence[Array] = (),
 ) -> Baseline:
-    """Make the baseline of a model whose own error is known from other commands, in the form that a model file has it.
+    """Make the baseline of a model whose model discrepancy is known from other commands, in the form that a model file has it.
 
     errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
     with the rows before, in which the time before the record shows.
@@ -197,7 +197,7 @@ def _beside_own_error(
 def _stated_spectrum(
     problem: Problem, documents: Sequence[Any], error: Array, with_learned: bool, settings: BaselineSettings
 ) -> ErrorSpectrum:
-    """The own error's spectrum on new records as the model's file states it, raised where their commands drive the model more."""
+    """The model discrepancy's spectrum on new records as the model's file states it, raised where their commands drive the model more."""
     stated = [StatedSpectrum.from_document(one) for one in documents]
     outputs = [without_zero(piece.counted(simulated_rows(problem, i, piece)))[0] for i, piece in enumerate(problem.pieces)]
     relative = settings.unseen * error / np.maximum([one.output_rms for one in stated], 1e-300)
@@ -300,7 +300,7 @@ def _first_counted(piece: Piece) -> int:
 
 
 def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
-    """The clean records from the row on at which their command has wiped out the time before, where new records count from there too.
+    """The baseline records from the row on at which their command has wiped out the time before, where new records count from there too.
 
     Until then a record shows the unknown memory of the time before it, which may be many times the model's own error. A new record
     that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
@@ -323,7 +323,7 @@ def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError,
 
 
 def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSettings) -> SessionZero:
-    """Zero of every record, free about the clean sessions' mean (A, 3), or about 0 where that is nearer: its zero may be taken off.
+    """Zero of every record, free about the baseline sessions' mean (A, 3), or about 0 where that is nearer: its zero may be taken off.
 
     It is as free as it lies off: a sensor's zero is arbitrary, and says nothing of an effect.
     """

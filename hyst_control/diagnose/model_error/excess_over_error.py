@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Excess of a residual over the model's own error, octave by octave.
+"""Excess of a residual over the model discrepancy, octave by octave.
 
 The spectrum of the own error is an upper envelope, and the error is one shape, not noise: what is left under it is no evidence, however
 many samples it has. Beyond it an octave counts as much as it exceeds it, and slower the further it does, for the envelope of an octave is
@@ -24,7 +24,7 @@ FIRST = 4
 
 
 def beyond_own_error(problem: Problem, residual: Annotated[Array, "M"]) -> float:
-    """Weigh what a residual has beyond the model's own error and the noise."""
+    """Weigh what a residual has beyond the model discrepancy and the noise."""
     found = 0.0
     for rows in problem.by_piece(residual):
         octave = np.maximum(np.floor(np.log2(np.arange(len(rows)) / FIRST + 1e-9)).astype(int) + 1, 0)

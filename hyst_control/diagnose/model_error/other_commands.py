@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Own error of a model on commands that no clean record has: its spectrum, and its predictable part."""
+"""Model discrepancy on commands that no baseline record has: its spectrum, and its predictable part."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ UNEXCITED = 1e-6
 
 
 def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:
-    """Estimate the spectrum of the model's own error for a record of other length."""
+    """Estimate the spectrum of the model discrepancy for a record of other length."""
     slowest = lowest_frequency(clean)
 
     def spectrum_of(series: Sequence[Array]) -> ErrorSpectrum:
@@ -45,7 +45,7 @@ def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], cle
 def on_new_ground(
     spectrum: ErrorSpectrum, problem: Problem, clean: Problem, error: Annotated[Array, "A"], settings: BaselineSettings
 ) -> ErrorSpectrum:
-    """Add to an own error's spectrum what the model may leave at frequencies that the new records' commands drive more."""
+    """Add to a model discrepancy's spectrum what the model may leave at frequencies that the new records' commands drive more."""
     count, slowest = len(spectrum.frequencies), lowest_frequency(clean)
     new = [without_zero(simulated_rows(problem, i, piece))[0] for i, piece in enumerate(problem.pieces)]
     known = [without_zero(simulated_rows(clean, i, piece))[0] for i, piece in enumerate(clean.pieces)]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records of the same command: clean ones that match a new one up to a shift, and the periods of a periodic command."""
+"""Records of the same command: baseline ones that match a new one up to a shift, and the periods of a periodic command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hyst_control.records.session_zero import without_zero
 
 @dataclass(frozen=True)
 class Match:
-    """Clean record with the same command: row k of the new record matches row k + shift of the clean one, for begin ≤ k < end."""
+    """Baseline record with the same command: row k of the new record matches row k + shift of the baseline one, for begin ≤ k < end."""
 
     clean: Piece
     shift: int
@@ -29,7 +29,7 @@ class Match:
 
 
 def matching(command: Annotated[Array, "N A"], clean: Sequence[Piece], same: float, overlap: float) -> list[Match]:
-    """Find the clean records that have the same command up to a shift."""
+    """Find the baseline records that have the same command up to a shift."""
     found = []
     for piece in clean:
         other = piece.command
@@ -57,7 +57,7 @@ def _shift(command: Array, other: Array, least: int) -> int:
 
 
 def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
-    """Put the command of a clean record in the place of one whose roughness the plant did not receive, where both are the same.
+    """Put the command of a baseline record in the place of one whose roughness the plant did not receive, where both are the same.
 
     What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
     """
@@ -77,7 +77,7 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
 
 
 def repeating_rows(command: Annotated[Array, "N A"], begin: int, end: int, settings: BaselineSettings) -> slice:
-    """Rows of a clean record that tell what its periods differ by.
+    """Rows of a baseline record that tell what its periods differ by.
 
     Where the rows that count hold a single period, the one before them in the warm-up is taken along. Memory and simulation may still
     settle there, by which the periods then differ more than sessions do.

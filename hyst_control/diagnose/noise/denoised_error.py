@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of a carried error: told by the quietest part of its spectrum, and taken off before the error is carried to another record."""
+"""Removal of the noise from a baseline residual, by the quietest part of its spectrum, before it is subtracted from another record."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that falls with frequency: flicker noise in a residual, told from what follows the command."""
+"""Noise that falls with frequency: flicker noise in a residual, separated from what follows the command."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def flicker(
 
 
 def _at_harmonics(k: NDArray[np.int_], command: Array) -> Mask:
-    """True for bins (K,) of the window's lines at the harmonics of a command that repeats: the model's own error is there.
+    """True for bins (K,) of the window's lines at the harmonics of a command that repeats: the model discrepancy is there.
 
     Where it repeats too seldom for bins in between, none is.
     """

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A vibration whose phase wanders: a hump in a residual's spectrum that has no waveform, told from what follows the command."""
+"""A vibration whose phase wanders: a hump in a residual's spectrum that has no waveform, separated from what follows the command."""
 
 from __future__ import annotations
 

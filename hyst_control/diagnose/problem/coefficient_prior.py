@@ -64,11 +64,11 @@ class Scatter:
 
     @property
     def companions(self) -> Array:
-        """1 for every companion among the coefficients, else 0; (K,)."""
+        """1 for every session effect among the coefficients, else 0; (K,)."""
         return np.array([float(coefficient.companion) for coefficient in self.coefficients])
 
     def size(self, coefficient: Coefficient) -> float:
-        """Size of a companion whose nuisance value is 1."""
+        """Size of a session effect whose nuisance value is 1."""
         return coefficient.tolerance * _find(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
 
     def at(self, z: Array) -> tuple[Stage, ...]:
@@ -149,7 +149,7 @@ def _columns(joint: Joint) -> tuple[Coefficient, ...]:
 
 
 def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
-    """Limit every tolerance to a physical size: what moves the output by as much as the model's own error, and `LARGEST` at most.
+    """Limit every tolerance to a physical size: what moves the output by as much as the model discrepancy, and `LARGEST` at most.
 
     A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
     independently, such coefficients make models that no clean record allows: on clean records the model is wrong by its own error.
@@ -175,7 +175,7 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
 
 
 def pinned(scatter: Scatter, clean: Problem) -> Scatter:
-    """Narrow coefficients that scatter together to what clean records allow.
+    """Narrow coefficients that scatter together to what baseline records allow.
 
     What a coefficient moves on a clean record by more than the model's own error there, it cannot have moved in the new one either.
     The nominal values stay: how far a model is off on clean records is its own error.

@@ -73,7 +73,7 @@ class SessionZero(TimedStage):
 
 
 class CarriedError(Stage):
-    """Known series that is added to each record: the model's error on a clean record of the same command.
+    """Known series that is added to each record: the model's error on a baseline record of the same command.
 
     It is data of one diagnosis and is never written to a model file.
     """

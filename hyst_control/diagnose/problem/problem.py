@@ -77,7 +77,7 @@ class Problem:
 
     @property
     def weight(self) -> float:
-        """Weight of a sample in a fit: 1 for white noise, less where the model's own error is larger, and slow.
+        """Weight of a sample in a fit: 1 for white noise, less where the model discrepancy is larger, and slow.
 
         The own error of e noise rms with n samples per independent one counts as white noise of the energy n (e² - 1) beside the
         noise itself, so that a fit is as certain as its independent samples allow.
@@ -86,7 +86,7 @@ class Problem:
 
     @property
     def own_energy(self) -> float:
-        """Energy of the model's own error in noise energies, without the noise that was in it: a record of more noise has it too.
+        """Energy of the model discrepancy in noise energies, without the noise that was in it: a record of more noise has it too.
 
         0 where the error is whitened by its spectrum together with the noise.
         """
@@ -98,12 +98,12 @@ class Problem:
 
     @property
     def weighs_own_error(self) -> bool:
-        """True where the model's own error, known from clean records, makes samples worth less."""
+        """True where the model discrepancy, known from baseline records, makes samples worth less."""
         return self.own_spectrum is not None or self.own_energy > 0.0
 
     @property
     def is_carried(self) -> bool:
-        """True where the model's own error is carried over from a clean record of the same command."""
+        """True where the model discrepancy is carried over from a baseline record of the same command."""
         return any(isinstance(stage, CarriedError) for stage in self.model.chain.stages)
 
     @property
@@ -144,7 +144,7 @@ class Problem:
         return self.in_noise(flat).reshape(-1, len(self.model.axes)) * self.sigma
 
     def whitened(self, flat: Array) -> Array:
-        """Make the model's own error and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
+        """Make the model discrepancy and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
         return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(self.by_piece(flat), self._gains, strict=True)])

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of the spectrum that clean records have too: mains hum has another phase in every session, and a difference of two shows it."""
+"""Lines of the spectrum that baseline records have too: mains hum has another phase in every session, and a difference of two shows it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def beyond_clean(
     sample_time: float,
     settings: CheckSettings,
 ) -> dict[str, list[float]]:
-    """Leave out lines that a clean record has nearly as large, whatever their phase."""
+    """Leave out lines that a baseline record has nearly as large, whatever their phase."""
 
     def is_new(frequency: float) -> bool:
         new = _amplitude(residual, frequency, sample_time)

@@ -29,7 +29,7 @@ MAX_LEVELS = 1e6
 def repeated_samples(
     values: Annotated[Array, "N"], step: float, sigma: float, settings: CheckSettings = CONFIGURATION.checks
 ) -> tuple[float, int]:
-    """Share of samples that repeat the one before exactly, beyond what a lattice explains."""
+    """Share of samples that repeat the one before exactly, beyond what a value grid explains."""
     if step > 0:
         # On a lattice neighbors coincide by chance: only where the signal moves by several steps a sample does a repeat say much.
         smooth = np.convolve(values, np.ones(settings.repeat_smoothing) / settings.repeat_smoothing, "same")

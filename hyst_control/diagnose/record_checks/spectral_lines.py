@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a residual: in its spectrum over time, and over the command, where the lattice of a rounded command has one.
+"""Lines of a residual: in its spectrum over time, and over the command, where the value grid of a rounded command has one.
 
 They measure no effect, but suggest where the fits of one begin: the mains, a vibration, the step of a converter.
 """
@@ -90,7 +90,7 @@ def command_lattice(
     response: Annotated[Array, "K"],
     settings: CheckSettings = CONFIGURATION.checks,
 ) -> list[float]:
-    """Steps of a lattice that the command may have been rounded to.
+    """Steps of a value grid that the command may have been rounded to.
 
     The error of rounding is periodic over the command: what the residual holds of it, by a filter matched to the plant's response, has
     as a function of the command a line at one over the step. Differences in time take off what is slow, as most other gaps are.
@@ -179,7 +179,7 @@ def covers_command(
     orders: int | None = None,
     settings: CheckSettings = CONFIGURATION.checks,
 ) -> bool:
-    """Tell whether a line that swells takes up what follows a command of one frequency, whose amplitude may change.
+    """True where a line that swells may be what follows a command of one frequency, whose amplitude may change.
 
     Amplitude and phase that change over the record move a line by as much as `reach`. What any effect does to a sine that fades away is
     such a line, at the command's frequency or at a harmonic.

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that fit nothing: repeated samples, the lattice of a converter, noise above what the model states, single samples that stand out.
+"""Checks that fit nothing: repeated samples, the value grid of a converter, excess noise, single samples that stand out.
 
 They find transport and noise effects nearly always, and come first: fitted candidates would absorb them. They measure; the policy
 says which of them found something.
@@ -33,7 +33,7 @@ def effect_found_by(check: RecordCheck) -> Effect | None:
 
 
 def lattice_of(values: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks) -> float:
-    """Step of the lattice that all values lie on."""
+    """Step of the value grid that all values lie on."""
     return quantization_step(
         values,
         fewest=settings.lattice_levels,
@@ -50,7 +50,7 @@ def record_evidence(
     settings: CheckSettings = CONFIGURATION.checks,
     noise_settings: NoiseSettings = CONFIGURATION.noise,
 ) -> tuple[RecordEvidence, ...]:
-    """Measure repeated samples and the lattice of a problem's records."""
+    """Measure repeated samples and the value grid of a problem's records."""
     lattice = effect_found_by(RecordCheck.VALUE_LATTICE)
     modelled = lattice is not None and any(stage.name == lattice.name for stage in problem.model.chain.stages)
     found = []
@@ -85,7 +85,7 @@ def held_at_one_value(seen: RecordEvidence) -> DistortionEvidence:
 
 
 def rounding(seen: RecordEvidence, axis: int) -> Finding:
-    """Finding of a lattice of values."""
+    """Finding of a value grid of values."""
     step = seen.step
     interval = (step * 0.999, step * 1.001)
     return Finding(RecordCheck.VALUE_LATTICE, axis, step, interval, float(step / np.sqrt(12.0)), float(seen.samples))

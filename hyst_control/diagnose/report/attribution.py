@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The effects that a diagnosis names, over all axes: values with intervals, probabilities, shrink and shares."""
+"""The effects that a diagnosis names, over all axes: values with intervals, probabilities, reduction and shares."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mappin
 
 
 def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings: AttributionSettings) -> dict[str, Value]:
-    """Parameter values of one effect with 90 % intervals, from draws of the fit's covariance: wider beside a model's own error."""
+    """Parameter values of one effect with 90 % intervals, from draws of the fit's covariance: wider beside the model discrepancy."""
     assert scored.candidate is not None
     member = scored.candidate.members[index]
     where = scored.candidate.slices()[index]
@@ -204,7 +204,7 @@ def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings:
 
 
 def _repetition(problem: Problem) -> float:
-    """Factor by which a record says less of an effect where the model's own error has a size and a correlation alone.
+    """Factor by which a record says less of an effect where the model discrepancy has a size and a correlation alone.
 
     That error may follow the command as the effect does, and what comes again tells nothing new: of the samples as many count as are
     independent of two signals of the command's autocorrelation. Where the spectrum of the error is known, its lines are in that.
@@ -216,7 +216,7 @@ def _repetition(problem: Problem) -> float:
 
 
 def _freedom(part: AxisDiagnosis, settings: AttributionSettings) -> float:
-    """Degrees of freedom of the own error's size: a line of the spectrum has two, a sine and a cosine, on every clean record."""
+    """Degrees of freedom of the model discrepancy's size: a line of the spectrum has two, a sine and a cosine, on every baseline record."""
     if not part.problem.weighs_own_error:
         return np.inf
     clean = part.baseline.clean if part.baseline is not None else None

@@ -84,7 +84,7 @@ def gap_report(
 
 
 def _beside_clean_records(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Clean records as they were used, and what differs from session to session."""
+    """Baseline records as they were used, and what differs from session to session."""
     unit, rows = diagnosis.model.units["measurement"], []
     for part in diagnosis.parts:
         left = part.evidence.hypotheses[part.decision.chosen].residual
@@ -128,7 +128,7 @@ def _finite(value: Any) -> Any:
 
 
 def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
-    """rms over all samples of all axes; nrmse over the range (HAMPI paper Eq. 26), in per cent, the mean over the axes."""
+    """rms over all samples of all axes; nrmse over the range (HAMPI paper Eq. 26), in percent, the mean over the axes."""
     energies, floors, relative = [], [], []
     for part in diagnosis.parts:
         rows = part.gap()

@@ -144,7 +144,7 @@ def _usual_zero(part: AxisDiagnosis, index: int, rows: int) -> Array:
 
 
 def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:
-    """Half interval (N, A) of a piece: noise, coefficients within their tolerance, and the model's own error."""
+    """Half interval (N, A) of a piece: noise, coefficients within their tolerance, and the model discrepancy."""
     problem, linearized = part.problem, part.linearized
     axes = len(problem.model.axes)
     own = np.zeros(axes) if problem.own_error is None else problem.own_error

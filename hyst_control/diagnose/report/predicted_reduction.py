@@ -32,7 +32,7 @@ class Foreseen:
 
     @property
     def shrink(self) -> float:
-        """1 - (after / before)²; 0 where no gap is foreseen."""
+        """1 - (after / before)²; 0 where no gap is predicted."""
         return float(np.clip(1.0 - (self.rms_after / self.rms_before) ** 2, -10.0, 1.0)) if self.rms_before > 0 else 0.0
 
     def document(self) -> dict[str, float]:
@@ -41,7 +41,7 @@ class Foreseen:
 
 
 def foresee(diagnosis: Diagnosis, command: Annotated[Array, "N A"]) -> Foreseen:
-    """Foresee the gap on a command that has not been played yet."""
+    """Predict the gap on a command that has not been played yet."""
     count = len(diagnosis.model.axes)
     if command.ndim != 2 or command.shape[1] != count or len(command) < 2 or not np.isfinite(command).all():
         raise InputError(f"command: must be finite rows of {count} axes, got shape {command.shape}")
@@ -60,7 +60,7 @@ def foresee(diagnosis: Diagnosis, command: Annotated[Array, "N A"]) -> Foreseen:
 
 
 def own_error_energy(part: AxisDiagnosis, command: Annotated[Array, "N A"]) -> float:
-    """Compute the energy that the model's own error adds to every gap on a command.
+    """Compute the energy that the model discrepancy adds to every gap on a command.
 
     It is what the model leaves on clean records: as learned on other commands, or carried over from the same one, or stated. Where
     the best explanation leaves more than that, beyond the noise, it is this remainder.

@@ -183,7 +183,7 @@ def stated_noise(model: Model) -> Annotated[Array, "A"]:
 
 
 def known_error(problem: Problem, stated: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
-    """Choose what a model is known to leave beside the whitened error: its stated noise, or its own error."""
+    """Choose what a model is known to leave beside the whitened error: its stated noise, or its model discrepancy."""
     if problem.own_spectrum is not None:
         return np.zeros_like(stated)  # fits have it in their weights
     return stated if problem.own_error is None else np.maximum(stated, problem.own_error)

@@ -140,7 +140,7 @@ def with_clean(
     baseline: Sequence[Record],
     without: Sequence[str] = (),
 ) -> tuple[Model, Problem, list[str], list[tuple[Problem, Baseline | None, bool]]]:
-    """Make the problems of records beside clean ones."""
+    """Make the problems of records beside baseline ones."""
     bare = model is None
     if model is None:
         if not baseline:
@@ -231,7 +231,7 @@ def problem_of(
 
 
 def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:
-    """Baseline from clean records, or else from the model file's discrepancy; None without either."""
+    """Baseline from baseline records, or else from the model file's discrepancy; None without either."""
     if clean is not None:
         return with_baseline(problem, clean, configuration.baseline)
     return with_discrepancy(problem, configuration.baseline) if problem.model.discrepancy else None
@@ -326,7 +326,7 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
 
 
 def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration: Configuration) -> bool:
-    """True where a line by itself gains as much beside the own error's spectrum as any claim has to beyond the null."""
+    """True where a line by itself gains as much beside the model discrepancy's spectrum as any claim has to beyond the null."""
     prepared = prepare(baseline.problem, baseline, without, configuration)
     candidates = [Candidate((member,)) for member in prepared.members(False) if member.is_line]
     nothing = fit(prepared.linearized).misfit

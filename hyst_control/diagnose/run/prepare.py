@@ -122,14 +122,14 @@ def prepare(
 
 
 def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
-    """The clean records' rows on which the model's own error was measured, with its spectrum."""
+    """The baseline records' rows on which the model discrepancy was measured, with its spectrum."""
     if baseline.error_rows is None or problem.own_spectrum is None:
         return None
     return replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise)
 
 
 def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
-    """Steps of the lattices that were found, by axis, measurement unit; 0 where there is none."""
+    """Steps of the value grids that were found, by axis, measurement unit; 0 where there is none."""
     found = {one.axis: one.value for one in findings if one.check is RecordCheck.VALUE_LATTICE}
     return tuple(found.get(axis, 0.0) for axis in range(len(problem.model.axes)))
 
@@ -137,7 +137,7 @@ def _steps(problem: Problem, findings: Sequence[Finding]) -> tuple[float, ...]:
 def _suggested(
     problem: Problem, linearized: Linearized, none: Solution, baseline: Baseline | None, configuration: Configuration
 ) -> dict[str, list[float]]:
-    """Lines in the spectrum of what the coefficients leave, beyond those of the clean records."""
+    """Lines in the spectrum of what the coefficients leave, beyond those of the baseline records."""
     found = lines(problem, linearized.unexplained(none.residual), configuration.checks)
     if baseline is None or baseline.clean is None:
         return found
@@ -151,7 +151,7 @@ def _counts(problem: Problem) -> list[int]:
 
 
 def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:
-    """The evidence on a record with what the clean records show of the same, which is normal."""
+    """The evidence on a record with what the baseline records show of the same, which is normal."""
     usual = record_evidence(clean, nominal_residuals(clean), configuration.checks, configuration.noise)
     return tuple(
         replace(

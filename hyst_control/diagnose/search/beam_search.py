@@ -66,7 +66,7 @@ class Found:
 
 
 def inflated(linearized: Linearized, factor: float) -> Linearized:
-    """The same columns with every tolerance multiplied; companions stay as they are."""
+    """The same columns with every tolerance multiplied; session effects stay as they are."""
     wide = copy(linearized)
     factors = np.where(linearized.scatter.companions > 0, 1.0, factor)
     wide.scatter = replace(

@@ -273,7 +273,7 @@ class Member:
 
     @cached_property
     def _line_size(self) -> float:
-        """Noises per unit of x: what the samples of a fit scatter by, which beside the model's own error is more than the noise."""
+        """Noises per unit of x: what the samples of a fit scatter by, which beside the model discrepancy is more than the noise."""
         return float(1.0 / np.sqrt(self.problem.weight))
 
     @cached_property

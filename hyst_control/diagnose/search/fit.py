@@ -123,13 +123,13 @@ class Linearized:
         return np.zeros_like(self.nominal)
 
     def explaining(self, residual: Array) -> Array:
-        """The coefficients z (K,) that the columns explain most of a residual (M,) by, shrunk by their prior."""
+        """The coefficients z (K,) that the columns explain most of a residual (M,) by, under their prior."""
         if not self.count:
             return np.zeros(0)
         return np.asarray(cho_solve(self.factor, self.problem.weight * (self.columns.T @ residual)), dtype=np.float64)
 
     def unexplained(self, vectors: Annotated[Array, "M"]) -> Array:
-        """Remove from vectors what the scattered coefficients explain, shrunk by their prior."""
+        """Remove from vectors what the scattered coefficients explain, under their prior."""
         if not self.count:
             return vectors
         explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
@@ -144,7 +144,7 @@ class Linearized:
         return np.asarray(products, dtype=np.float64)
 
     def companions(self, z: Array) -> Array:
-        """The companions' values of z (K,), the coefficients at the nominal ones."""
+        """The session effects' values of z (K,), the coefficients at the nominal ones."""
         return z * self.scatter.companions if self.count else z
 
     def simulate(self, z: Annotated[Array, "K"], unknowns: Unknowns | None = None, x: Array | None = None) -> Annotated[Array, "M"]:

@@ -122,7 +122,7 @@ def widens(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothe
 def shrink(
     before: Annotated[Array, "M"], after: Annotated[Array, "M"], seed: int, settings: ReductionSettings = CONFIGURATION.reduction
 ) -> tuple[float, tuple[float, float]]:
-    """Shrink and its interval by a moving-block bootstrap."""
+    """Reduction and its interval by a moving-block bootstrap."""
 
     def ratio(b: float, a: float) -> float:
         return float(np.clip(1.0 - (a - 1.0) / max(b - 1.0, 1e-12), -10.0, 1.0))
@@ -139,7 +139,7 @@ def shrink(
 
 
 def shares(linearized: Linearized, scored: FittedHypothesis) -> list[float]:
-    """Shapley shares of the effects of an explanation in what it takes off, coefficients as fitted."""
+    """Shapley shares of the effects of an explanation in its reduction, coefficients as fitted."""
     candidate, solution = scored.candidate, scored.solution
     assert candidate is not None
     count = len(candidate.members)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The own error of the model as an explanation passes it on: effects of the sensor act on the output of the machine, error included.
+"""The model discrepancy as an explanation passes it on: effects of the sensor act on the output of the machine, error included.
 
 A sensor whose gain is half as much again shows the model's error half as large again, and a bend enlarges it where the curve is steep.
 What the right effect of the right size leaves is therefore the model's error as the effect passes it on, and a share of the gap at

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that clean records show as well: parts that the model never had, and nothing that has changed.
+"""Effects that baseline records show as well: parts that the model never had, and nothing that has changed.
 
 Beside clean records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the
 clean records too, with the very parameters that the new record asks for, was there before: a further mode that the identification
@@ -22,10 +22,10 @@ from hyst_control.records.session_zero import without_zero
 
 
 class CleanRecords:
-    """Clean records of other commands, with what the coefficients of the nominal model can move on them."""
+    """Baseline records of other commands, with what the coefficients of the nominal model can move on them."""
 
     def __init__(self, problem: Problem) -> None:
-        """Simulate the coefficients' columns; problem: with the noise and the spectrum of the model's own error."""
+        """Simulate the coefficients' columns; problem: with the noise and the spectrum of the model discrepancy."""
         self.problem = problem
         self.linearized = Linearized(problem, scatter_of(problem.model))
         columns = np.empty_like(self.linearized.columns)
@@ -35,7 +35,7 @@ class CleanRecords:
         self.nominal = self._misfit(self.linearized.nominal)
 
     def show(self, scored: FittedHypothesis, least: float) -> frozenset[str]:
-        """Find the effects of an explanation that the clean records ask for, too."""
+        """Find the effects of an explanation that the baseline records ask for, too."""
         assert scored.candidate is not None, "no effect"
         stages, found = self.problem.model.chain.stages, set()
         for member, part in zip(scored.candidate.members, scored.candidate.slices(), strict=True):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Consistency of records under their common model, by which records of two plants are told apart.
+"""Consistency of records under their common model, by which records of two plants are separated.
 
 What a model makes of a command holds the plant's hysteresis and dynamics; what is left of the way from there to the measurement is a
 frequency response near 1. A lack of the model's structure shows in all records alike where they drive alike. Records of two plants pull

@@ -132,7 +132,7 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
 
 
 def virgin_rows(command: Array) -> int:
-    """Rows (N,) of a command before it has met both its ends: there an actuator is on its virgin curve, if it was at rest before.
+    """Rows (N,) of a command before it has met both its ends: there an actuator is on its initial loading curve, if it was at rest before.
 
     0 where less than half of the motion would be left.
     """

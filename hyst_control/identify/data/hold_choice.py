@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hold of a record that states none: do its rows answer the command of the row before or their own (told on held-out rows).
+"""Hold of a record that states none: do its rows answer the command of the row before or their own (decided on held-out rows).
 
 A DAC holds its command, so a sample cannot answer the command that is set at its own instant (`zoh`). Rows of pairs (voltage set,
 position after settling) do, and so do samples of a smooth source (`foh`). Play operators with free weights tell, on rows held out.

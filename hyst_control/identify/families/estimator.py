@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from hyst_control.base import plugins
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import shown
 from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.identify.families.options import Option, Options, declared
 
@@ -226,14 +227,12 @@ def described(options: Mapping[str, Option]) -> str:
     defaults: dict[str, list[str]] = {}
     for family, each in options.items():
         if each.default is not None:
-            defaults.setdefault(str(each.default).lower() if isinstance(each.default, bool) else str(each.default), []).append(
-                family
-            )
+            defaults.setdefault(shown(each.default), []).append(family)
     if len(defaults) > 1:
         words = [f"default {value} for {', '.join(families)}" for value, families in defaults.items()]
     else:
         words = [*([f"default {value}" for value in defaults] or ["chosen unless given"]), f"of {', '.join(options)}"]
-    return f"{option.meaning}: {option.requirement()} ({'; '.join(words)})"
+    return f"{option.meaning}: {option.requirement} ({'; '.join(words)})"
 
 
 def estimator_of(family: str) -> Estimator[Any]:

@@ -92,7 +92,7 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
 
 
 def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
-    """Records of one axis, counted from the end of its virgin curve, which Madelung's rules do not describe.
+    """Records of one axis, counted from the end of its initial loading curve, which Madelung's rules do not describe.
 
     On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
     curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.

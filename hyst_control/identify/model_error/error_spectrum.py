@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Spectrum of a model's own error: how large it is at each frequency, and the filter that makes it white.
+"""Spectrum of the model discrepancy: how large it is at each frequency, and the filter that makes it white.
 
 A model's error on clean records is hardly ever white: creep and memory are slow, a gain that is a little off stands at the command's own
 frequencies. A single number for its size hides what is fast beside what is slow. Residuals are therefore multiplied, in the discrete
@@ -43,7 +43,7 @@ MEDIAN = 0.4549
 
 @dataclass(frozen=True, eq=False)
 class ErrorSpectrum:
-    """Power density of a model's own error beyond the white noise."""
+    """Power density of the model discrepancy beyond the white noise."""
 
     frequencies: Annotated[Array, "F"]  # Ascending, Hz
     power: Annotated[Array, "F A"]  # Expected square of an orthonormal cosine coefficient, measurement unit squared
@@ -52,7 +52,7 @@ class ErrorSpectrum:
 
     @classmethod
     def of(cls, errors: Sequence[Array], sample_time: float, rows: int, slowest: float, factor: float = 1.0) -> ErrorSpectrum:
-        """Estimate the spectrum from errors on clean records."""
+        """Estimate the spectrum from errors on baseline records."""
         nyquist = 0.5 / sample_time
         frequencies = nyquist * np.arange(rows) / rows
         power, noise = np.zeros((rows, errors[0].shape[1])), np.zeros(errors[0].shape[1])
@@ -76,7 +76,7 @@ class ErrorSpectrum:
         return ErrorSpectrum(self.frequencies, np.where(slow, lower, self.power), self.noise)
 
     def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Annotated[Array, "A"]) -> ErrorSpectrum:
-        """Foresee the error on new records, whose commands drive some frequencies more than those of the clean ones did.
+        """Predict the error on new records, whose commands drive some frequencies more than those of the baseline ones did.
 
         A model that leaves a share of its output at a frequency leaves that share of more output too; where the clean records' commands
         drive next to nothing, they say nothing of the model, and its error is taken to be the usual share of its output.
@@ -87,11 +87,11 @@ class ErrorSpectrum:
         return ErrorSpectrum(self.frequencies, np.maximum(self.power, np.maximum(foreseen, beyond)), self.noise)
 
     def rms(self, sigma: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
-        """Size of own error and noise together."""
+        """Size of model discrepancy and noise together."""
         return np.asarray(np.sqrt(np.mean(self.power, axis=0) + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)
 
     def gain(self, rows: int, sigma: Annotated[Array, "A"], sample_time: float) -> Annotated[Array, "N A"]:
-        """Factors of the cosine coefficients that make own error and noise white."""
+        """Factors of the cosine coefficients that make model discrepancy and noise white."""
         at = 0.5 / sample_time * np.arange(rows) / rows
         power = np.stack([np.interp(at, self.frequencies, column) for column in self.power.T], axis=1)
         return np.asarray(sigma / np.sqrt(power + np.maximum(sigma, self.noise) ** 2), dtype=np.float64)

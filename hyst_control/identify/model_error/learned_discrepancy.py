@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Learned discrepancy: what a model leaves on clean records, as a function of the command.
+"""Learned discrepancy: what a model leaves on baseline records, as a function of the command.
 
 The error e of one axis, each record's own zero and drift taken off, is regressed on features Φ of the command,
 
@@ -104,7 +104,7 @@ class _Sums:
 
 
 def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> LearnedDiscrepancy | None:
-    """Learn what a model leaves on clean records of one axis."""
+    """Learn what a model leaves on baseline records of one axis."""
     groups = _groups(commands, sample_time)
     if len(groups) < 2:
         return None  # records of one command do not tell what holds on another
@@ -141,7 +141,7 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
 def discrepancy_of(
     commands: Sequence[Array], errors: Sequence[Array], sample_time: float, measurements: Sequence[Array] | None = None
 ) -> dict[str, Any]:
-    """Describe a model's errors on clean records, in the form of a model file."""
+    """Describe a model's errors on baseline records, in the form of a model file."""
     rest = [without_zero(error)[0] for error in errors]
     learned = [
         learn([command[:, axis] for command in commands], [error[:, axis] for error in errors], sample_time)
@@ -182,7 +182,7 @@ def _spectrum(
 
 
 def session_zeros(errors: Sequence[Array]) -> dict[str, Any]:
-    """Describe the zeros of clean sessions, in the form of a model file."""
+    """Describe the zeros of baseline sessions, in the form of a model file."""
     zeros = np.array([without_zero(error)[1] for error in errors])
     found: dict[str, Any] = {"zero_mean": np.mean(zeros, axis=0).tolist()}
     return found | ({"zero": usual_zero(zeros).tolist()} if len(zeros) > 1 else {})

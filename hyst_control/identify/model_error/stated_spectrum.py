@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Spectrum of a model's own error as its file states it: in bands, beside the spectrum of the output that it belongs to.
+"""Spectrum of the model discrepancy as its file states it: in bands, beside the spectrum of the output that it belongs to.
 
 The error and the output of the model on the clean records are each reduced to the largest power in bands of a sixth of an octave. A
 reader makes from them what the clean records themselves would have told: how large the error is at each frequency, and how far a new
@@ -32,7 +32,7 @@ DIGITS = 3
 
 @dataclass(frozen=True, eq=False)
 class StatedSpectrum:
-    """Spectrum of the own error of one axis."""
+    """Spectrum of the model discrepancy of one axis."""
 
     frequencies: Annotated[Array, "F"]  # Lower edges of the bands, ascending from 0, Hz
     # Largest power of the error in each band, beyond the white noise: square of an orthonormal cosine coefficient of a record of
@@ -53,7 +53,7 @@ class StatedSpectrum:
         measurements: Sequence[Array],
         sample_time: float,
     ) -> StatedSpectrum:
-        """Estimate the spectrum from clean records."""
+        """Estimate the spectrum from baseline records."""
         kept = [_parts(len(error)) for error in errors]
         counted = [command[len(command) - len(error) :] for command, error in zip(commands, errors, strict=True)]
         slowest = lowest_frequency(_cut(counted, kept), sample_time)
@@ -125,7 +125,7 @@ def spectrum_on_new_records(
     relative: Annotated[Array, "A"],
     with_learned: bool,
 ) -> ErrorSpectrum:
-    """Foresee the spectrum of the own error on new records."""
+    """Predict the spectrum of the model discrepancy on new records."""
     rows = max(map(len, outputs))
     frequencies = 0.5 / sample_time * np.arange(rows) / rows
     bands = [np.searchsorted(one.frequencies, frequencies, side="right") - 1 for one in stated]

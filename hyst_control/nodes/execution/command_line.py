@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import shown
 from hyst_control.nodes.signal_node.parameters import Setting, nearest
 
 WIDTH = 100
@@ -58,29 +59,10 @@ def check_rest(program: str, rest: Sequence[str]) -> None:
 def _listed(settings: Iterable[Setting]) -> str:
     lines = []
     for setting in settings:
-        values = allowed(setting).replace("`", "").replace("…", "to")
-        facts = [setting.unit, values, f"default {_shown(setting.default)}", liveness(setting).replace("`", "")]
+        facts = [setting.unit, setting.values, f"default {shown(setting.default) or 'none'}", liveness(setting).replace("`", "")]
         lines.append(f"  {setting.name}  [{'; '.join(fact for fact in facts if fact)}]")
-        lines += textwrap.wrap(setting.text, WIDTH, initial_indent="      ", subsequent_indent="      ")
+        lines += textwrap.wrap(setting.meaning, WIDTH, initial_indent="      ", subsequent_indent="      ")
     return "\n".join(lines)
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(_shown(item) for item in value)}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else repr(value) if isinstance(value, str) else str(value)
-
-
-def allowed(setting: Setting) -> str:
-    """Range or choices of a setting in words, such as "0 … 99"; "" if every value of its type is allowed."""
-    if setting.choices:
-        return ", ".join(f"`{choice}`" for choice in setting.choices)
-    if setting.lower is None and setting.upper is None:
-        return ""
-    lower, upper = ("any" if limit is None else f"{limit:g}" for limit in (setting.lower, setting.upper))
-    return f"{lower} … {upper}"
 
 
 def liveness(setting: Setting) -> str:

@@ -73,7 +73,7 @@ class Actuator:
         return voltage
 
     def wanted(self, tick: int, allowed: bool = True) -> Array:
-        """Voltage (A,) to be written in a `tick`, V, the way to the safe value unless `allowed`; the watchdog is to be told once it is."""
+        """Voltage (A,) to be written in a `tick`, V, the way to the safe value unless `allowed`; inform the watchdog once it is."""
         rows, node = self.command.rows, self.node
         command = rows.newest(tick)
         trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.timer.longest_age

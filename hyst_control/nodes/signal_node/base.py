@@ -106,7 +106,7 @@ class SignalNode(EndingNode):
 
     @property
     def working(self) -> bool:
-        """False while the node was told to stop."""
+        """False once the node has been asked to stop."""
         return self.enabled
 
     def trouble(self) -> str:

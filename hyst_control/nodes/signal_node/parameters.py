@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node parameters as data: name, default, unit, meaning and range in one place, from which they are declared and checked."""
+"""Node parameters: declared to ROS and checked from their declaration as `Quantity`, at the start and live."""
 
 from __future__ import annotations
 
@@ -16,22 +16,16 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import Quantity
 
 MIDDLEWARE = "qos_overrides."
 """Beginning of parameters that belong to a publisher or subscription."""
 
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(Quantity):
     """One parameter of a node. Its type is that of the default; an integer is accepted for a real number and converted."""
 
-    name: str
-    default: Any
-    unit: str  # "" for texts and truth values
-    text: str  # meaning
-    lower: float | None = None  # of the value, or of each value of a list
-    upper: float | None = None
-    choices: tuple[str, ...] = ()  # allowed values; empty for all
     live: bool = False  # may be changed while the node runs; otherwise it is read once at the start
     # "higher" or "lower": the direction in which the value protects less. A live change may go that way as far as the value at the
     # start, or as `max_NAME` (`min_NAME`) given at the start; "" where neither direction does
@@ -45,14 +39,17 @@ class Setting:
 
     def bound(self, value: Any) -> Setting:
         """Parameter that bounds live changes; by default the `value` at the start."""
-        return replace(self, name=self.bound_name, default=value, text=f"widest {self.name} of a live change", live=False, wider="")
+        return replace(
+            self, name=self.bound_name, default=value, meaning=f"widest {self.name} of a live change", live=False, wider=""
+        )
 
     def refuse_wider(self, value: Any, bound: Any) -> None:
         """Raise `InputError` when a value protects less than the bound does."""
         if self._width(value) > self._width(bound):
+            widest = f"{bound:g} {self.unit}".rstrip()
             raise InputError(
-                f"{self.name}: a live change may not widen it beyond {bound:g}{self._unit()}, got {value:g}: restart the node, with "
-                f"{self.bound_name} for live changes"
+                f"{self.name}: a live change may not widen it beyond {widest}, got {value:g}: restart the node, with {self.bound_name} "
+                "for live changes"
             )
 
     def _width(self, value: Any) -> float:
@@ -60,49 +57,22 @@ class Setting:
             return math.inf
         return float(value if self.wider == "higher" else -value)
 
-    def convert(self, value: Any) -> Any:
-        """Convert a value to the type of the default."""
-        if isinstance(self.default, tuple):
-            if isinstance(value, (str, bytes)) or not hasattr(value, "__iter__"):
-                raise InputError(f"{self.name}: must be a list, got {value!r}")
-            return tuple(self._scalar(item, type(self.default[0])) for item in value)
-        return self._scalar(value, type(self.default))
-
-    def _scalar(self, value: Any, kind: type) -> Any:
-        """Convert one value to this type."""
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        given: type = type(value)
-        if given is not kind:  # a boolean is not accepted for an integer
-            names = {float: "a number", int: "an integer", bool: "true or false", str: "a text"}
-            raise InputError(f"{self.name}: must be {names[kind]}{self._unit()}, got {value!r}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"{self.name}: must be a finite number{self._unit()}, got {value!r}")
-        if self.lower is not None and value < self.lower or self.upper is not None and value > self.upper:
-            lower, upper = (f"{limit:g}" if limit is not None else "any" for limit in (self.lower, self.upper))
-            raise InputError(f"{self.name}: must be {lower} to {upper}{self._unit()}, got {value!r}")
-        if self.choices and value not in self.choices:
-            raise InputError(f"{self.name}: must be one of {', '.join(self.choices)}, got {value!r}")
-        return value
-
     def descriptor(self) -> ParameterDescriptor:
         """ROS descriptor; dynamically typed, so that an integer given for a real number reaches `convert`."""
         choices = f", one of {', '.join(self.choices)}" if self.choices else ""
         descriptor = ParameterDescriptor(
-            description=f"{self.text}{choices}{self._unit()}", dynamic_typing=True, read_only=not self.live
+            description=f"{self.meaning}{choices}{f' [{self.unit}]' if self.unit else ''}",
+            dynamic_typing=True,
+            read_only=not self.live,
         )
-        if self.lower is not None or self.upper is not None:
-            lower = -1e300 if self.lower is None else self.lower
-            upper = 1e300 if self.upper is None else self.upper
+        if self.bounds:
+            lower, upper = max(self.lower, -1e300), min(self.upper, 1e300)
             kind = type(self.default[0]) if isinstance(self.default, tuple) else type(self.default)
             if kind is float:
                 descriptor.floating_point_range = [FloatingPointRange(from_value=float(lower), to_value=float(upper))]
             elif kind is int:
                 descriptor.integer_range = [IntegerRange(from_value=int(max(lower, -(2**62))), to_value=int(min(upper, 2**62)))]
         return descriptor
-
-    def _unit(self) -> str:
-        return f" [{self.unit}]" if self.unit else ""
 
 
 def declare(
@@ -126,7 +96,7 @@ def declare(
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
         try:
-            new = {each.name: table[each.name].convert(each.value) for each in parameters if each.name in table}
+            new = {each.name: table[each.name].checked(each.value) for each in parameters if each.name in table}
             for name in bounds.keys() & new.keys():
                 table[name].refuse_wider(new[name], bounds[name])
             if new:
@@ -136,7 +106,7 @@ def declare(
         return SetParametersResult(successful=True)
 
     def apply(parameters: list[Parameter]) -> None:
-        new = {each.name: table[each.name].convert(each.value) for each in parameters if each.name in table}
+        new = {each.name: table[each.name].checked(each.value) for each in parameters if each.name in table}
         vars(values).update(new)  # all of them first, as one may depend on another
         for name, value in new.items():
             changed(name, value)
@@ -150,7 +120,7 @@ def _declared(node: Node, setting: Setting) -> Any:
     """Value of a setting after its declaration."""
     default = list(setting.default) if isinstance(setting.default, tuple) else setting.default
     try:
-        return setting.convert(node.declare_parameter(setting.name, default, setting.descriptor()).value)
+        return setting.checked(node.declare_parameter(setting.name, default, setting.descriptor()).value)
     except InputError as error:
         raise InputError(f"{node.get_name()}: parameter {error}") from None
     except Exception as error:

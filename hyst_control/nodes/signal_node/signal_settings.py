@@ -41,7 +41,7 @@ class SignalSetting(Setting):
         descriptor.floating_point_range = [FloatingPointRange(from_value=-LARGEST_VALUE, to_value=LARGEST_VALUE)]
         return descriptor
 
-    def convert(self, value: Any) -> Any:
+    def checked(self, value: Any) -> Any:
         """Check a value."""
         if value == NOT_GIVEN:
             return NOT_GIVEN

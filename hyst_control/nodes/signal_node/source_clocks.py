@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of the sources a node hears, held against its own: rows that are ticks of another clock are told while they come."""
+"""Clocks of the sources a node hears, held against its own: rows that are ticks of another clock are found while they come."""
 
 from __future__ import annotations
 
