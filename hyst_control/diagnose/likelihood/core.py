@@ -12,7 +12,7 @@ from hyst_control.diagnose.decide.record_findings import findings, flicker_found
 from hyst_control.diagnose.evidence import CompanionEvidence, Evidence
 from hyst_control.diagnose.likelihood.conditional import conditioned
 from hyst_control.diagnose.likelihood.decide import Judgement, judge
-from hyst_control.diagnose.likelihood.fits import fits_of
+from hyst_control.diagnose.likelihood.fits import Fits, fits_of
 from hyst_control.diagnose.likelihood.hypotheses import FLICKER, PRIORS, Kind, Priors, Weighed, weigh
 from hyst_control.diagnose.model_error.baseline import Baseline, with_discrepancy
 from hyst_control.diagnose.problem.problem import Problem
@@ -49,10 +49,7 @@ def by_likelihood(
     """Diagnose one problem by one likelihood of all hypotheses."""
     baseline = _with_spectrum(problem, baseline, configuration)
     prepared = prepare(problem, baseline, without, configuration, progress)
-    members = prepared.members(sensor_side)
-    found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, configuration)
-    fits = fits_of(found, priors.kept, priors.freedom)
-    weighed = weigh(fits, priors)
+    found, fits, weighed = searched(prepared, sensor_side, progress, configuration, priors)
     if FLICKER in prepared.without:
         weighed = tuple(one for one in weighed if not one.flicker)
     judged = judge(weighed, fits, prepared.floor, priors.level)
@@ -60,6 +57,21 @@ def by_likelihood(
     evidence = _with_scores(collected.evidence, weighed)
     decision, evidence = _decision(judged, evidence, collected.hypotheses, prepared, baseline, found, configuration)
     return Judged(found.linearized.problem, found.linearized, found, collected.hypotheses, evidence, decision, baseline, weighed)
+
+
+def searched(
+    prepared: Prepared, sensor_side: bool, progress: Callable[[str], None], configuration: Configuration, priors: Priors
+) -> tuple[Found, Fits, tuple[Weighed, ...]]:
+    """Fit and weigh single effects, and combinations where something else may be more than any of these."""
+    members = prepared.members(sensor_side)
+    alone = replace(configuration, search=replace(configuration.search, depth=1, depth_with_own_error=1))
+    for settings in (alone, configuration):
+        found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings)
+        fits = fits_of(found, priors.kept, priors.freedom)
+        weighed = weigh(fits, priors)
+        if sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE) < priors.combined:
+            break
+    return found, fits, weighed
 
 
 def _with_spectrum(problem: Problem, baseline: Baseline | None, configuration: Configuration) -> Baseline | None:

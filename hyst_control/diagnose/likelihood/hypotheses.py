@@ -73,6 +73,7 @@ class Priors:
     flicker_sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # Its power at the top in that of the white noise
     temperature: float = 1.0  # Factor of the log evidences
     level: float = 0.9  # Probability of the set of explanations that is named
+    combined: float = 0.01  # Probability of something else from which combinations of effects are tried
     followed: float = 8.0  # Gain from which a search adds further effects, nats
     kept: int = 14  # Single effects, and combinations, that are weighed: those that come closest
     freedom: float = 4.0  # Degrees of freedom of the discrepancy's scale in an octave
