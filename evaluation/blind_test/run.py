@@ -32,6 +32,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_json
 from hyst_control.base.parallel import Workers, map_spawned, outcomes
 from hyst_control.diagnose.report.predicted_reduction import foresee
+from hyst_control.diagnose.run.diagnosis import RULES
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import load_model, save_model
@@ -53,8 +54,8 @@ CONFUSABLE = {
 
 MADE: dict[str, Callable[[Case], Made]] = {"simulated": simulated.made, "injected": injected.made, "withheld": withheld.made}
 
-Job = tuple[str, str, tuple[str, ...]]
-"""Folder of a case, its report, and the effects that are left out of the catalogue."""
+Job = tuple[str, str, tuple[str, ...], str]
+"""Folder of a case, its report, the effects that are left out of the catalogue, and the core of the diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Batch:
     options: Mapping[str, Any] = field(default_factory=dict)  # Of the drawing
     role: str = ""  # "without_gap" of further cases, which only the rows of false alarms count
     left_out: int = 0  # Cases with one effect that are diagnosed again without it in the catalogue
+    core: str = RULES  # Core of the diagnosis
 
     @property
     def labels(self) -> Path:
@@ -197,11 +199,12 @@ def _jobs(batch: Batch, absolute: bool) -> list[Job]:
         (folder / name).mkdir(exist_ok=True)
     for case in batch.cases():
         place, file = str(folder / "cases" / case.name), f"{case.name}.json"
-        jobs.append((place, str(folder / "reports" / file), ()))
+        jobs.append((place, str(folder / "reports" / file), (), batch.core))
         name = (case.answer.names or ("",))[0]
         if left_out and case.answer.kind == "single" and case.excitation == "rich" and EFFECTS[name].waveform:
             left_out -= 1
-            jobs.append((place, str(folder / "reports_left_out" / file), (name, *CONFUSABLE.get(name, ()))))
+            hidden = (name, *CONFUSABLE.get(name, ()))
+            jobs.append((place, str(folder / "reports_left_out" / file), hidden, batch.core))
     return [job for job in jobs if not Path(job[1]).exists()]
 
 
@@ -231,7 +234,7 @@ def _diagnose_one(job: Job) -> str:
     try:
         clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
         record, model = read_bag(place / "bag"), load_model(place / "model.yaml")
-        document, diagnosis, better = diagnosed([record], model, without=job[2], warm_up=warm_up, baseline=clean)
+        document, diagnosis, better = diagnosed([record], model, without=job[2], warm_up=warm_up, baseline=clean, core=job[3])
     except Exception as error:  # a fault of the diagnosis costs this case: no name, which every score counts as wrong
         text = f"{type(error).__name__}: {error}"
         document = {"verdict": ERROR, "error": text, "effects": [], "candidates": [], "unexplained_share": None}

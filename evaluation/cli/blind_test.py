@@ -90,6 +90,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
     )
+    parser.add_argument(
+        "--core", choices=("rules", "likelihood"), default="rules", help="core of the diagnosis that is tested (default rules)"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="with --seed: worker processes (default: one a core)")
     parser.add_argument(
         "--cluster",
@@ -101,6 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Table:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from dataclasses import replace
     from pathlib import Path
 
     from evaluation.blind_test.run import Batch
@@ -133,8 +137,10 @@ def run(arguments: argparse.Namespace) -> Table:
             quiet = {"kinds": ("none",)}
             batches.append(Batch("simulated", folder / "without_gap", seed, arguments.without_gap, quiet, "without_gap"))
             said.append(f"--without-gap {arguments.without_gap}")
+    if arguments.core != "rules":
+        said.append(f"--core {arguments.core}")
     return run_all(
-        batches,
+        [replace(batch, core=arguments.core) for batch in batches],
         " ".join(["blind-test", *filter(None, said)]),
         arguments.page,
         so_far=arguments.so_far,

@@ -42,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="where no known effect explains the gap, add to that model what is left, as far as it follows the command",
     )
+    parser.add_argument(
+        "--core",
+        choices=("rules", "likelihood"),
+        default="rules",
+        help="core that weighs the hypotheses: the tuned rules, or one likelihood of all of them (default rules)",
+    )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
     parser.add_argument(
         "--on",
@@ -87,6 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
         on=arguments.on,
         baseline=arguments.baseline,
         learned_residual=arguments.learned_residual,
+        core=arguments.core,
     )
     progress.end()
     print(text)

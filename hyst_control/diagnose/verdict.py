@@ -56,6 +56,9 @@ class Reason(str, Enum):
     DISTORTION_BRANCH = "distortion_branch"
     """Unknown: it would have to change with the direction of the command."""
 
+    SOMETHING_ELSE = "something_else"
+    """Unknown: by the likelihood of all hypotheses, something that none of them is, is more probable than all of them."""
+
     SEVERAL_EXPLANATIONS = "several_explanations"
     """Ambiguous: more than one explanation is probable."""
 

@@ -21,7 +21,7 @@ from hyst_control.diagnose.report.document import gap_report, in_words
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import Diagnosis, diagnose
+from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_files import bags_in
@@ -89,6 +89,7 @@ def diagnose_bags(
     on: str | None = None,
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
+    core: str = RULES,
 ) -> str:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
@@ -111,6 +112,7 @@ def diagnose_bags(
         progress=progress,
         warm_up=warm_up,
         learned_residual=learned_residual,
+        core=core,
         coming=None if on is None else (str(on), _command(on, namespace, unit)),
     )
     written = [augmented] if augmented is not None and gap.better is not None else []
@@ -164,10 +166,11 @@ def diagnosed(
     warm_up: float = 0.0,
     baseline: Sequence[Record] = (),
     learned_residual: bool = False,
+    core: str = RULES,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """Diagnose records, with the report."""
     tell = step if progress else (lambda text: None)
-    diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline)
+    diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
     better = augmented_model(diagnosis) if attribution.effects and model is not None else None

@@ -158,7 +158,7 @@ class Problem:
 
     def by_piece(self, flat: Array) -> list[Array]:
         """Cut a flat vector (M,) into the rows (N, A) of each record."""
-        return np.split(flat.reshape(-1, len(self.model.axes)), self._edges)
+        return np.split(flat.reshape(-1, len(self.model.axes)), self.edges)
 
     @cached_property
     def _links(self) -> list[KnownLinks]:
@@ -166,18 +166,18 @@ class Problem:
         return [KnownLinks(piece.command, MAX_BYTES // len(self.pieces)) for piece in self.pieces]
 
     @cached_property
-    def _counts(self) -> list[int]:
+    def counts(self) -> list[int]:
         """Rows that count, by piece."""
         return [len(piece.command) if piece.keep is None else int(np.count_nonzero(piece.keep)) for piece in self.pieces]
 
     @cached_property
-    def _edges(self) -> Array:
-        return np.cumsum(self._counts)[:-1]
+    def edges(self) -> Array:
+        return np.cumsum(self.counts)[:-1]
 
     @cached_property
     def _gains(self) -> list[Array]:
         assert self.own_spectrum is not None
-        return [self.own_spectrum.gain(count, self.sigma, self.sample_time) for count in self._counts]
+        return [self.own_spectrum.gain(count, self.sigma, self.sample_time) for count in self.counts]
 
     @cached_property
     def surroundings(self) -> Surroundings:

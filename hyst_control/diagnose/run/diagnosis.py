@@ -19,6 +19,7 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.policy import contenders, decide
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
+from hyst_control.diagnose.likelihood.core import by_likelihood
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
@@ -45,6 +46,8 @@ from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
+RULES, LIKELIHOOD = "rules", "likelihood"
+"""Cores that weigh hypotheses."""
 VETOES = 6
 """Explanations in turn that are dropped: clean records ask for them too, they widen the gap as given, or they leave more than no effect
 does on blocks that they were not fitted to."""
@@ -108,8 +111,10 @@ def diagnose(
     warm_up: float = 0.0,
     configuration: Configuration = CONFIGURATION,
     baseline: Sequence[Record] = (),
+    core: str = RULES,
 ) -> Diagnosis:
     """Diagnose records against a model."""
+    # core: "rules" or "likelihood", which of the two cores weighs the hypotheses
     # model: nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are
     # tried
     model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
@@ -117,6 +122,22 @@ def diagnose(
     axis = 0
     for part, known, bare in beside:
         axes = tuple(range(axis, axis + len(part.model.axes)))
+        if core == LIKELIHOOD:
+            judged = by_likelihood(part, known, bare, without, progress, configuration)
+            parts.append(
+                AxisDiagnosis(
+                    axes,
+                    judged.problem,
+                    judged.linearized,
+                    judged.found,
+                    judged.hypotheses,
+                    judged.evidence,
+                    judged.decision,
+                    judged.baseline,
+                )
+            )
+            axis += len(axes)
+            continue
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)

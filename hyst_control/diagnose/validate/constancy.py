@@ -43,7 +43,7 @@ def distortions(linearized: Linearized, scored: FittedHypothesis, temper: float)
         return ()  # next to these values the chain cannot be simulated
     weight = temper * problem.weight
     gram = known.T @ known + np.eye(known.shape[1]) / weight
-    variables = _variables(linearized)
+    variables = variables_of(linearized)
 
     def projected(vector: Array) -> Array:
         return np.asarray(vector - known @ np.linalg.solve(gram, known.T @ vector), dtype=np.float64)
@@ -104,7 +104,7 @@ def _known(linearized: Linearized, scored: FittedHypothesis, simulated: Array) -
     return np.hstack(columns)
 
 
-def _variables(linearized: Linearized) -> dict[str, Array]:
+def variables_of(linearized: Linearized) -> dict[str, Array]:
     """Variables (M,) by name, each within -1 … 1 on every axis."""
     pieces = linearized.problem.pieces
     low = np.min([piece.command.min(axis=0) for piece in pieces], axis=0)

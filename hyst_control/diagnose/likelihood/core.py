@@ -1,0 +1,162 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis of one problem by the likelihood core, in the form that reports are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from hyst_control.diagnose.configuration import Configuration
+from hyst_control.diagnose.decide.record_findings import findings, flicker_found
+from hyst_control.diagnose.evidence import CompanionEvidence, Evidence
+from hyst_control.diagnose.likelihood.conditional import conditioned
+from hyst_control.diagnose.likelihood.decide import Judgement, judge
+from hyst_control.diagnose.likelihood.fits import Fits, fits_of
+from hyst_control.diagnose.likelihood.hypotheses import FLICKER, PRIORS, Kind, Priors, Weighed, weigh
+from hyst_control.diagnose.model_error.baseline import Baseline, with_discrepancy
+from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
+from hyst_control.diagnose.run.prepare import Prepared, prepare
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
+from hyst_control.diagnose.search.fit import Linearized
+from hyst_control.diagnose.verdict import Decision, Reason, Verdict
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Diagnosis of one problem."""
+
+    problem: Problem
+    linearized: Linearized
+    found: Found
+    hypotheses: tuple[FittedHypothesis, ...]
+    evidence: Evidence
+    decision: Decision
+    baseline: Baseline | None
+    weighed: tuple[Weighed, ...]  # All hypotheses, the most probable first
+
+
+def by_likelihood(
+    problem: Problem,
+    baseline: Baseline | None,
+    sensor_side: bool,
+    without: Sequence[str],
+    progress: Callable[[str], None],
+    configuration: Configuration,
+    priors: Priors = PRIORS,
+) -> Judged:
+    """Diagnose one problem by one likelihood of all hypotheses."""
+    baseline = _with_spectrum(problem, baseline, configuration)
+    prepared = prepare(problem, baseline, without, configuration, progress)
+    found, fits, weighed = searched(prepared, sensor_side, progress, configuration, priors)
+    if FLICKER in prepared.without:
+        weighed = tuple(one for one in weighed if not one.flicker)
+    judged = judge(weighed, fits, prepared.floor, priors.level)
+    collected = collect(found, 0.0, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
+    evidence = _with_scores(collected.evidence, weighed)
+    decision, evidence = _decision(judged, evidence, collected.hypotheses, prepared, baseline, found, configuration)
+    return Judged(found.linearized.problem, found.linearized, found, collected.hypotheses, evidence, decision, baseline, weighed)
+
+
+def searched(
+    prepared: Prepared, sensor_side: bool, progress: Callable[[str], None], configuration: Configuration, priors: Priors
+) -> tuple[Found, Fits, tuple[Weighed, ...]]:
+    """Fit and weigh single effects, and combinations where something else may be more than any of these."""
+    members = prepared.members(sensor_side)
+    alone = replace(configuration, search=replace(configuration.search, depth=1, depth_with_own_error=1))
+    for settings in (alone, configuration):
+        found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings)
+        fits = fits_of(found, priors.kept, priors.freedom)
+        weighed = weigh(fits, priors)
+        if sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE) < priors.combined:
+            break
+    return found, fits, weighed
+
+
+def _with_spectrum(problem: Problem, baseline: Baseline | None, configuration: Configuration) -> Baseline | None:
+    """The baseline with the model's discrepancy as a spectrum, whatever is known of it."""
+    if baseline is None:
+        return None
+    if baseline.carried:
+        return conditioned(baseline, configuration.baseline)
+    if baseline.clean is None and "spectrum" in problem.model.discrepancy:
+        return with_discrepancy(problem, configuration.baseline, by_spectrum=True)
+    return baseline
+
+
+def _with_scores(evidence: Evidence, weighed: Sequence[Weighed]) -> Evidence:
+    """The evidence with the weights over "nothing" as scores."""
+    none = next(one.log_weight for one in weighed if one.kind is Kind.NOTHING)
+    scores = {
+        one.hypothesis.index: one.log_weight - none
+        for one in reversed(weighed)
+        if one.kind in (Kind.EFFECTS, Kind.PARAMETERS) and not one.flicker
+    }
+    hypotheses = tuple(
+        replace(one, score=scores.get(index, float("-inf") if index else 0.0)) for index, one in enumerate(evidence.hypotheses)
+    )
+    return replace(evidence, hypotheses=hypotheses)
+
+
+def _decision(
+    judged: Judgement,
+    evidence: Evidence,
+    hypotheses: Sequence[FittedHypothesis],
+    prepared: Prepared,
+    baseline: Baseline | None,
+    found: Found,
+    configuration: Configuration,
+) -> tuple[Decision, Evidence]:
+    """The judgement with what checks of the record find, in the form of reports."""
+    fitted = [one for one in judged.named if one.hypothesis.index]
+    chosen = fitted[0].hypothesis.index if fitted else 0
+    evidence = evidence.with_residuals(
+        {
+            index: residual_evidence(
+                found.linearized.problem,
+                hypotheses[index],
+                prepared.findings,
+                prepared.checks,
+                configuration,
+                companions(found.linearized, hypotheses[index], baseline.usual_zero, 1.0) if baseline else (),
+            )
+            for index in {0, chosen}
+        }
+    )
+    with_flicker = any(one.flicker for one in judged.named)
+    noise = flicker_found(evidence, chosen, configuration.policy) if with_flicker else None
+    shown, outliers = findings(evidence, chosen, noise, configuration.policy)
+    left = evidence.hypotheses[chosen].residual
+    unusual = tuple(one for one in (left.companions if left else ()) if _is_unusual(one, evidence, configuration))
+    listed = tuple(dict.fromkeys(one.hypothesis.index for one in fitted))
+    verdict, reasons = judged.verdict, set(judged.reasons)
+    if verdict is Verdict.NO_GAP and (shown or unusual):
+        verdict, reasons = Verdict.EFFECT, set()
+    if verdict is not Verdict.UNKNOWN and outliers:
+        verdict, reasons = Verdict.UNKNOWN, {Reason.OUTLIERS}
+    if verdict is Verdict.EFFECT:
+        reasons |= ({Reason.RECORD_CHECK} if shown else set()) | ({Reason.SESSION_DIFFERS} if unusual else set())
+    decision = Decision(
+        verdict,
+        tuple(reason for reason in Reason if reason in reasons),
+        chosen,
+        listed,
+        judged.probability,
+        judged.something_else,
+        shown,
+        outliers,
+        unusual if verdict is not Verdict.UNKNOWN else (),
+        (),
+        judged.something_else,
+        judged.something_else,
+    )
+    return decision, evidence
+
+
+def _is_unusual(one: CompanionEvidence, evidence: Evidence, configuration: Configuration) -> bool:
+    """True where zero or drift of a session exceed chance, the practical size, and what is usual between sessions."""
+    if one.usual != one.usual:
+        return False  # nothing says what is usual
+    least = max(configuration.policy.companion_deviations * one.deviation, one.usual)
+    return one.rms > evidence.floor * evidence.noise[one.axis] and abs(one.value) > least

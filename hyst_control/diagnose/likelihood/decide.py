@@ -1,0 +1,74 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the weights of the hypotheses to a verdict.
+
+- `no_gap`: "nothing", and what is too small to matter, have together the largest probability;
+- `unknown`: something else is more probable than all that is known together;
+- otherwise the smallest set of explanations of a given probability: one is named, several are ambiguous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyst_control.diagnose.likelihood.fits import Fits
+from hyst_control.diagnose.likelihood.hypotheses import FLICKER, Kind, Weighed
+from hyst_control.diagnose.verdict import Reason, Verdict
+
+Key = tuple[str, ...]
+PARAMETERS: Key = ("parameters",)
+"""Key of the coefficients alone, as the old core has it."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict on one problem, and the hypotheses behind it."""
+
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    named: tuple[Weighed, ...]  # Explanations that are listed, the most probable first; of an unknown gap the nearest one
+    probability: dict[Key, float]  # By the names of an explanation
+    nothing: float  # Probability of no gap that matters
+    something_else: float  # Probability of something else
+
+
+def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float) -> Judgement:
+    """Judge the weights of hypotheses. floor: rms that matters, in units of noise and discrepancy; level: of the set that is named."""
+    nothing = sum(one.probability for one in weighed if not _matters(one, fits, floor))
+    other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE and _matters(one, fits, floor))
+    known = [one for one in weighed if one.kind in (Kind.EFFECTS, Kind.PARAMETERS) and _matters(one, fits, floor)]
+    total = sum(one.probability for one in known)
+    probability = {_key(one): one.probability for one in known}
+
+    def judgement(verdict: Verdict, reason: Reason, named: Sequence[Weighed]) -> Judgement:
+        return Judgement(verdict, (reason,), tuple(named), probability, nothing, other)
+
+    if nothing >= max(other, total):
+        best = weighed[0].kind is Kind.NOTHING
+        return judgement(Verdict.NO_GAP, Reason.BELOW_NULL if best else Reason.BELOW_PRACTICAL_SIZE, ())
+    if other > total or not known:
+        return judgement(Verdict.UNKNOWN, Reason.SOMETHING_ELSE, known[:1])
+    shares = np.cumsum([one.probability for one in known]) / total
+    named = known[: int(np.searchsorted(shares, level)) + 1]
+    if len(named) > 1:
+        return judgement(Verdict.AMBIGUOUS, Reason.SEVERAL_EXPLANATIONS, named)
+    if named[0].kind is Kind.PARAMETERS:
+        return judgement(Verdict.PARAMETERS, Reason.COEFFICIENTS_BEYOND_TOLERANCE, named)
+    noise = named[0].names == (FLICKER,)
+    return judgement(Verdict.EFFECT, Reason.NOISE_EXPLAINS_MORE if noise else Reason.ONE_EXPLANATION, named)
+
+
+def _key(one: Weighed) -> Key:
+    return PARAMETERS if one.kind is Kind.PARAMETERS else one.names
+
+
+def _matters(one: Weighed, fits: Fits, floor: float) -> bool:
+    """True for a hypothesis other than nothing whose effects are large enough to matter, by what they change or take off."""
+    if one.kind is Kind.NOTHING:
+        return False
+    if one.flicker or (one.kind is Kind.SOMETHING_ELSE and not one.names):
+        return True
+    return max(one.hypothesis.reduction, float(np.sqrt(one.hypothesis.change.sum() / fits.octaves.sizes.sum()))) > floor
