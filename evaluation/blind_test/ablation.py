@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from pathlib import Path
@@ -38,6 +38,7 @@ from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.diagnose.run import settle
 from hyst_control.diagnose.run.diagnosis import diagnose
 from hyst_control.diagnose.run.settle import Tests, settled
+from hyst_control.diagnose.validate.constancy import VARIABLES
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.model_file import load_model
 from hyst_control.records.bags.bag_reader import read_bag
@@ -70,6 +71,28 @@ RULES: dict[str, Rule] = {
 """Rules of the policy that are more than a threshold."""
 
 
+NUMBERS: dict[str, dict[str, Any]] = {
+    "at_bound": {"at_bound": False},
+    "local": {"local": np.inf},
+    "beyond": {"beyond": 0.0},
+    "taken_up": {"taken_up": np.inf},
+    "predictable": {"predictable": 1.0},
+    "passed": {"passed": 1.0},
+    "hump": {"hump": None},
+    "flicker": {"flicker": None},
+    "companions": {"companions": ()},
+    "temper": {"temper": 1.0},
+    "weight": {"weight": 1.0},
+    "clean_noise": {"clean_noise": False},
+    "repeating": {"repeating": frozenset()},
+    "drifts": {"drifts": frozenset()},
+    "carried_share": {"carried_share": 0.0},
+    "ends_as": {"ends_as": ()},
+    "moved": {"moved": 0.0},
+}
+"""Numbers of the evidence, and what they are where nothing is measured."""
+
+
 class NotMeasured(KeyError):
     """A replay asks for a test that was not stored."""
 
@@ -95,6 +118,45 @@ class StoredTests:
 
 
 @dataclass(frozen=True)
+class Move:
+    """A change of the policy."""
+
+    name: str
+    thresholds: Thresholds
+    rule: Rule | None = None  # That is off
+    numbers: Mapping[str, Any] = field(default_factory=dict)  # That are not measured
+
+    def _changed(self, one: Any) -> Any:
+        """A part of the evidence without the numbers."""
+        known = {name: value for name, value in self.numbers.items() if hasattr(one, name)}
+        if isinstance(one, ResidualEvidence) and self.name.startswith("distortions"):
+            known["distortions"] = tuple(test for test in one.distortions if test.variable != self.name.split()[1])
+        return replace(one, **known) if known else one
+
+    def settled(self, evidence: Evidence, tests: Tests) -> tuple[Evidence, Decision]:
+        """Decide."""
+        evidence = self._changed(evidence)
+        if self.numbers or self.name.startswith("distortions"):
+            evidence = replace(evidence, hypotheses=tuple(map(self._changed, evidence.hypotheses)))
+            tests = _ChangedTests(tests, self._changed)
+        return settled(evidence, tests, self.thresholds)
+
+
+@dataclass(frozen=True)
+class _ChangedTests:
+    """Tests some of whose numbers are changed."""
+
+    tests: Tests
+    change: Callable[[ResidualEvidence], ResidualEvidence]
+
+    def residual(self, index: int) -> ResidualEvidence:
+        return self.change(self.tests.residual(index))
+
+    def dropped(self, index: int) -> tuple[int, ...]:
+        return self.tests.dropped(index)
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What a report would say of a case, as far as it is scored."""
 
@@ -104,19 +166,25 @@ class Outcome:
     reasons: tuple[str, ...]
 
 
+AS_IT_IS = Move("", CONFIGURATION.policy)
+
 Parts = Sequence[tuple[Evidence, Tests]]
 
 
-def moves(thresholds: Thresholds) -> Iterator[tuple[str, Thresholds, Rule | None]]:
-    """Every threshold moved, then every rule switched off."""
+def moves(thresholds: Thresholds) -> Iterator[Move]:
+    """Every threshold moved, every rule switched off, every number not measured."""
     for one in fields(thresholds):
         value = getattr(thresholds, one.name)
         for factor in FACTORS:
             moved = max(round(value * factor), 1) if isinstance(value, int) else value * factor
             if moved != value:
-                yield f"{one.name} x {factor:g}", replace(thresholds, **{one.name: moved}), None
+                yield Move(f"{one.name} x {factor:g}", replace(thresholds, **{one.name: moved}))
     for name, rule in RULES.items():
-        yield name, thresholds, rule
+        yield Move(f"rule {name}", thresholds, rule)
+    for name, numbers in NUMBERS.items():
+        yield Move(f"number {name}", thresholds, numbers=numbers)
+    for variable in VARIABLES:
+        yield Move(f"distortions {variable}", thresholds)
 
 
 @contextmanager
@@ -137,9 +205,9 @@ def without(rule: Rule | None) -> Iterator[None]:
             setattr(one, name, usual)
 
 
-def outcome(case: Case, parts: Parts, thresholds: Thresholds) -> Outcome:
+def outcome(case: Case, parts: Parts, move: Move) -> Outcome:
     """Decide on a case and score the decision."""
-    decisions = [settled(evidence, tests, thresholds) for evidence, tests in parts]
+    decisions = [move.settled(evidence, tests) for evidence, tests in parts]
     joint = policy.join([decision for _, decision in decisions])
     names = _named(decisions)
     report = {"verdict": joint.verdict.value, "effects": [{"name": name, "parameters": {}} for name in names]}
@@ -182,13 +250,11 @@ def collect(folder: Path, until: float) -> None:
             continue
         first = time.process_time()
         untested = [(part.tests.evidence, part.tests) for part in parts]
-        for _, thresholds, rule in moves(CONFIGURATION.policy):
-            with without(rule):
+        for move in moves(CONFIGURATION.policy):
+            with without(move.rule):
                 for evidence, tests in untested:
-                    settled(evidence, tests, thresholds)
-        stored = [
-            {"evidence": evidence, "residuals": tests.residuals, "drops": tests.drops} for evidence, tests in untested
-        ]
+                    move.settled(evidence, tests)
+        stored = [{"evidence": evidence, "residuals": tests.residuals, "drops": tests.drops} for evidence, tests in untested]
         path.write_text(json.dumps(plain(stored)))
         print(f"{place.name}: {first - begin:.1f} s, tests {time.process_time() - first:.1f} s", flush=True)
 
@@ -242,33 +308,33 @@ class Change:
     unmeasured: int  # Cases that ask for a test that was not stored
 
 
-def replayed(folders: Sequence[Path], thresholds: Thresholds = CONFIGURATION.policy) -> dict[str, tuple[Case, Parts, Outcome]]:
+def replayed(folders: Sequence[Path], move: Move = AS_IT_IS) -> dict[str, tuple[Case, Parts, Outcome]]:
     """Read all stored cases with their outcome as the policy is."""
     found = {}
     for folder in folders:
         cases = {case.name: case for case in map(from_document, read_json(folder / "labels.json")["cases"])}
         for path in sorted((folder / "rules").glob("*.json")):
             parts = parts_of(path)
-            found[f"{folder.name}/{path.stem}"] = cases[path.stem], parts, outcome(cases[path.stem], parts, thresholds)
+            found[f"{folder.name}/{path.stem}"] = cases[path.stem], parts, outcome(cases[path.stem], parts, move)
     return found
 
 
 def ablated(cases: Mapping[str, tuple[Case, Parts, Outcome]]) -> list[Change]:
     """Compare every move with the policy as it is, case by case."""
     found = []
-    for name, thresholds, rule in moves(CONFIGURATION.policy):
+    for move in moves(CONFIGURATION.policy):
         changed = better = worse = unmeasured = 0
-        with without(rule):
+        with without(move.rule):
             for case, parts, usual in cases.values():
                 try:
-                    moved = outcome(case, parts, thresholds)
+                    moved = outcome(case, parts, move)
                 except NotMeasured:
                     unmeasured += 1
                     continue
                 changed += (moved.verdict, moved.names) != (usual.verdict, usual.names)
                 better += moved.right and not usual.right
                 worse += usual.right and not moved.right
-        found.append(Change(name, changed, better, worse, unmeasured))
+        found.append(Change(move.name, changed, better, worse, unmeasured))
     return found
 
 

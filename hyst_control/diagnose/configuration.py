@@ -54,6 +54,9 @@ class Thresholds:
     max_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
+    moved_share: float = _setting(
+        "share of the measurement's range, rms", "most that coefficients within their tolerance move a simulation without a gap"
+    )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
     added_share_with_own_error: float = _setting(
         "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"

@@ -200,6 +200,8 @@ def sentence(report: dict[str, Any]) -> str:
         return f"No gap beyond the model's tolerances{_known_error(report)} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
+        if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:
+            return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
         far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
