@@ -46,6 +46,9 @@ from hyst_control.records.bags.bag_reader import read_bag
 FACTORS = (1e-6, 0.5, 2.0, 1e6)
 """A threshold is switched off at one end, halved, doubled, and switched off at the other end."""
 
+LEAST = {"excess_ratio": 1.001}
+"""Values below which a threshold has no meaning: noise under the stated one is no excess."""
+
 Rule = tuple[object, str, Callable[..., Any]]
 """Module, name of a function, and what it does where the rule is off."""
 
@@ -176,7 +179,7 @@ def moves(thresholds: Thresholds) -> Iterator[Move]:
     for one in fields(thresholds):
         value = getattr(thresholds, one.name)
         for factor in FACTORS:
-            moved = max(round(value * factor), 1) if isinstance(value, int) else value * factor
+            moved = max(round(value * factor), 1) if isinstance(value, int) else max(value * factor, LEAST.get(one.name, 0.0))
             if moved != value:
                 yield Move(f"{one.name} x {factor:g}", replace(thresholds, **{one.name: moved}))
     for name, rule in RULES.items():
