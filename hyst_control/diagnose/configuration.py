@@ -109,7 +109,6 @@ class Thresholds:
     rough_received: float = _setting("1", "most of it that the plant may have received, in any band and at any time")
     rough_scatter: float = _setting("standard deviations", "the same where its coefficient is known less well")
     excess_ratio: float = _setting("stated rms", "noise from which it exceeds the stated one: that is never stated better")
-    few_outliers: int = _setting("samples", "samples that stand out from which they are outliers")
     many_outliers: float = _setting("share of the samples", "samples that stand out up to which they are outliers")
     outliers_share: float = _setting(
         "share of the excess noise, rms", "size of the outliers from which they are what the excess noise is"
