@@ -244,7 +244,7 @@ def _diagnose_one(job: Job) -> str:
     if better is not None:
         save_model(better, report.with_suffix(".yaml"))
     if diagnosis is not None and not job[2]:
-        evidence = [_plain(part.evidence) for part in diagnosis.parts]
+        evidence = [plain(part.evidence) for part in diagnosis.parts]
         (report.parents[1] / "evidence" / report.name).write_text(json.dumps(evidence))
     write_json(report, document)
     return place.name
@@ -275,16 +275,16 @@ def _names(due: Sequence[tuple[Job, float | None]], workers: Workers, note: Call
         yield outcome.result or ""
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """The numbers that a decision was based on as JSON types; infinity stays what Python's JSON writes for it."""
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
+        return plain(asdict(value))
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (set, frozenset)):
-        return sorted(map(_plain, value))
+        return sorted(map(plain, value))
     if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     return value.value if isinstance(value, Enum) else value.item() if isinstance(value, np.generic) else value
 
 

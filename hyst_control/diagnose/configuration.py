@@ -58,6 +58,9 @@ class Thresholds:
     max_effects: int = _setting(
         "effects", "most that may act together on an axis; beyond, an effect outside the catalogue is likelier"
     )
+    moved_share: float = _setting(
+        "share of the measurement's range, rms", "most that coefficients within their tolerance move a simulation without a gap"
+    )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
     added_share_with_own_error: float = _setting(
         "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
@@ -110,7 +113,6 @@ class Thresholds:
     rough_received: float = _setting("1", "most of it that the plant may have received, in any band and at any time")
     rough_scatter: float = _setting("standard deviations", "the same where its coefficient is known less well")
     excess_ratio: float = _setting("stated rms", "noise from which it exceeds the stated one: that is never stated better")
-    few_outliers: int = _setting("samples", "samples that stand out from which they are outliers")
     many_outliers: float = _setting("share of the samples", "samples that stand out up to which they are outliers")
     outliers_share: float = _setting(
         "share of the excess noise, rms", "size of the outliers from which they are what the excess noise is"

@@ -196,6 +196,8 @@ class Evidence:
     carried_share: float = 0.0
     # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()
+    # Rms by which the coefficients of "no effect" move the simulation, beyond the model's own error, as a share of the range
+    moved: float = 0.0
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored."""

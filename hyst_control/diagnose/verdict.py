@@ -80,6 +80,9 @@ class Reason(str, Enum):
     COEFFICIENTS_BEYOND_TOLERANCE = "coefficients_beyond_tolerance"
     """Parameters: coefficients further off than their tolerance explain the gap."""
 
+    COEFFICIENTS_WITHIN_TOLERANCE = "coefficients_within_tolerance"
+    """Parameters: the tolerances explain the gap, but the simulation as given is so far off that a user has to act."""
+
     BELOW_PRACTICAL_SIZE = "below_practical_size"
     """No gap: what beats the simulated null is too small to be worth naming."""
 

@@ -41,7 +41,6 @@ LIMITS = replace(
     distortion_change=0.5,
     distortion_share=0.01,
     distortion_whitened=6.3,
-    few_outliers=1,
     stuck=2,
     min_explained=0.1,
     min_explained_whitened=0.7,

@@ -204,6 +204,13 @@ ROWS = (
     ),
     Row("coefficients", evidence(coefficients()), V.PARAMETERS, (R.COEFFICIENTS_BEYOND_TOLERANCE,), ("",)),
     Row("coefficients under the margin", evidence(coefficients(3.0), base=SMALL), V.NO_GAP, (R.BELOW_NULL,)),
+    Row(
+        "coefficients within their tolerance that move the simulation far",
+        evidence(coefficients(3.0), base=SMALL, moved=0.031),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_WITHIN_TOLERANCE,),
+    ),
+    Row("coefficients that move it little", evidence(coefficients(3.0), base=SMALL, moved=0.029), V.NO_GAP, (R.BELOW_NULL,)),
     Row("two effects at once", evidence(effect("a+b")), V.EFFECT, (R.ONE_EXPLANATION,), ("a+b",)),
     Row(
         "a second effect that adds nothing",

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,6 +104,17 @@ def test_rejected_rivals_are_behind_and_have_a_reason(few):
     part = diagnosis.parts[0]
     gain = next(one for one in part.found.singles if one.names == ("gain",))
     left = np.sum(gain.solution.residual**2) / np.sum(part.found.none.solution.residual**2)
+    assert min(abs(row.left - left) for row in rows if row.name == "gain") < 1e-9
+
+
+def test_what_a_rival_leaves_is_in_units_of_the_measurement_however_fits_weigh_it(few):
+    _, diagnosis, _ = few(DELAY)
+    part = diagnosis.parts[0]
+    none, gain = part.found.none.solution.residual, next(one for one in part.found.singles if one.names == ("gain",))
+    gains = np.linspace(1.0, 9.0, len(none))
+    weighed = replace(part, problem=SimpleNamespace(in_noise=lambda flat: gains * flat))
+    rows = rejected(replace(diagnosis, parts=(weighed,)), 100)
+    left = np.sum((gains * gain.solution.residual) ** 2) / np.sum((gains * none) ** 2)
     assert min(abs(row.left - left) for row in rows if row.name == "gain") < 1e-9
 
 

@@ -9,7 +9,7 @@ than the practical size; claims become probabilities by their scores. The verdic
                  with something else, or beside effects much is left, or taken up by coefficients far away
     ambiguous    the data cannot separate several explanations
     effect       one explanation by effects, or a check of the record found something
-    parameters   the coefficients explain it, further off than their tolerance
+    parameters   the coefficients explain it, further off than their tolerance, or within it where that moves the simulation far
     no_gap       none of these
 """
 
@@ -98,6 +98,8 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
             reasons |= {Reason.RECORD_CHECK} | ({Reason.NOISE_EXPLAINS_MORE} if outweighed or shaken == 0 else set())
     elif listed:
         verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_BEYOND_TOLERANCE}
+    elif evidence.moved > thresholds.moved_share:
+        verdict, reasons = Verdict.PARAMETERS, {Reason.COEFFICIENTS_WITHIN_TOLERANCE}
     else:
         beyond = any(_beats_null(one, evidence, thresholds) for one in evidence.hypotheses)
         verdict, reasons = Verdict.NO_GAP, {Reason.BELOW_PRACTICAL_SIZE if beyond else Reason.BELOW_NULL}

@@ -85,7 +85,7 @@ def findings(
             white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
             more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
             count, rms = residual.outliers[axis], residual.outliers_rms[axis]
-            few = thresholds.few_outliers <= count <= thresholds.many_outliers * evidence.rows
+            few = count <= thresholds.many_outliers * evidence.rows
             # Where nobody states the noise, single samples that are nearly all of it are no noise either.
             whole = more.rms if more is not None else white if evidence.stated_noise[axis] <= 0.0 else np.inf
             if few and rms > thresholds.outliers_share * whole:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import dct, idct
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.problem.per_record_stages import CarriedError

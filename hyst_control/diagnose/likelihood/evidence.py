@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaln
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.likelihood.octaves import Octaves
 from hyst_control.diagnose.search.fit import TAIL
 

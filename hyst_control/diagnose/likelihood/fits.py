@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import CommandFeatures
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.likelihood.evidence import Fit
 from hyst_control.diagnose.likelihood.octaves import Octaves, cosine, octaves_of
 from hyst_control.diagnose.problem.problem import Problem

@@ -22,7 +22,7 @@ from enum import Enum
 import numpy as np
 from scipy.special import logsumexp
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.likelihood.evidence import Fit, LogEvidence, log_evidence
 from hyst_control.diagnose.likelihood.fits import Fits, Hypothesis
 from hyst_control.diagnose.likelihood.octaves import Octaves

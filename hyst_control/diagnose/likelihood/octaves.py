@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.special import gammaln
 
-from hyst_control.chain.parameter import Array
+from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.problem import Problem
 
 FIRST = 4

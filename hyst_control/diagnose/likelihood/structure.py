@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.command_features import FEATURES, FIRST_PLAY, LAGS, PLAYS
-from hyst_control.chain.parameter import Array
 from hyst_control.diagnose.likelihood.evidence import log_evidence
 from hyst_control.diagnose.likelihood.fits import Fits, Hypothesis
 from hyst_control.diagnose.likelihood.hypotheses import Priors, Weighed, weighted_octaves
@@ -20,8 +20,8 @@ from hyst_control.diagnose.likelihood.octaves import Octaves
 from hyst_control.diagnose.validate.constancy import VARIABLES
 
 AFTER_PLAYS, AFTER_LAGS = FIRST_PLAY + len(PLAYS), FIRST_PLAY + len(PLAYS) + len(LAGS)
-# In the order of `features_of_tick`: 0-2 powers of the level, 3-8 products with the rate, 9-14 distance from the last reversal, plays, lags,
-# low-passed copies. Even ones are the same for the command turned about its middle.
+# In the order of `features_of_tick`: 0-2 powers of the level, 3-8 products with the rate, 9-14 distance from the last reversal, plays,
+# lags, low-passed copies. Even ones are the same for the command turned about its middle.
 GROUPS: dict[str, tuple[int, ...]] = {
     "memory": tuple(range(9, AFTER_PLAYS)),
     "even": (1, 4, 5, 10, 12),

@@ -200,10 +200,12 @@ def sentence(report: dict[str, Any]) -> str:
         return f"No gap beyond the model's tolerances{_known_error(report)} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
+        if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:
+            return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
         far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
-        near = f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it" if names else ""
+        near = _nearest(report, names)
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]
             if worst["name"] in {effect["name"] for effect in report["effects"]}:
@@ -225,6 +227,17 @@ def sentence(report: dict[str, Any]) -> str:
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
+
+
+def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
+    """Phrase on the explanation that comes nearest, by the reduction that its effects are listed with; empty where none is named."""
+    if not names:
+        return ""
+    reduction = max((row["shrink_reidentified"] for row in report["effects"] if row.get("shrink_reidentified") is not None), default=None)
+    if reduction is None:  # an effect without a waveform takes nothing off
+        return f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it"
+    far = f"shrinks it by {100 * reduction:.0f} % with the coefficients fitted" if reduction > 0.0 else "does not shrink it"
+    return f"; the nearest, {' and '.join(names)}, {far}"
 
 
 def _known_error(report: dict[str, Any]) -> str:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide.policy import strained
 from hyst_control.diagnose.evidence import Evidence, HypothesisEvidence
@@ -35,25 +37,31 @@ def _of_axis(diagnosis: Diagnosis, part: AxisDiagnosis) -> list[Rejected]:
     evidence, thresholds = part.evidence, diagnosis.configuration.policy
     best = evidence.hypotheses[part.decision.chosen]
     named = {tuple(sorted(evidence.hypotheses[index].names)) for index in (*part.decision.listed, part.decision.chosen)}
-    closest: dict[tuple[str, ...], HypothesisEvidence] = {}
-    for one in evidence.hypotheses[1:]:
+    closest: dict[tuple[str, ...], int] = {}
+    for index, one in enumerate(evidence.hypotheses[1:], 1):
         names = tuple(sorted(one.names))
         if names in named and (names or part.decision.chosen and best.coefficients_alone):
             continue
-        if names not in closest or one.score > closest[names].score:
-            closest[names] = one
+        if names not in closest or one.score > evidence.hypotheses[closest[names]].score:
+            closest[names] = index
     axes = ", ".join(diagnosis.model.axes[axis] for axis in part.axes)
-    whole = max(evidence.hypotheses[0].energy, 1e-300)
+
+    def energy(index: int) -> float:
+        # In units of the measurement, as every other share of the report, however the fits weigh it.
+        return float(np.sum(part.problem.in_noise(part.hypotheses[index].solution.residual) ** 2))
+
+    whole = max(energy(0), 1e-300)
     return [
         Rejected(
             " and ".join(name.replace("_", " ") for name in one.names) or "coefficients alone",
             axes,
             one.score,
             best.score - one.score,
-            one.energy / whole,
+            energy(index) / whole,
             _reason(one, best, evidence, thresholds),
         )
-        for one in closest.values()
+        for index in closest.values()
+        for one in (evidence.hypotheses[index],)
     ]
 
 

@@ -87,8 +87,20 @@ def collect(
         frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
         problem.carried_share,
         tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
+        _moved(found, stated),
     )
     return Collected(evidence, hypotheses)
+
+
+def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
+    """Rms by which the coefficients of "no effect" move the simulation, beyond the model's own error, as a share of the range."""
+    problem, scatter = found.linearized.problem, found.linearized.scatter
+    own = np.where(scatter.companions > 0.0, 0.0, found.none.solution.z)
+    rows = problem.rows(found.linearized.columns @ own)
+    known = known_error(problem, stated) if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
+    span = np.ptp(np.concatenate([piece.measurement for piece in problem.pieces]), axis=0)
+    energy = np.mean(rows**2, axis=0) - known**2
+    return float(np.sqrt(np.max(np.maximum(energy, 0.0) / span**2)))
 
 
 def _local_energy(problem: Problem, none: FittedHypothesis, scored: FittedHypothesis) -> float:

@@ -16,7 +16,6 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
-from hyst_control.diagnose.decide.policy import contenders, decide
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.likelihood.core import by_likelihood
@@ -27,20 +26,13 @@ from hyst_control.diagnose.problem.problem import Piece, Problem, check_command,
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.record_checks.spectral_lines import lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, held_at_one_value
-from hyst_control.diagnose.run.collect import (
-    collect,
-    companions,
-    residual_evidence,
-)
-from hyst_control.diagnose.run.prepare import clean_rows, is_used, nominal_residuals, prepare, with_noise
+from hyst_control.diagnose.run.collect import collect
+from hyst_control.diagnose.run.prepare import is_used, nominal_residuals, prepare, with_noise
+from hyst_control.diagnose.run.settle import ContenderTests, settled
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
-from hyst_control.diagnose.validate.constancy import distortions
-from hyst_control.diagnose.validate.cross_validation import holds, widens
-from hyst_control.diagnose.validate.error_gain import error_gain
-from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
@@ -48,9 +40,6 @@ from hyst_control.records.record import Record
 
 RULES, LIKELIHOOD = "rules", "likelihood"
 """Cores that weigh hypotheses."""
-VETOES = 6
-"""Explanations in turn that are dropped: clean records ask for them too, they widen the gap as given, or they leave more than no effect
-does on blocks that they were not fitted to."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +54,7 @@ class AxisDiagnosis:
     evidence: Evidence  # Numbers that the decision is based on
     decision: Decision  # Verdict, its reasons, and the effects that are named
     baseline: Baseline | None = None  # Clean records or stated discrepancy that were used
+    tests: ContenderTests | None = None  # What contenders leave, and whether they hold; None by likelihood
 
     @property
     def chosen(self) -> FittedHypothesis:
@@ -280,56 +270,15 @@ def _axis(
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
     prepared = prepare(problem, baseline, without, configuration, progress)
-    problem, linearized, checks, findings = prepared.problem, prepared.linearized, prepared.checks, prepared.findings
-    floor = prepared.floor
+    problem, linearized, checks, floor = prepared.problem, prepared.linearized, prepared.checks, prepared.floor
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
     found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
     collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
-
-    def with_residuals(evidence: Evidence) -> Evidence:
-        return evidence.with_residuals(
-            {
-                index: residual_evidence(
-                    problem,
-                    collected.hypotheses[index],
-                    findings,
-                    checks,
-                    configuration,
-                    companions(linearized, collected.hypotheses[index], baseline.usual_zero, found.temper) if baseline else (),
-                    distortions(linearized, collected.hypotheses[index], found.temper),
-                    error_gain(linearized, collected.hypotheses[index]),
-                )
-                for index in contenders(evidence, thresholds)
-                if evidence.hypotheses[index].residual is None
-            }
-        )
-
-    def tested(evidence: Evidence) -> Evidence:
-        # A test that fails may bring up another contender, which is then tested in turn.
-        while any(evidence.hypotheses[index].residual is None for index in contenders(evidence, thresholds)):
-            evidence = with_residuals(evidence)
-        return evidence
-
-    evidence = tested(collected.evidence)
-    decision = decide(evidence, thresholds)
-    rows, clean = None if baseline is None else clean_rows(baseline, problem), None
-    for _ in range(VETOES if evidence.whitened else 0):
-        best = collected.hypotheses[decision.chosen]
-        if best.candidate is None:
-            break
-        if rows is not None and clean is None:
-            clean = CleanRecords(rows)
-        known = frozenset() if clean is None else clean.show(best, null + thresholds.margin)
-        # Beside a clean record of the same command no coefficient is free, and a gap that the fits weigh by its spectrum is none as given.
-        follows = known or (not evidence.carried and widens(linearized, best, found.none))
-        if not follows and holds(linearized, best, found.none, configuration.reduction):
-            break
-        dropped = [i for i, one in enumerate(collected.hypotheses) if known.intersection(one.names)] if known else [decision.chosen]
-        evidence = tested(evidence.without(dropped))
-        decision = decide(evidence, thresholds)
-    return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline)
+    tests = ContenderTests(prepared, found, collected, baseline, configuration)
+    evidence, decision = settled(collected.evidence, tests, thresholds)
+    return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline, tests)
 
 
 def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:

@@ -1,0 +1,105 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the evidence of a search to a decision: what contenders leave is measured on demand, and what does not hold is dropped."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from hyst_control.diagnose.configuration import Configuration, Thresholds
+from hyst_control.diagnose.decide.policy import contenders, decide
+from hyst_control.diagnose.evidence import Evidence, ResidualEvidence
+from hyst_control.diagnose.model_error.baseline import Baseline
+from hyst_control.diagnose.run.collect import Collected, companions, residual_evidence
+from hyst_control.diagnose.run.prepare import Prepared, clean_rows
+from hyst_control.diagnose.search.beam_search import Found
+from hyst_control.diagnose.validate.constancy import distortions
+from hyst_control.diagnose.validate.cross_validation import holds, widens
+from hyst_control.diagnose.validate.error_gain import error_gain
+from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
+from hyst_control.diagnose.verdict import Decision
+
+VETOES = 6
+"""Explanations in turn that are dropped."""
+
+
+class Tests(Protocol):
+    """Tests of a contender, by its index among the hypotheses."""
+
+    def residual(self, index: int) -> ResidualEvidence:
+        """Measure what it leaves."""
+
+    def dropped(self, index: int) -> tuple[int, ...]:
+        """Hypotheses that are dropped because it does not hold; none where it does."""
+
+
+def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[Evidence, Decision]:
+    """Decide, with the contenders tested; a test that fails may bring up another contender, which is then tested in turn."""
+    for _ in range(VETOES if evidence.whitened else 0):
+        evidence = _measured(evidence, tests, thresholds)
+        decision = decide(evidence, thresholds)
+        dropped = tests.dropped(decision.chosen) if evidence.hypotheses[decision.chosen].names else ()
+        if not dropped:
+            return evidence, decision
+        evidence = evidence.without(dropped)
+    evidence = _measured(evidence, tests, thresholds)
+    return evidence, decide(evidence, thresholds)
+
+
+def _measured(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> Evidence:
+    """The evidence with what every contender leaves."""
+    while missing := [index for index in contenders(evidence, thresholds) if evidence.hypotheses[index].residual is None]:
+        evidence = evidence.with_residuals({index: tests.residual(index) for index in missing})
+    return evidence
+
+
+class ContenderTests:
+    """Tests of an axis' contenders on its records; each is done once."""
+
+    def __init__(
+        self, prepared: Prepared, found: Found, collected: Collected, baseline: Baseline | None, configuration: Configuration
+    ) -> None:
+        """Keep what tests need, and do none."""
+        self.evidence = collected.evidence
+        self._prepared, self._found, self._hypotheses = prepared, found, collected.hypotheses
+        self._baseline, self._configuration = baseline, configuration
+        self._rows = None if baseline is None else clean_rows(baseline, prepared.problem)
+        self._clean: CleanRecords | None = None
+        self.residuals: dict[int, ResidualEvidence] = {}
+        self.drops: dict[int, tuple[int, ...]] = {}
+
+    def residual(self, index: int) -> ResidualEvidence:
+        """Measure what a hypothesis leaves."""
+        if index not in self.residuals:
+            prepared, temper, scored = self._prepared, self._found.temper, self._hypotheses[index]
+            beside = self._baseline
+            self.residuals[index] = residual_evidence(
+                prepared.problem,
+                scored,
+                prepared.findings,
+                prepared.checks,
+                self._configuration,
+                companions(prepared.linearized, scored, beside.usual_zero, temper) if beside else (),
+                distortions(prepared.linearized, scored, temper),
+                error_gain(prepared.linearized, scored),
+            )
+        return self.residuals[index]
+
+    def dropped(self, index: int) -> tuple[int, ...]:
+        """Hypotheses with an effect that clean records ask for too; or this one, if it does not hold on the record itself."""
+        if index not in self.drops:
+            self.drops[index] = self._dropped(index)
+        return self.drops[index]
+
+    def _dropped(self, index: int) -> tuple[int, ...]:
+        evidence, hypotheses = self.evidence, self._hypotheses
+        best, none, linearized = hypotheses[index], self._found.none, self._prepared.linearized
+        if self._rows is not None:
+            self._clean = self._clean or CleanRecords(self._rows)
+            known = self._clean.show(best, evidence.null + self._configuration.policy.margin)
+            if known:
+                return tuple(i for i, one in enumerate(hypotheses) if known.intersection(one.names))
+        # Beside a clean record of the same command no coefficient is free, and a gap that the fits weigh by its spectrum is none as given.
+        if not evidence.carried and widens(linearized, best, none):
+            return (index,)
+        return () if holds(linearized, best, none, self._configuration.reduction) else (index,)
