@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="C",
-        help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: the published one)",
+        help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: below the model's first resonance)",
     )
     parser.add_argument(
         "--smoothing", type=int, default=0, help="with --kind: order of a low-pass without phase, which looks ahead"
@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.base.errors import InputError
-    from hyst_control.control.feedforward.compensator import RATE_FILTER
+    from hyst_control.control.feedforward.compensator import FROM_MODEL
     from hyst_control.export import programs
     from hyst_control.export.folder import sizes, write_folder
     from hyst_control.model_file import load_model
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         model = load_model(given.source)
         try:
             if given.kind:
-                chosen_filter = RATE_FILTER if given.rate_filter is None else given.rate_filter
+                chosen_filter = FROM_MODEL if given.rate_filter is None else given.rate_filter
                 options = programs.FeedforwardOptions(
                     given.kind,
                     given.inverse,

@@ -19,7 +19,7 @@ from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.feedforward.compensator import RATE_FILTER, Compensator, build_compensator
+from hyst_control.control.feedforward.compensator import FROM_MODEL, Compensator, build_compensator
 from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
@@ -94,7 +94,7 @@ class FeedforwardOptions:
     iterations: int | None = None
     smoothing: int = 0
     inverse_model: str = ""
-    rate_filter: tuple[float, ...] | None = RATE_FILTER
+    rate_filter: tuple[float, ...] | None = FROM_MODEL
     limits: tuple[float, float] | None = None
     preview: bool = True
 
@@ -292,7 +292,7 @@ def _fed(given: Mapping[str, Any], node: str, axes: Sequence[str], time: float, 
     model = load_model(_beside(path, str(given["model"])))
     if model.axes != tuple(axes):
         raise InputError(f"{node}.model: has axes {', '.join(model.axes)}, the loop {', '.join(axes)}")
-    rating, filtered = given.get("limits", [0.0, 0.0]), given.get("rate_filter", RATE_FILTER)
+    rating, filtered = given.get("limits", [0.0, 0.0]), given.get("rate_filter", FROM_MODEL)
     iterations = int(given.get("iterations", -1))
     options = FeedforwardOptions(
         kind,
