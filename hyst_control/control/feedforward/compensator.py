@@ -211,7 +211,18 @@ def _mhl(model: Model, design: Design) -> Compensator:
 
 
 def model_rate_filter(model: Model) -> tuple[float, ...] | None:
-    """Denominator of N(s) for a model: a low-pass of second order below its first resonance; None for a model without one."""
+    """Denominator of N(s) for a model: a low-pass of second order below its first resonance.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+
+    Returns
+    -------
+    tuple[float, ...] or None
+        Denominator, descending powers of s; None for a model without a resonance.
+    """
     from hyst_control.control.linearization import first_mode  # here, not above: it imports more of scipy than a node needs
 
     before, _, after = split(model)
