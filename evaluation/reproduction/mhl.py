@@ -43,7 +43,7 @@ from evaluation.reproduction.mhl_runs import (
 )
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import CrossCoupling
-from hyst_control.control.feedforward.compensator import RATE_FILTER, build_compensator
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.tuning import AUTOMATIC, tune
 from hyst_control.identify import identify
 from hyst_control.identify.mhl.paper_mhl import inverse_model
@@ -56,6 +56,8 @@ FINE_TIME = 5e-5
 VERIFIED = (500.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0)
 FADE = 0.1
 """s, whole periods of every tone, over which a reference that does not begin at rest is faded in."""
+RATE_FILTER = (3.23e-7, 9.1e-4, 1.0)
+"""Denominator of the published N(s), descending powers of s (MHL paper §4.4)."""
 STEP = 0.2
 """mrad, of the step whose settling time is measured."""
 OTHER_STEPS = (-0.2, 0.5, -0.5)

@@ -23,9 +23,9 @@ class Tuning(tuning.Tuning, Shown):
 
     Parameters
     ----------
-    kp, ki, sample_time, nominal, worst, settling_time, overshoot, roll_off
+    kp, ki, sample_time, nominal, worst, settling_time, overshoot, roll_off, filters
         Gains (V per measurement unit, and per s), sample time (s), margins of the model and of the worst case, settling time (s) and
-        overshoot (%) of a step, and corner of the roll-off (Hz, 0 without).
+        overshoot (%) of a step, corner of the roll-off (Hz, 0 without), and derivative, notches and damping.
     model
         Model that they were tuned for.
     loop_delay
@@ -65,6 +65,7 @@ def tune(
     peak_sensitivity: float = 2.0,
     loop_delay: int = 0,
     roll_off: float | str = 0.0,
+    structure: str = "pi",
     **spreads: float,
 ) -> Tuning:
     """Tune the PI feedback of a model to stability margins.
@@ -81,6 +82,8 @@ def tune(
         Further delay of the loop, ticks.
     roll_off
         Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains.
+    structure
+        "pi", "pid", "notch", "damping", or "auto" for the one whose step has the least absolute error.
     **spreads
         gain_spread, mode_spread and model_error: relative spreads over which the margins hold.
 
@@ -98,6 +101,8 @@ def tune(
     --------
     >>> hc.tune(model, rate=1000, gain_margin=10).worst.gain_margin > 9.99
     True
+    >>> sorted(hc.tune(model, rate=1000, structure="pid").parameters)[-2:]  # of the node pi_feedback
+    ['ki', 'kp']
     """
     found = tuning.tune(
         model,
@@ -107,6 +112,7 @@ def tune(
         peak_sensitivity=peak_sensitivity,
         loop_delay=loop_delay,
         roll_off=roll_off,
+        structure=structure,
         **spreads,
     )
     return promoted(Tuning, found, model=model, loop_delay=loop_delay)

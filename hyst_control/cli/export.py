@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a model or a controller as C, with a harness that holds it against Python; or a bag as a file of other tools.
+"""Write a model or a controller as C, with a harness that holds it against Python, or as an FMU; or a bag as a file of other tools.
 
 MODEL.yaml is exported as the plant, with --kind as a feedforward, with --twin as the model beside the running system,
 with --discrepancy as the error that it states of itself. A file of nodes'
@@ -12,6 +12,7 @@ examples:
   hyst export config/models/pea_hampi.yaml --output plant
   hyst export config/models/pea_hampi.yaml --kind hampi --causal --output feedforward
   hyst export tracking.yaml --reference-ahead --output controller
+  hyst export config/models/pea_hampi.yaml --fmu --output plant.fmu
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "export"
-HELP = "write a model, a feedforward or a controller as C, or a bag for other tools"
+HELP = "write a model, a feedforward or a controller as C or FMU, or a bag for other tools"
 JSON = "list of written files"
 READS = ("source", "plant", "inverse_model")
 WRITES = ("output",)
@@ -36,7 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", choices=("mcap", "csv", "parquet", "mat"), help="of a bag: form of the file")
     parser.add_argument("--namespace", help="of a bag: namespace of its topics, where it holds several plants")
     parser.add_argument(
-        "--output", metavar="OUT", required=True, help="folder to write into, created where it is missing; of a bag: file"
+        "--output",
+        metavar="OUT",
+        required=True,
+        help="folder to write into, created where it is missing; of a bag, and with --fmu: file",
+    )
+    parser.add_argument(
+        "--fmu", action="store_true", help="write one .fmu file: co-simulation by FMI 2.0, with the C compiled for this machine"
     )
     parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
     parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
@@ -57,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         nargs="+",
         metavar="C",
-        help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: the published one)",
+        help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: below the model's first resonance)",
     )
     parser.add_argument(
         "--smoothing", type=int, default=0, help="with --kind: order of a low-pass without phase, which looks ahead"
@@ -81,8 +88,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.base.errors import InputError
-    from hyst_control.control.feedforward.compensator import RATE_FILTER
+    from hyst_control.control.feedforward.compensator import FROM_MODEL
     from hyst_control.export import programs
+    from hyst_control.export.fmu import write_fmu
     from hyst_control.export.folder import sizes, write_folder
     from hyst_control.model_file import load_model
     from hyst_control.reporting.artifacts import Artifacts
@@ -106,7 +114,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
         model = load_model(given.source)
         try:
             if given.kind:
-                chosen_filter = RATE_FILTER if given.rate_filter is None else given.rate_filter
+                chosen_filter = FROM_MODEL if given.rate_filter is None else given.rate_filter
                 options = programs.FeedforwardOptions(
                     given.kind,
                     given.inverse,
@@ -125,6 +133,12 @@ def run(arguments: argparse.Namespace) -> Artifacts:
                 exported = alone(model, time, given.real, given.name)
         except InputError as error:
             raise InputError(f"{given.source}: {error}") from None
+    if given.fmu:
+        if given.plant:
+            raise InputError("--plant: closes a loop in C: leave it out with --fmu, and export the plant as another unit")
+        program = exported.program
+        lines = [f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, tick {program.sample_time:g} s"]
+        return Artifacts("export", [write_fmu(program, given.output)], lines=lines)
     plant = None
     if given.plant:
         plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real)
@@ -155,7 +169,7 @@ def _bag(given: argparse.Namespace) -> Artifacts:
     from hyst_control.records.tables.exporting import export_record
     from hyst_control.reporting.artifacts import Artifacts
 
-    for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant"):
+    for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant", "fmu"):
         if getattr(given, name):
             raise InputError(f"--{name}: is of a model, not of a bag: leave it out")
     if given.to != "mcap":

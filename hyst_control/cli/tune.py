@@ -5,6 +5,7 @@
 examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
   hyst tune config/models/fsm_mhl.yaml --rate 5000 --roll-off --at 100
+  hyst tune config/models/pea_hampi.yaml --structure damping
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
@@ -57,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the gains then hold only with it",
     )
     parser.add_argument(
+        "--structure",
+        choices=("pi", "pid", "notch", "damping", "auto"),
+        default="pi",
+        help="pi (default), with a filtered derivative, a notch or damping of the first resonance, or the best of them (auto)",
+    )
+    parser.add_argument(
         "--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well"
     )
 
@@ -85,6 +92,7 @@ def run(arguments: argparse.Namespace) -> Table:
         mode_spread=arguments.mode_spread,
         model_error=arguments.model_error,
         roll_off=roll_off,
+        structure=arguments.structure,
     )
     nyquist = 0.5 / result.sample_time
     for frequency in arguments.at:

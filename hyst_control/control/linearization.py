@@ -99,15 +99,15 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
     for s in range(systems):
         late = z[:, None, None] ** -running.whole[s * width : (s + 1) * width].astype(float)
         entering = running.b[s, 0] + running.b[s, 1] * back + running.b[s, 2] * back**2
-        # In the triangular form the states follow one from the other, at all frequencies at once.
+        # In the triangular form the states follow one from the other, at all frequencies (and inputs) at once.
         triangle, turn = schur(running.a[s], output="complex")
-        entering = turn.conj().T @ entering
-        state = np.empty_like(entering)
+        columns = turn.conj().T @ np.moveaxis(entering, 1, 0).reshape(n, len(z) * entering.shape[2])
+        each = np.repeat(back[:, 0, 0], entering.shape[2])
+        state = np.empty_like(columns)
         for i in reversed(range(n)):
-            state[:, i] = (entering[:, i] + back[:, 0] * (triangle[i, i + 1 :] @ state[:, i + 1 :])) / (
-                1.0 - triangle[i, i] * back[:, 0]
-            )
-        block = (running.c[s] @ turn) @ state + running.d[s, 0] + running.d[s, 1] * back
+            state[i] = (columns[i] + each * (triangle[i, i + 1 :] @ state[i + 1 :])) / (1.0 - triangle[i, i] * each)
+        output = ((running.c[s] @ turn) @ state).reshape(len(running.c[s]), len(z), entering.shape[2])
+        block = np.moveaxis(output, 0, 1) + running.d[s, 0] + running.d[s, 1] * back
         total[:, s * width : (s + 1) * width, s * width : (s + 1) * width] = block * late
     return total
 

@@ -49,5 +49,5 @@ def measured_margins(plant: Plant, controller: PI, axes: int, axis: int, centre:
     # Weighted mean of Y / U over neighbouring lines, the plant's phase being nearly straight there.
     z = np.exp(2j * np.pi * line / count)
     ratio = np.convolve(measurement[line] * command[line].conj() * z**2, kernel, "same") / np.convolve(weight, kernel, "same")
-    response = ratio / z**2 * controller_response(controller.kp, controller.ki, controller.roll_off, ts, z)
+    response = ratio / z**2 * controller_response(controller, z)
     return margins(response, z, ts)

@@ -114,7 +114,7 @@ def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Pan
     frequency = frequencies(tuning.sample_time)[:-1]
     z: Complex = np.exp(2j * np.pi * frequency * tuning.sample_time)
     plants = spread_responses(model, tuning.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
-    loops = plants * controller_response(tuning.kp, tuning.ki, tuning.roll_off, tuning.sample_time, z)
+    loops = plants * controller_response(tuning.law, z)
     magnitude, phase = bode([Response(f"loop {axis}", frequency, loop) for axis, loop in zip(model.axes, loops, strict=True)], "1")
     closed = [
         line

@@ -40,12 +40,12 @@ def state_space(stages: Sequence[Stage], axes: int, sample_time: float) -> Discr
     c = wanted @ np.linalg.pinv(ahead)
     if np.linalg.norm(c @ ahead - wanted) <= ABSORBED * np.linalg.norm(wanted):
         return Discrete(found.a, found.b, c, np.zeros_like(found.d))
-    return _then(found, _delay(np.ones(axes, np.int64)))
+    return then(found, _delay(np.ones(axes, np.int64)))
 
 
 def _realized(running: Filter, axes: int) -> Discrete:
     if isinstance(running, SeriesFilter):
-        return reduce(_then, [_realized(part, axes) for part in running.filters], _delay(np.zeros(axes, np.int64)))
+        return reduce(then, [_realized(part, axes) for part in running.filters], _delay(np.zeros(axes, np.int64)))
     if isinstance(running, ParallelFilter):
         parts = [_realized(part, axes) for part in running.filters]
         return Discrete(
@@ -58,7 +58,7 @@ def _realized(running: Filter, axes: int) -> Discrete:
         raise InputError("chain: has a stage without a linear description")
     systems = [_system(running, index) for index in range(len(running.a))]
     together = Discrete(*(block_diag(*matrices) for matrices in zip(*systems, strict=True)))
-    return _then(_delay(running.whole), together)
+    return then(_delay(running.whole), together)
 
 
 def _system(running: LinearFilter, index: int) -> Discrete:
@@ -79,7 +79,7 @@ def _delay(ticks: Integers) -> Discrete:
     return Discrete(*(block_diag(*matrices) for matrices in zip(*parts, strict=True)))
 
 
-def _then(first: Discrete, second: Discrete) -> Discrete:
+def then(first: Discrete, second: Discrete) -> Discrete:
     """Two systems in series."""
     corner = np.zeros((len(first.a), len(second.a)))
     return Discrete(

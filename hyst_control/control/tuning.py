@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it.
 
-The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1)): P exact for the held command, delays included, d further ticks where the
-loop carries them (a loop closed over topics on wall-clock timers carries about one), F the roll-off of the feedback (`pi`) where it
-is asked for, 1 otherwise. Among all (kp, ki) that keep the margins for every case of plant gain and first resonance, the one with
-the greatest ki is taken: it has the least integral of the error after a load step (Astrom and Hagglund, Advanced PID Control, 2006,
-§4.6 and §6.3). Among roll-offs, each with its gains, the one whose step has the least integral of the absolute error is taken: the
-greatest ki of all belongs to a low corner and a great kp, which overshoot.
+The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1) + D(z) - G(z)): P exact for the held command, delays included, d further
+ticks where the loop carries them (a loop closed over topics on wall-clock timers carries about one), F the roll-off and the notches
+of the feedback, D its derivative and G its damping (`feedback.filters`), where they are asked for. Among all gains that keep the
+margins for every case of plant gain and first resonance, the one with the greatest ki is taken: it has the least integral of the
+error after a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 and §6.3). Among shapes (`feedback_shapes`), each with
+its gains, the one whose step has the least integral of the absolute error is taken: the greatest ki of all belongs to a low corner
+and a great kp, which overshoot.
 
 The model's own error is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
 frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
@@ -16,7 +17,7 @@ margins hold for the worst of these plants.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,9 +26,12 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
+from hyst_control.control.feedback.filters import Filters, response
 from hyst_control.control.feedback.loop import run_loop
-from hyst_control.control.feedback.pi import PI, roll_off_share
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
+from hyst_control.control.feedback.pi import PI
+from hyst_control.control.feedback_shapes import STRUCTURES, Shape, shapes
+from hyst_control.control.linear_step import Step, law_sections, linear_step
+from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
@@ -55,7 +59,8 @@ class Tuning:
     """Gains and what they give.
 
     kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the worst over the spread and
-    the model's own error, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without.
+    the model's own error, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without; filters: notches,
+    derivative and damping.
     """
 
     kp: float
@@ -66,10 +71,27 @@ class Tuning:
     settling_time: float
     overshoot: float
     roll_off: float = 0.0
+    filters: Filters = Filters()
 
     def controller(self, lower: float, upper: float, slew_limit: float = 0.0) -> PI:
         """Tuned controller with the command limits `lower` and `upper` in V and `slew_limit` in V/s (0 for none)."""
-        return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit, roll_off=self.roll_off)
+        return PI(self.kp, self.ki, self.sample_time, lower, upper, slew_limit, roll_off=self.roll_off, filters=self.filters)
+
+    @property
+    def law(self) -> PI:
+        """Tuned controller without limits."""
+        return self.controller(-1e300, 1e300)
+
+    @property
+    def parameters(self) -> dict[str, float | list[float]]:
+        """Parameters of the node `pi_feedback` that are not at their default."""
+        given = {"kp": self.kp, "ki": self.ki, "roll_off": self.roll_off, **vars(self.filters)}
+        plain = {"roll_off": 0.0, **vars(Filters())}
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in given.items()
+            if name not in plain or value != plain[name]
+        }
 
     def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
         """Greatest sensitivity |1 / (1 + L)| (F,) of all axes of the nominal model.
@@ -85,21 +107,25 @@ class Tuning:
         """
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
         plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
-        loops = plants * controller_response(self.kp, self.ki, self.roll_off, self.sample_time, z)
+        loops = plants * controller_response(self.law, z)
         return np.asarray(np.abs(1.0 / (1.0 + loops)).max(axis=0))
 
     def step(self, model: Model, length: int) -> Array:
         """Measurement (length, A) of `model` in the linear loop when the reference jumps from 0 to 1."""
-        return _step(model, self.kp, self.ki, self.roll_off, self.sample_time, length)
+        axes = len(model.axes)
+        mean, _ = hysteresis_slopes(model)
+        plant = Simulator(model.with_stages(Chain(linearized(model, mean)).stages), self.sample_time)
+        return run_loop(np.ones((length, axes)), None, self.law.start(axes), plant)["measurement"]
 
     def table(self, model: Model) -> Table:
         """The result as rows, for the command line and the JSON."""
         table, unit = Table("tune"), model.units["measurement"]
         where = f"{model.name} at {1.0 / self.sample_time:g} Hz"
-        table.add("PI feedback", where, "controller", "kp", f"V/{unit}", self.kp)
-        table.add("PI feedback", where, "controller", "ki", f"V/({unit} s)", self.ki)
-        if self.roll_off:
-            table.add("PI feedback", where, "controller", "roll_off", "Hz", self.roll_off)
+        symbols = {"kp": f"V/{unit}", "ki": f"V/({unit} s)", "kd": f"V s/{unit}", "damping_gain": f"V/{unit}"}
+        symbols |= dict.fromkeys(("roll_off", "derivative_corner", "notch_frequency", "damping_corner"), "Hz")
+        for name, value in self.parameters.items():
+            for number in value if isinstance(value, list) else [value]:
+                table.add("PI feedback", where, "controller", name, symbols.get(name, ""), number)
         for subject, case in (("nominal", self.nominal), ("worst case", self.worst)):
             for quantity, symbol in (
                 ("gain_margin", "dB"),
@@ -115,8 +141,6 @@ class Tuning:
 
 
 AUTOMATIC = "auto"
-ROLL_OFFS = tuple(np.geomspace(0.4, 0.004, 11))
-"""Corners of the roll-off that are tried, relative to the sample rate."""
 
 
 def tune(
@@ -131,8 +155,9 @@ def tune(
     mode_spread: float = 0.2,
     model_error: float = 0.15,
     roll_off: float | str = 0.0,
+    structure: str = "pi",
 ) -> Tuning:
-    """PI gains for a model, one pair for all axes.
+    """Gains of the feedback for a model, the same for all axes.
 
     The hysteresis enters with its greatest slope, so that no part of a loop has less margin.
 
@@ -159,6 +184,9 @@ def tune(
     roll_off
         Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains, which then keep the margins
         only with it.
+    structure
+        "pi"; "pid" with a derivative behind a low-pass; "notch" at the first resonance; "damping" of the first resonance; or "auto" for
+        the best of them. The margins hold only with these filters.
 
     Returns
     -------
@@ -184,71 +212,106 @@ def tune(
         )
     if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
         raise InputError(f"roll_off: must be a corner in Hz, 0 for none, or {AUTOMATIC!r}, got {roll_off!r}")
+    if structure not in (*STRUCTURES, AUTOMATIC):
+        raise InputError(f"structure: {structure!r} is not one of {', '.join((*STRUCTURES, AUTOMATIC))}")
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
     plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
-    static = np.abs(plants[:, 0]).max()
+    static = float(np.abs(plants[:, 0]).max())
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
-    corners = [float(roll_off)] if roll_off != AUTOMATIC else _ranked_corners(model, plants, static, sample_time, z, limits)
-    for corner in corners:
-        kp, ki = _greatest_integral(plants, static, sample_time, corner, z, limits)
-        if ki > 0.0:
+    mean, greatest = hysteresis_slopes(model)
+    stages, axes = linearized(model, mean), len(model.axes)
+    mode = first_mode(linearized(model, greatest), axes)
+    given = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
+
+    def step(law: PI) -> Step:
+        return linear_step(stages, axes, law, loop_delay)
+
+    ranked = given if len(given) == 1 else _ranked(given, plants, static, sample_time, z, limits, step)
+    for shape in ranked:
+        law = _greatest_integral(plants, static, sample_time, shape, z, limits)
+        if law is not None:
             break
     else:
-        raise InputError("margins: no PI controller keeps them for this model: ask for less, or sample faster")
-    controller = controller_response(kp, ki, corner, sample_time, z)
-    axes = len(model.axes)
+        raise InputError("margins: no controller of this structure keeps them for this model: ask for less, or sample faster")
+    controller = controller_response(law, z)
     nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
     cases = [margins(plant * controller, z, sample_time, model_error) for plant in plants]
-    settling, overshoot = step_response(model, kp, ki, sample_time, corner)
-    return Tuning(kp, ki, sample_time, _worst(nominal), _worst(cases), settling, overshoot, corner)
+    found = step(law)
+    settling = found.settling_ticks() * sample_time
+    return Tuning(law.kp, law.ki, sample_time, _worst(nominal), _worst(cases), settling, found.overshoot, law.roll_off, law.filters)
 
 
-def _ranked_corners(
-    model: Model, plants: Complex, static: float, sample_time: float, z: Complex, limits: tuple[float, float, float, float]
-) -> list[float]:
-    """Corners of the roll-off in Hz, 0 for none, the best first; a third of the frequencies is enough to rank them."""
+Limits = tuple[float, float, float, float]
+"""Least gain margin as a factor, phase margin in rad, greatest peak of the sensitivity, relative model error."""
+
+
+def _ranked(
+    given: Sequence[Shape],
+    plants: Complex,
+    static: float,
+    sample_time: float,
+    z: Complex,
+    limits: Limits,
+    step: Callable[[PI], Step],
+) -> list[Shape]:
+    """Shapes that have gains, the one with the least absolute error of its step first; a third of the frequencies ranks them."""
     ranked = []
-    for corner in [0.0, *(share / sample_time for share in ROLL_OFFS)]:
-        kp, ki = _greatest_integral(plants[:, ::3], static, sample_time, corner, z[::3], limits)
-        if ki > 0.0:
-            ranked.append((_absolute_error(model, kp, ki, corner, sample_time), corner))
-    return [corner for _, corner in sorted(ranked)]
+    for index, shape in enumerate(given):
+        law = _greatest_integral(plants[:, ::3], static, sample_time, shape, z[::3], limits)
+        if law is not None:
+            ranked.append((step(law).absolute_error, index))
+    return [given[index] for _, index in sorted(ranked)]
 
 
-def _greatest_integral(
-    plants: Complex, static: float, sample_time: float, roll_off: float, z: Complex, limits: tuple[float, float, float, float]
-) -> tuple[float, float]:
-    """The gains (kp, ki) with the greatest ki that keep the limits for all plants (M, F); zeros where there are none."""
-    rolled = plants * controller_response(1.0, 0.0, roll_off, sample_time, z)
-    best = (0.0, 0.0)
+def _greatest_integral(plants: Complex, static: float, sample_time: float, shape: Shape, z: Complex, limits: Limits) -> PI | None:
+    """The law of a shape with the greatest ki that keeps the limits for all plants (M, F); None where there is none."""
+    unit = shape.law(0.0, 0.0, 0.0, sample_time)
+    before, beside = law_sections(unit)
+    rolled = plants * np.prod([response(section, z) for section in before], axis=0)
+    fixed = rolled * sum(response(section, z) for section in beside)  # damping alone
+    filtered = bool(before)
+    if unit.filters.damping_gain and not _damped(fixed, limits):
+        return None
+    (derivative,) = Filters(kd=1.0, derivative_corner=shape.derivative_corner).beside(sample_time)
+    best: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # Integral action alone, and proportional-to-integral times from a tenth of a sample to ten thousand.
-    for time in [0.0, *(sample_time * np.geomspace(0.1, 1e4, 26 if roll_off else 51))]:
-        shape = (time + sample_time * z / (z - 1.0)) / (static * sample_time)
-        loops, above = rolled * shape, best[1] * static * sample_time
-        if roll_off and above and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
-            continue  # no greater integral gain than the best so far
-        scale = _largest_scale(loops, *limits, above=above)
-        gains = scale * time / (static * sample_time), scale / (static * sample_time)
+    times = [0.0, *(sample_time * np.geomspace(0.1, 1e4, 26 if shape.several else 51))] if shape.time is None else [shape.time]
+    for time in times:
+        advance = shape.derivative * time**2
+        scaled = (time + sample_time * z / (z - 1.0) + advance * response(derivative, z)) / (static * sample_time)
+        loops, above = rolled * scaled, best[1] * static * sample_time
+        if shape.damping_gain:
+            scale = _largest_scale(loops, *limits, above=above, fixed=fixed)
+        else:
+            if filtered and above and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
+                continue  # no greater integral gain than the best so far
+            scale = _largest_scale(loops, *limits, above=above)
+        gains = tuple(scale * factor / (static * sample_time) for factor in (time, 1.0, advance))
         if gains[1] > best[1]:
             best = gains
-    return float(best[0]), float(best[1])
+    return shape.law(*map(float, best), sample_time) if best[1] > 0.0 else None
 
 
-def controller_response(kp: float, ki: float, roll_off: float, sample_time: float, z: Complex) -> Complex:
+def _damped(fixed: Complex, limits: Limits) -> bool:
+    """True when the loops (M, F) of the damping alone keep the limits at every gain up to theirs."""
+    gain_margin, phase_margin, peak, error = limits
+    crossing = np.maximum(_crossing_180(fixed), -fixed.real[:, 0]).max() * (1.0 + error) * gain_margin
+    return bool(
+        crossing <= 1.0
+        and 1.0 <= peak * _min_distance(fixed, error)
+        and _phase_margin(_courses(fixed), error).min() >= phase_margin
+    )
+
+
+def controller_response(law: PI, z: Complex) -> Complex:
     """Response of the feedback from the error to the command.
 
     Parameters
     ----------
-    kp
-        Proportional gain, V per measurement unit.
-    ki
-        Integral gain, V per measurement unit and s.
-    roll_off
-        Corner of the roll-off, Hz; 0 for none.
-    sample_time
-        Sample time, s.
+    law
+        Law of the feedback.
     z
         Points (F,) of the z plane.
 
@@ -257,9 +320,9 @@ def controller_response(kp: float, ki: float, roll_off: float, sample_time: floa
     Complex
         Response (F,), V per measurement unit.
     """
-    response = kp + ki * sample_time * z / (z - 1.0) if ki else np.full(z.shape, kp, dtype=complex)
-    share = roll_off_share(roll_off, sample_time)
-    return response * (share / (1.0 - (1.0 - share) / z)) if share < 1.0 else response
+    before, beside = law_sections(law)
+    passed = np.prod([np.ones_like(z), *(response(section, z) for section in before)], axis=0)
+    return np.asarray(passed * np.sum([response(section, z) for section in beside], axis=0))
 
 
 def spread_responses(
@@ -299,18 +362,30 @@ def spread_responses(
 
 
 def _largest_scale(
-    loops: Complex, gain_margin: float, phase_margin: float, peak_sensitivity: float, error: float, above: float
+    loops: Complex,
+    gain_margin: float,
+    phase_margin: float,
+    peak_sensitivity: float,
+    error: float,
+    above: float,
+    fixed: Complex | None = None,
 ) -> float:
-    """The largest factor on loops (M, F) up to which all of them keep the margins; 0 when it is not larger than `above`."""
+    """The largest factor on loops (M, F), added to `fixed` ones, up to which all keep the margins; 0 when not larger than `above`."""
     ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
-
+    if fixed is not None:  # the damping may allow more than the plant does
+        highest *= 10.0
     courses = _courses(loops)
 
     def kept(scale: float) -> bool:
-        if 1.0 > peak_sensitivity * _min_distance(scale * loops, error):
+        scaled = scale * loops if fixed is None else scale * loops + fixed
+        if 1.0 > peak_sensitivity * _min_distance(scaled, error):
             return False
-        return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
+        if fixed is None:
+            return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
+        if _crossing_180(scaled).max() * (1.0 + error) * gain_margin > 1.0:
+            return False
+        return bool(_phase_margin(_courses(scaled), error).min() >= phase_margin)
 
     if highest <= above:
         return 0.0
@@ -422,55 +497,3 @@ def _worst(cases: list[Margins]) -> Margins:
         min(case.crossover for case in cases),
         min(case.bandwidth for case in cases),
     )
-
-
-def step_response(model: Model, kp: float, ki: float, sample_time: float, roll_off: float = 0.0) -> tuple[float, float]:
-    """Settling time and overshoot of the linear loop with feedback alone, of the worst axis.
-
-    Parameters
-    ----------
-    model
-        Model of the plant.
-    kp
-        Proportional gain, V per measurement unit.
-    ki
-        Integral gain, V per measurement unit and s.
-    sample_time
-        Sample time, s.
-    roll_off
-        Corner of the roll-off, Hz; 0 for none.
-
-    Returns
-    -------
-    tuple[float, float]
-        Time until the step stays within 2 %, s (NaN where it does not), and the overshoot, percent.
-    """
-    length = 200
-    while True:
-        output = _step(model, kp, ki, roll_off, sample_time, length)
-        outside = np.flatnonzero(np.any(np.abs(output - 1.0) > 0.02, axis=1))
-        last = int(outside[-1]) if len(outside) else 0
-        if last < 0.5 * length or length >= 200_000:
-            break
-        length *= 4
-    settling = (last + 1) * sample_time if last < length - 1 else np.nan
-    return float(settling), float(100.0 * max(output.max() - 1.0, 0.0))
-
-
-def _absolute_error(model: Model, kp: float, ki: float, roll_off: float, sample_time: float) -> float:
-    """Integral (s) of the absolute error of the linear loop's unit step, of the worst axis."""
-    length = 200
-    while True:
-        error = np.abs(_step(model, kp, ki, roll_off, sample_time, length) - 1.0)
-        if error[length // 2 :].max() < 1e-3 or length >= 200_000:
-            return float(error.sum(axis=0).max() * sample_time)
-        length *= 4
-
-
-def _step(model: Model, kp: float, ki: float, roll_off: float, sample_time: float, length: int) -> Array:
-    """Measurement (length, A) of the linear loop when the reference jumps to 1 at its first sample; feedback alone."""
-    axes = len(model.axes)
-    mean, _ = hysteresis_slopes(model)
-    plant = Simulator(model.with_stages(Chain(linearized(model, mean)).stages), sample_time)
-    controller = PI(kp, ki, sample_time, -1e300, 1e300, roll_off=roll_off).start(axes)
-    return run_loop(np.ones((length, axes)), None, controller, plant)["measurement"]

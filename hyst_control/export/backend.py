@@ -40,11 +40,12 @@ class CompiledPI(RunningPI):
         super().__init__(description, axes)
         code = CCode(
             "pi",
-            f"{ROWS}\n{pi_c_code.STEP}\n{COMMANDS}",
+            f"{ROWS}\n{pi_c_code.step(self)}\n{COMMANDS}",
             "out[0] = in[0];",
+            pi_c_code.sizes(self),
             constants=pi_c_code.constants(self),
             state=pi_c_code.state(self),
-            functions=pi_c_code.CLAMPING,
+            functions=pi_c_code.functions(self),
         )
         self._running = _compiled("pi_feedback", code, axes, 3 * axes, 2 * axes, description.sample_time)
         rows = len(self._state)
@@ -52,7 +53,7 @@ class CompiledPI(RunningPI):
         self._state = self._running.state[:numbers].view(float).reshape(rows, axes)
         # Numbers that are looked at in every tick, and views of the one row: numpy's indexing would cost more than the step.
         self._counted = self._running.whole_numbers(numbers)
-        self._flags = self._running.numbers((rows - 1) * axes * np.dtype(float).itemsize)
+        self._flags = self._running.numbers(3 * axes * np.dtype(float).itemsize)
         row_in, row_out = self._running.row_in, self._running.row_out
         self._given = row_in[:, :axes], row_in[:, axes : 2 * axes], row_in[:, 2 * axes :]
         self._found = row_out[:, :axes], row_out[:, axes:]

@@ -199,8 +199,8 @@ class Controller(Filter):
             else "/* no feedforward */",
             "STEP_FEEDFORWARD": "PART0_step(&s->part0, s->reference, feedforward);" if parts else "/* no feedforward */",
             "ADD_LEARNED": "/* nothing is learned */" if learned is None else ADD_LEARNED,
-            "RESUME": pi_c_code.RESUME.strip(),
-            "STEP_PI": pi_c_code.STEP.strip(),
+            "RESUME": pi_c_code.resume(self.controller),
+            "STEP_PI": pi_c_code.step(self.controller),
             "WATCH": sensor_watch_c_code.WATCH.strip(),
         }
         step = STEP
@@ -209,7 +209,7 @@ class Controller(Filter):
         return CCode(
             "controller",
             step,
-            SETTLE + sensor_watch_c_code.SETTLE.lstrip(),
+            SETTLE + sensor_watch_c_code.SETTLE.lstrip() + pi_c_code.reset(self.controller),
             {
                 "AHEAD": self.ahead,
                 "TIMEOUT": self.timeout,
@@ -219,10 +219,11 @@ class Controller(Filter):
                 "FROZEN": self.frozen,
                 "SLOW": SLOW * self.frozen,
                 "ROWS": 0 if learned is None else len(learned),
+                **pi_c_code.sizes(self.controller),
             },
             {**pi_c_code.constants(self.controller), **limits, **table},
             state,
-            (*pi_c_code.FUNCTIONS, FINITE, sensor_watch_c_code.RANGES),
+            (*pi_c_code.functions(self.controller), pi_c_code.RAMPED, FINITE, sensor_watch_c_code.RANGES),
             parts,
         )
 
@@ -385,16 +386,6 @@ if ((s->known[0] != 0) && (s->known[1] != 0)) {
             wanted[i] = s->command[i];
             s->overflow[i] = ((running[i] != 0) && (s->overflowed[i] > R(0.0))) ? 1 : 0;
             s->overflowed[i] = R(0.0);
-        }
-        if (p->ki_step == R(0.0)) {
-            /* no integral action to lead back */
-            for (int i = 0; i < AXES; i++) {
-                if (back[i] != 0) {
-                    const real error = reference[i] - measurement[i];
-                    s->integral[i] = R(0.0);
-                    s->rolled[i] = isfinite(error) ? error : R(0.0);
-                }
-            }
         }
         for (int i = 0; i < AXES; i++) {
             s->command[i] = wanted[i];

@@ -18,8 +18,9 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.feedforward.compensator import RATE_FILTER, Compensator, build_compensator
+from hyst_control.control.feedforward.compensator import FROM_MODEL, Compensator, build_compensator
 from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
@@ -94,7 +95,7 @@ class FeedforwardOptions:
     iterations: int | None = None
     smoothing: int = 0
     inverse_model: str = ""
-    rate_filter: tuple[float, ...] | None = RATE_FILTER
+    rate_filter: tuple[float, ...] | None = FROM_MODEL
     limits: tuple[float, float] | None = None
     preview: bool = True
 
@@ -235,7 +236,7 @@ def _controller(document: Any, path: Path, real: str, name: str, reference_ahead
         raise InputError(f"pi_feedback.rate_hz: must be > 0, got {rate!r}")
     time = 1.0 / rate
     defaults = {"kp": 0.0, "ki": 0.0, "lower": 0.0, "upper": 100.0, "slew_limit": 0.0, "tracking_time": 0.0, "roll_off": 0.0}
-    law = PI(sample_time=time, **{key: _number(given, key, value) for key, value in defaults.items()})
+    law = PI(sample_time=time, filters=_filters(given), **{key: _number(given, key, value) for key, value in defaults.items()})
     known: dict[str, Any] = {item.name: given[item.name] for item in fields(FaultResponse) if item.name in given}
     for key in known:
         if key == "safe_command":
@@ -292,7 +293,7 @@ def _fed(given: Mapping[str, Any], node: str, axes: Sequence[str], time: float, 
     model = load_model(_beside(path, str(given["model"])))
     if model.axes != tuple(axes):
         raise InputError(f"{node}.model: has axes {', '.join(model.axes)}, the loop {', '.join(axes)}")
-    rating, filtered = given.get("limits", [0.0, 0.0]), given.get("rate_filter", RATE_FILTER)
+    rating, filtered = given.get("limits", [0.0, 0.0]), given.get("rate_filter", FROM_MODEL)
     iterations = int(given.get("iterations", -1))
     options = FeedforwardOptions(
         kind,
@@ -327,6 +328,21 @@ def _nodes(document: Any) -> dict[str, dict[str, Any]]:
         found[str(name).rsplit("/", 1)[-1]] = dict(own)
     common = found.pop("**", {})
     return {name: {**common, **own} for name, own in found.items()}
+
+
+def _filters(given: Mapping[str, Any]) -> Filters:
+    """Filters of the feedback, by the names of the node's parameters."""
+    values: dict[str, Any] = {}
+    for item in fields(Filters):
+        if item.name not in given:
+            continue
+        if isinstance(item.default, tuple):
+            rows = given[item.name]
+            rows = rows if isinstance(rows, Sequence) and not isinstance(rows, str) else [rows]
+            values[item.name] = tuple(_number({item.name: row}, item.name, 0.0) for row in rows)
+        else:
+            values[item.name] = _number(given, item.name, 0.0)
+    return Filters(**values)
 
 
 def _number(given: Mapping[str, Any], name: str, default: float) -> float:

@@ -12,7 +12,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Compensator
 from hyst_control.control.feedback.slope_demand import SlopeDemand
-from hyst_control.control.feedforward.compensator import KINDS, RATE_FILTER, build_compensator
+from hyst_control.control.feedforward.compensator import FROM_MODEL, KINDS, build_compensator
 from hyst_control.control.feedforward.static_gain import Proportional
 from hyst_control.export.backend import CompiledFeedforward
 from hyst_control.export.controller import Feedforward as WithC
@@ -55,10 +55,10 @@ def settings_of(kind: str) -> tuple[Setting, ...]:
         Setting("inverse_model", "", "", "model file with separately identified inverse curves"),
         Setting(
             "rate_filter",
-            RATE_FILTER,
+            FROM_MODEL,
             "s^2, s, 1",
-            "mhl: denominator of N(s), descending powers of s; a single 0: without",
-            0.0,
+            "mhl: denominator of N(s), descending powers of s; a single 0: without; a single -1: below the model's first resonance",
+            -1.0,
             1e12,
         ),
         Setting("slew_limit", 0.0, "V/s", "slope of the feedforward above which the node warns, 0 for never", 0.0, 1e12),

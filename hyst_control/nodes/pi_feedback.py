@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from rclpy.duration import Duration
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
 from hyst_control.control.feedback.sensor_watch import MOTION, MeasurementWatch
@@ -33,6 +34,8 @@ ENDING, RIVAL = "the node is ending", "another node publishes command"
 NOT_FOLLOWED = "the actuator does not follow the command: the feedback tracks what is applied"
 LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")
 """Parameters of the controller's law."""
+FILTERS = tuple(field.name for field in fields(Filters))
+"""Parameters of its filters, which are set at the start."""
 TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
 LONGEST_RAMP = 100_000  # rows, in lockstep
 
@@ -55,6 +58,13 @@ class PiFeedback(ManagedNode):
         Setting(
             "roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9, live=True
         ),
+        Setting("kd", 0.0, "V s per unit", "derivative gain (see hyst tune --structure)", 0.0, 1e9),
+        Setting("derivative_corner", 0.0, "Hz", "corner of a low-pass of the derivative, 0 for none", 0.0, 1e9),
+        Setting("notch_frequency", (0.0,), "Hz", "frequency of each notch of the error, 0 for none", 0.0, 1e9),
+        Setting("notch_width", (0.7,), "", "damping ratio of the poles, of all notches or of each", 0.0, 1e3),
+        Setting("notch_depth", (0.1,), "", "gain at the notch's frequency, of all notches or of each", 0.0, 1.0),
+        Setting("damping_gain", 0.0, "V per unit", "gain of the damping of a resonance, 0 for none", 0.0, 1e9),
+        Setting("damping_corner", 0.0, "Hz", "corner of the damping's low-pass", 0.0, 1e9),
         Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6, live=True),
         Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True, wider="lower"),
         Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True, wider="higher"),
@@ -356,7 +366,8 @@ class PiFeedback(ManagedNode):
         return bool(self.settings.rival != "warn" and self._rivals.silent_for < self.settings.rival_time)
 
     def _described(self, values: Mapping[str, Any]) -> PI:
-        return PI(sample_time=self.period, **{name: values[name] for name in LAW})
+        filters = Filters(**{name: values[name] for name in FILTERS})
+        return PI(sample_time=self.period, filters=filters, **{name: values[name] for name in LAW})
 
     def _watch(self) -> MeasurementWatch:
         given = self.settings

@@ -71,9 +71,7 @@ class FollowingWatch:
         self._time, self._values = np.zeros(0), np.zeros((0, self._axes))
         self._said, self._voltages = np.zeros(0, np.int64), np.zeros((0, self._axes))  # the two newest messages
 
-    def look(
-        self, command: tuple[Integers, Array], applied: tuple[Integers, Array]
-    ) -> tuple[Mask, Array]:
+    def look(self, command: tuple[Integers, Array], applied: tuple[Integers, Array]) -> tuple[Mask, Array]:
         """Find the ticks at which the actuator does not follow its command, and its voltage at every tick."""
         ticks, commands = command
         found = np.zeros(len(ticks), bool)

@@ -3,7 +3,7 @@
 """Pages and drawings from templates, so that Python code has no markup.
 
 A template lies in the folder `templates` of its room: `reporting/templates/page.html`; those of `evaluation` are found likewise. In
-`.html` and `.svg` every value is escaped, unless it is `markupsafe.Markup`; in `.md` none is.
+`.html`, `.svg` and `.xml` every value is escaped, unless it is `markupsafe.Markup`; in `.md` none is.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def render_markup(template: str, **values: object) -> Markup:
 def _environment() -> Environment:
     return Environment(
         loader=ChoiceLoader([PackageLoader(name, "") for name in ("hyst_control", "evaluation") if find_spec(name)]),
-        autoescape=select_autoescape(("html", "svg"), default=False),
+        autoescape=select_autoescape(("html", "svg", "xml"), default=False),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -55,9 +55,7 @@ def test_a_trial_leaves_what_theory_says(gain, mode, controller):
     z = lines_of(PERIOD)
     z[0] = np.exp(1e-9j)  # at rest the integral's response has no bound
     response = sampled_response((*with_first_mode(model.chain.stages, 1, mode), TransferFunction([gain], [1.0])), 1, TIME, z)
-    theory = filter_.contraction(
-        response, feedback_response([controller_response(controller.kp, controller.ki, controller.roll_off, TIME, z)])
-    )
+    theory = filter_.contraction(response, feedback_response([controller_response(controller, z)]))
     found = before > 1e-6
     np.testing.assert_allclose((after[found] / before[found]), theory[found], atol=2e-4)
     assert np.all(theory[filter_.robustness > 0] < 1.0)
@@ -80,7 +78,7 @@ def test_it_converges_for_every_plant_that_it_allows_for(loop, gain, mode):
     model, ts, tuning, filter_ = loop
     z, axes = lines_of(50), len(model.axes)
     z[0] = np.exp(1e-9j)
-    feedback = feedback_response([controller_response(tuning.kp, tuning.ki, tuning.roll_off, ts, z)] * axes)
+    feedback = feedback_response([controller_response(tuning.law, z)] * axes)
     mean, _ = hysteresis_slopes(model)
     plant = sampled_response(with_first_mode(linearized(model, gain * mean), axes, mode), axes, ts, z)
     if model is not MHL:

@@ -288,6 +288,24 @@ def test_limits_go_on_to_their_new_values_while_the_loop_is_stopped():
     assert loop._limits is None, "nothing is left to move"
 
 
+@pytest.mark.parametrize("fault", ["", "stale"])
+@pytest.mark.parametrize("way", ["closed", "open", "open block", "stopped_by"])
+def test_limits_move_by_the_safe_rate_in_every_tick_whatever_the_loop_does(way, fault):
+    loop = made()
+    loop.open(np.full((10, 2), 5.0))
+    loop.change(replace(loop.controller.description, upper=30.0))
+    rows = np.full((1, 2), 5.0)
+    for ticks in (2, 4, 6):
+        if way == "open block":
+            loop.open(np.repeat(rows, 2, axis=0), fault)
+        elif way == "stopped_by":
+            loop.stopped_by(fault, 2)
+        else:
+            for _ in range(2):
+                loop.open(rows, fault) if way == "open" else loop.closed(rows, rows, rows, fault)
+        np.testing.assert_allclose(loop.controller.description.upper, UPPER + ticks * RATE * PERIOD, atol=1e-12)
+
+
 @pytest.mark.parametrize("axes", [2, 5000])
 def test_one_axis_of_many_is_limited_and_a_nan_among_them_is_no_command(axes):
     limits, applied = CommandLimits(-1.0, 1.0), np.zeros(axes)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning against closed-form loops, simulated responses, and the nonlinear models with their spread."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
-from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
+from hyst_control.control.linear_step import linear_step
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
 from hyst_control.control.tuning import _largest_scale, margins, tune
 from hyst_control.model_file import Model, Simulator, load_model
@@ -196,12 +198,10 @@ def test_more_delay_costs_bandwidth():
 
 def test_settling_time_is_that_of_the_simulated_step():
     """First-order closed loop: for a pure gain, k = g ki T, the error falls by 1 - k a tick."""
-    from hyst_control.control.tuning import step_response
-
-    settling, overshoot = step_response(plain(Gain(0.1)), 0.0, 0.25 / 0.1 / SAMPLE_TIME, SAMPLE_TIME)
+    found = linear_step([TransferFunction([0.1], [1.0])], 1, PI(0.0, 0.25 / 0.1 / SAMPLE_TIME, SAMPLE_TIME, -1e9, 1e9))
     ticks = int(np.ceil(np.log(0.02) / np.log(0.75)))
-    assert settling == pytest.approx(ticks * SAMPLE_TIME, abs=1e-9)
-    assert overshoot == pytest.approx(0.0, abs=1e-9)
+    assert found.settling_ticks() == ticks
+    assert found.overshoot == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -257,6 +257,114 @@ def test_a_moved_mode_leaves_the_notch_that_hid_it_where_it_is(factor):
     found = sampled_response(with_first_mode(present, 1, factor), 1, SAMPLE_TIME, z)
     np.testing.assert_allclose(found, response(factor), rtol=1e-6)
     assert np.abs(found - response(1.0)).max() > 1.0
+
+
+STRUCTURES = ("pi", "pid", "notch", "damping")
+
+
+@pytest.fixture(scope="module")
+def structures():
+    return {structure: tune(HAMPI, sample_time=5e-5, structure=structure) for structure in STRUCTURES}
+
+
+@pytest.mark.parametrize("gain", [0.9, 1.1])
+@pytest.mark.parametrize("mode", [0.8, 1.2])
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_margins_of_every_structure_from_impulse_responses(structures, structure, gain, mode):
+    """As for the roll-off: what plant and controller answer to an impulse, each simulated by itself."""
+    found, count = structures[structure], 1 << 15
+    impulse, rest = np.zeros((count, 1)), np.zeros((count, 1))
+    impulse[0] = 1.0
+    stages = with_first_mode(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
+    plant = Simulator(HAMPI.with_stages(stages), found.sample_time)
+    plant.reset(np.zeros(1))
+    answer = np.concatenate([np.zeros((1, 1)), plant.step(impulse)[:-1]])[:, 0]
+    feedback = found.controller(-1e9, 1e9).start(1).step(impulse, rest, rest)[1][:, 0]
+    integral = feedback[-1]
+    turn = np.exp(-2j * np.pi * np.arange(1, count // 2) / count)
+    loop = np.fft.fft(answer)[1 : count // 2] * (np.fft.fft(feedback - integral)[1 : count // 2] + integral / (1.0 - turn))
+    inside, phase = np.abs(loop), np.unwrap(np.angle(loop))
+    crossings = np.flatnonzero(np.diff(np.sign(inside - 1.0)))
+    margin = np.degrees(np.abs(np.mod(phase[crossings], 2 * np.pi) - np.pi)).min()
+    assert len(crossings) and margin > 45.0 and margin >= found.worst.phase_margin
+    crossings = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[:-1] < 0))
+    assert -20 * np.log10(inside[crossings].max(initial=1e-9)) >= found.worst.gain_margin
+    assert np.abs(1.0 / (1.0 + loop)).max() <= found.worst.peak_sensitivity
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_every_structure_settles_as_it_says_and_stays_stable_at_twice_its_gain(structures, structure):
+    found = structures[structure]
+    ticks = round(found.settling_time / found.sample_time)
+    output = found.step(HAMPI, 3 * ticks)
+    assert np.abs(output[ticks:] - 1.0).max() <= 0.02 < abs(output[ticks - 1, 0] - 1.0)
+    assert 100 * max(output.max() - 1.0, 0.0) == pytest.approx(found.overshoot, abs=1e-3)
+    law = found.law
+    filters = replace(law.filters, kd=1.95 * law.filters.kd, damping_gain=1.95 * law.filters.damping_gain)
+    for gain in (0.9, 1.1):
+        for mode in (0.8, 1.2):
+            stages = with_first_mode(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
+            controller = replace(law, kp=1.95 * law.kp, ki=1.95 * law.ki, filters=filters).start(1)
+            output = run_loop(np.ones((6000, 1)), None, controller, Simulator(HAMPI.with_stages(stages), found.sample_time))
+            assert np.abs(output["measurement"][-10:] - 1.0).max() < 0.05, (gain, mode)
+
+
+def test_notch_and_damping_settle_sooner_than_pi_and_auto_takes_the_best(structures):
+    best = min(("pi", "notch", "damping"), key=lambda name: structures[name].settling_time)
+    assert best == "damping" and structures["damping"].settling_time < 0.7 * structures["pi"].settling_time
+    assert structures["notch"].settling_time < 0.8 * structures["pi"].settling_time
+    assert tune(HAMPI, sample_time=5e-5, structure="auto") == structures["damping"]
+
+
+def test_a_damped_resonance_rings_no_more():
+    """A lightly damped mode, driven by a step of load on its command, with the damping alone and without any feedback."""
+    w, time = 2 * np.pi * 200.0, 5e-5
+    model = replace(plain(TransferFunction([w**2], [1.0, 0.02 * w, w**2])), sample_time=time)
+    found = tune(model, structure="damping")
+    damping = replace(found.law, kp=0.0, ki=0.0).start(1)
+    measured = []
+    for controller in (PI(0.0, 0.0, time, -1e9, 1e9).start(1), damping):
+        plant, sample, rows = Simulator(model, time), np.zeros(1), []
+        plant.reset(np.zeros(1))
+        for _ in range(4000):
+            command, _ = controller.step(np.zeros(1), sample, np.ones(1))
+            sample = plant.step(command[None])[0]
+            rows.append(sample[0])
+        measured.append(np.ptp(rows[2000:]))
+    assert measured[0] > 0.2 and measured[1] < 0.01 * measured[0]
+
+
+@pytest.mark.parametrize("structure", ["notch", "damping"])
+def test_without_a_resonance_there_is_none_to_damp(structure):
+    with pytest.raises(InputError, match="the model has none"):
+        tune(plain(Gain(0.1)), structure=structure)
+
+
+def test_a_step_of_40_million_ticks_settles_when_its_closed_form_does():
+    slow = linear_step([TransferFunction([0.1], [1.0])], 1, PI(0.0, 1e-7 / 0.1 / SAMPLE_TIME, SAMPLE_TIME, -1e9, 1e9))
+    assert slow.settling_ticks() == pytest.approx(np.log(0.02) / np.log1p(-1e-7), rel=3e-3)
+
+
+@pytest.mark.parametrize("loop_delay", [0, 3])
+def test_the_step_is_that_of_the_simulated_loop(loop_delay):
+    found = tune(MHL, sample_time=2e-4, loop_delay=loop_delay)
+    stages = [Delay(loop_delay * 2e-4), *linearized(MHL, hysteresis_slopes(MHL)[0])]
+    simulated = run_loop(np.ones((400, 2)), None, found.law.start(2), Simulator(MHL.with_stages(stages), 2e-4))["measurement"]
+    step = linear_step(stages[1:], 2, found.law, loop_delay)
+    np.testing.assert_allclose(step.measurement[:400], simulated, atol=1e-9)
+    outside = np.flatnonzero(np.any(np.abs(simulated - 1.0) > 0.02, axis=1))
+    assert found.settling_time == pytest.approx((outside[-1] + 1) * 2e-4)
+
+
+def test_a_hundred_light_resonances_settle_in_a_finite_time():
+    count, damping = 100, 0.001
+    a, b, c = np.zeros((2 * count, 2 * count)), np.zeros((2 * count, 1)), np.zeros((1, 2 * count))
+    for i, w in enumerate(2 * np.pi * np.linspace(100.0, 2000.0, count)):
+        a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[0.0, w], [-w, -2 * damping * w]]
+        b[2 * i + 1], c[0, 2 * i] = w, 0.1 / (i + 1)
+    stage = StateSpace(a.tolist(), b.tolist(), c.tolist(), [[0.0]])
+    found = tune(Model("light", ("x",), {"command": "V", "measurement": "um"}, 2e-4, Chain((stage,))))
+    assert 0.0 < found.settling_time < np.inf and found.worst.peak_sensitivity < 2.001
 
 
 def test_a_model_with_200_poles_is_tuned():

@@ -9,6 +9,7 @@ import pytest
 
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.loop import feedforward_rows
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import build_compensator
@@ -43,11 +44,14 @@ def rows(seed: int, count: int, axes: int) -> np.ndarray:
     return table
 
 
+FILTERS = Filters(1e-4, 3000.0, (800.0, 2500.0), (0.7, 0.3), (0.1, 0.02), 0.2, 900.0)
 LAWS = {
     "integral": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e5),
     "roll-off": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e4, roll_off=300.0),
     "steep": PI(30.0, 900.0, 1 / RATE, 0.0, 50.0, 2e5),
     "proportional": PI(0.8, 0.0, 1 / RATE, -5.0, 50.0),
+    "filters": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e5, roll_off=2000.0, filters=FILTERS),
+    "filters, proportional": PI(0.8, 0.0, 1 / RATE, -5.0, 50.0, roll_off=2000.0, filters=FILTERS),
 }
 
 

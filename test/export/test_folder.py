@@ -44,8 +44,10 @@ TRACKING = """
 hampi_feedforward:
   ros__parameters: {kind: hampi, model: MODEL, limits: [0.0, 50.0], learning: played, learned_file: learned.npy}
 pi_feedback:
-  ros__parameters: {kp: 0.34, ki: 13600.0, upper: 50.0, slew_limit: 2.0e+6, safe_command: [1.0]}
+  ros__parameters:
+    {kp: 0.34, ki: 13600.0, upper: 50.0, slew_limit: 2.0e+6, safe_command: [1.0], FILTERS}
 """
+FILTERS = "kd: 1.0e-5, derivative_corner: 3.0e+3, notch_frequency: [1230.0, 4000.0], damping_gain: 0.5, damping_corner: 985.0"
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -66,10 +68,13 @@ def test_a_compensator_compiles_and_equals_python(name, tmp_path):
     compared(tmp_path, *(() if name in ("hampi", "whole inverse") else (f"COMPILERS={first}",)))
 
 
-def test_a_controller_a_twin_and_float_too(tmp_path):
+@pytest.mark.parametrize("filters", ["roll_off: 0.0", FILTERS], ids=["pi", "filters"])
+def test_a_controller_a_twin_and_float_too(filters, tmp_path):
     import numpy as np
 
-    (tmp_path / "tracking.yaml").write_text(TRACKING.replace("MODEL", str(config_path("models/pea_hampi.yaml"))))
+    (tmp_path / "tracking.yaml").write_text(
+        TRACKING.replace("MODEL", str(config_path("models/pea_hampi.yaml"))).replace("FILTERS", filters)
+    )
     np.save(tmp_path / "learned.npy", np.sin(np.arange(50.0))[:, None])
     assert main(["export", str(tmp_path / "tracking.yaml"), "--reference-ahead", "--output", str(tmp_path / "controller")]) == 0
     compared(tmp_path / "controller")

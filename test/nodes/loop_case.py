@@ -12,6 +12,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from hyst_control.base.config_files import config_path
+from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import build_compensator
@@ -47,11 +48,11 @@ def parameters(folder: Path, count: int, **changes: dict[str, Any]) -> dict[str,
     return {name: {"rate_hz": RATE, **own, **changes.get(name, {})} for name, own in each.items()}
 
 
-def offline(count: int, feedback: bool = True, start: str = "rest") -> dict[str, np.ndarray]:
+def offline(count: int, feedback: bool = True, start: str = "rest", filters: Filters | None = None) -> dict[str, np.ndarray]:
     """The same run computed without nodes."""
     model = load_model(MODEL)
     compensator = build_compensator(model, "hampi", sample_time=1 / RATE, limits=(0.0, 150.0))
-    controller = PI(0.5, 2000.0, 1 / RATE, 0.0, 150.0, 2e5).start(1)
+    controller = PI(0.5, 2000.0, 1 / RATE, 0.0, 150.0, 2e5, filters=filters or Filters()).start(1)
     return run_loop(reference(count), compensator, controller, Simulator(model, 1 / RATE), feedback, start)
 
 

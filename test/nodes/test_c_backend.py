@@ -12,6 +12,7 @@ from loop_case import assert_same_bits, offline, parameters, recorded
 from test_lockstep import composed
 
 from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI
 from hyst_control.export.backend import CompiledPI
 from hyst_control.export.compiled import COMPILERS, c_compiler
@@ -21,18 +22,22 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def test_lockstep_in_c_equals_offline(tmp_path, ros_context, monkeypatch):
+@pytest.mark.parametrize(
+    "filters", [Filters(), Filters(1e-5, 3000.0, (1230.0,), (0.7,), (0.1,), 0.5, 900.0)], ids=["pi", "filters"]
+)
+def test_lockstep_in_c_equals_offline(filters, tmp_path, ros_context, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     backend = {"backend": "c"}
-    composed(ros_context, parameters(tmp_path, 700, hampi_feedforward=backend, pi_feedback=backend))
-    assert_same_bits(recorded(tmp_path / "bag"), offline(700))
+    composed(ros_context, parameters(tmp_path, 700, hampi_feedforward=backend, pi_feedback={**backend, **vars(filters)}))
+    assert_same_bits(recorded(tmp_path / "bag"), offline(700, filters=filters))
     libraries = sorted(path.name.split("-")[0] for path in (tmp_path / "cache").rglob("*.so"))
     assert libraries == ["feedforward", "pi_feedback"]
 
 
-def test_the_feedback_in_c_has_the_states_and_counts_of_the_python_one(tmp_path, monkeypatch):
+@pytest.mark.parametrize("filters", [Filters(), Filters(1e-4, 3000.0, (800.0, 2500.0), (0.7,), (0.1,), 0.2, 900.0)])
+def test_the_feedback_in_c_has_the_states_and_counts_of_the_python_one(filters, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    law = PI(0.5, 2000.0, 5e-5, 0.0, 20.0, 2e5, roll_off=400.0)
+    law = PI(0.5, 2000.0, 5e-5, 0.0, 20.0, 2e5, roll_off=400.0, filters=filters)
     python, c = law.start(2), CompiledPI(law, 2)
     random = np.random.default_rng(0)
     for turn in range(200):

@@ -37,7 +37,9 @@ def parameters(document, node):
 def in_time(rows, period):
     """Steps of the command for which a busy machine brought the feedforward of one tick later, and not of several at once."""
     ticks, fed = (np.rint(rows[name][:, 0] / period).astype(int) for name in ("command", "feedforward"))
-    used = rows["command"][:, 1:] - rows["feedback"][np.searchsorted(rows["feedback"][:, 0], rows["command"][:, 0] - period / 2), 1:]
+    used = (
+        rows["command"][:, 1:] - rows["feedback"][np.searchsorted(rows["feedback"][:, 0], rows["command"][:, 0] - period / 2), 1:]
+    )
     sound = np.zeros(len(ticks) - 1, dtype=bool)
     for late in range(MARGIN):
         at = np.minimum(np.searchsorted(fed, ticks - late), len(fed) - 1)

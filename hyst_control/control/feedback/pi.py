@@ -1,19 +1,19 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""PI feedback added to a feedforward, with roll-off, output limits, slew limit and anti-windup, sample by sample.
+"""PI feedback added to a feedforward, with filters, output limits, slew limit and anti-windup, sample by sample.
 
-For every tick k and axis, with e = reference - measurement:
+For every tick k and axis, with e = reference - measurement behind the notches of `filters`:
 
     rolled_k    = rolled_{k-1} + (1 - exp(-2 pi roll_off T)) (e_k - rolled_{k-1})   (e_k itself without a roll-off)
     integral_k  = integral_{k-1} + ki T rolled_k
-    feedback_k  = kp rolled_k + integral_k
+    feedback_k  = kp rolled_k + integral_k + (derivative and damping of `filters`, of rolled_k)
     wanted_k    = feedforward_k + feedback_k
     command_k   = wanted_k clamped to [lower, upper] and to command_{k-1} -+ slew_limit T
     integral_k += (command_k - wanted_k) min(1, T / tracking_time)        (back-calculation)
 
 (backward Euler; Astrom and Hagglund, PID Controllers, 1995, section 3.5). Without ki the integral stays 0. The roll-off is a pole of
-the controller above its crossover: it takes the height from a resonance there, for which the integral may then be greater. It
-stands before the integral, so that whatever the limits do, it holds an average of errors and cannot wind up.
+the controller above its crossover: it takes the height from a resonance there, for which the integral may then be greater. Roll-off
+and notches stand before the integral, so that whatever the limits do, they hold averages of errors and cannot wind up.
 
 Inputs so large that a sum or product overflows leave the state of their axis as it was: the command is held, the feedback is 0, and
 `overflowed` names the axis.
@@ -21,13 +21,15 @@ Inputs so large that a sum or product overflows leave the state of their axis as
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numba import njit
 
 from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
+from hyst_control.control.feedback.filters import Filters, low_pass_share
+from hyst_control.control.feedback.filters import constants_of as filter_constants
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class PI:
 
     kp: V per measurement unit; ki: V per measurement unit and s; sample_time: s; lower, upper: V; slew_limit: V/s,
     0 for none; tracking_time: s, of the anti-windup, 0 for kp / ki (or a single sample where that is 0); roll_off: Hz, corner of a
-    first-order low-pass of the error, 0 for none.
+    first-order low-pass of the error, 0 for none; filters: notches, derivative and damping.
     Raises `InputError` when a value makes no sense.
     """
 
@@ -48,9 +50,11 @@ class PI:
     slew_limit: float = 0.0
     tracking_time: float = 0.0
     roll_off: float = 0.0
+    filters: Filters = Filters()
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name in NUMBERS:
+            value = getattr(self, name)
             if not np.isfinite(value):
                 raise InputError(f"{name}: {value!r} is not a finite number")
         if self.sample_time <= 0:
@@ -60,15 +64,24 @@ class PI:
         for name in ("kp", "ki", "slew_limit", "tracking_time", "roll_off"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name}: {getattr(self, name):g} must not be negative")
+        self.filters.notches(self.sample_time)
 
     @property
     def roll_off_share(self) -> float:
         """Share of a change of the error that the roll-off lets pass within one sample; 1 without a roll-off."""
-        return roll_off_share(self.roll_off, self.sample_time)
+        return low_pass_share(self.roll_off, self.sample_time)
+
+    @property
+    def sections(self) -> tuple[Array, Array]:
+        """Constants (S, 8) of the filters before the controller, and of those beside it."""
+        return filter_constants(self.filters.notches(self.sample_time)), filter_constants(self.filters.beside(self.sample_time))
 
     def start(self, axes: int) -> RunningPI:
         """A running controller for this many axes, reset."""
         return RunningPI(self, axes)
+
+
+NUMBERS = tuple(field.name for field in fields(PI) if field.name != "filters")
 
 
 def constants_of(description: PI) -> Array:
@@ -99,34 +112,18 @@ def constants_of(description: PI) -> Array:
     )
 
 
-def roll_off_share(roll_off: float, sample_time: float) -> float:
-    """Share of a step that a first-order low-pass passes within one sample.
-
-    Parameters
-    ----------
-    roll_off
-        Corner of the low-pass, Hz; 0 for none.
-    sample_time
-        Sample time, s.
-
-    Returns
-    -------
-    float
-        Share from 0 to 1; 1 without a low-pass.
-    """
-    return float(-np.expm1(-2.0 * np.pi * roll_off * sample_time)) if roll_off else 1.0
-
-
 class RunningPI:
-    """The controller's state: integral, last command and rolled-off error per axis; any cutting into blocks gives the same bits."""
+    """The controller's state: integral, last command and filtered error per axis; any cutting into blocks gives the same bits."""
 
     def __init__(self, description: PI, axes: int) -> None:
         self.description = description
         self.axes = axes
         self._constants = constants_of(description)
         self._previous: Array | None = None  # constants before a change that has not come into effect yet
-        self._state = np.empty((4, axes))
-        """Integral, last command, rolled-off error, and 1 where the arithmetic has overflowed, of each axis."""
+        self.before, self.beside = description.sections
+        """Constants (S, 8) of the filters before the controller, and of those beside it."""
+        self._state = np.empty((4 + 2 * (len(self.before) + len(self.beside)), axes))
+        """Integral, last command, rolled-off error, 1 where the arithmetic has overflowed, and the filters' states, of each axis."""
         self.saturated = 0
         self.overflowed: tuple[int, ...] = ()
         """Axes whose arithmetic overflowed in the last call; their commands were held."""
@@ -148,10 +145,8 @@ class RunningPI:
         A command beyond the limits counts as at the limit: what is published lies within them from the first row on.
         """
         self._previous = None
-        self._state[0] = 0.0
+        self._state[:] = 0.0
         self._state[1] = np.nan if command is None else np.clip(command, self.description.lower, self.description.upper)
-        self._state[2] = 0.0
-        self._state[3] = 0.0
         self.saturated, self.overflowed = 0, ()
 
     def change(self, description: PI) -> None:
@@ -164,7 +159,7 @@ class RunningPI:
         Parameters
         ----------
         description
-            The new description, of the same sample time.
+            The new description, of the same sample time and filters.
         """
         if self._previous is None:
             self._previous = self._constants.copy()
@@ -181,8 +176,10 @@ class RunningPI:
         assert self._previous is not None
         kp_before, passed_before = self._previous[0], self._previous[6]
         kp, ki_step, passed = self._constants[0], self._constants[1], self._constants[6]
-        rolled = self._state[2].copy() if passed_before < 1.0 else error
         with np.errstate(all="ignore"):
+            for section, memory in zip(self.before, self._state[4::2]):
+                error = section[0] * error + memory
+            rolled = self._state[2].copy() if passed_before < 1.0 else error
             before = rolled + passed_before * (error - rolled)
             now = rolled + passed * (error - rolled)
             integral = self._state[0] + kp_before * before - kp * now if ki_step else np.zeros(self.axes)
@@ -221,10 +218,17 @@ class RunningPI:
             error = reference - measurement
             if self._previous is not None:
                 self._take_over(error)
+            at_rest, memory = np.where(np.isfinite(error), error, 0.0), self._state[4:]
+            for section in self.before:
+                memory[0][axes], memory[1][axes] = (section[6] * at_rest)[axes], (section[7] * at_rest)[axes]
+                at_rest, error, memory = section[5] * at_rest, section[5] * error, memory[2:]
             integral = np.asarray(command, dtype=float) - feedforward - (kp + ki_step) * error if ki_step else np.zeros(self.axes)
+            for section in self.beside:
+                memory[0][axes], memory[1][axes] = (section[6] * at_rest)[axes], (section[7] * at_rest)[axes]
+                integral, memory = integral - section[5] * at_rest if ki_step else integral, memory[2:]
         self._state[0][axes] = np.where(np.isfinite(integral), integral, 0.0)[axes]
         self._state[1][axes] = command[axes]
-        self._state[2][axes] = np.where(np.isfinite(error), error, 0.0)[axes]
+        self._state[2][axes] = at_rest[axes]
 
     def step(self, reference: Array, measurement: Array, feedforward: Array) -> tuple[Array, Array]:
         """Command and feedback of the next ticks, both shaped like the inputs: (A,) for one tick or (N, A) for N.
@@ -238,7 +242,8 @@ class RunningPI:
         if self._previous is not None:
             self._take_over((reference - measurement)[0])
         command, feedback = np.empty(feedforward.shape), np.empty(feedforward.shape)
-        saturated, overflowed = _run(reference, measurement, feedforward, self._constants, self._state, command, feedback)
+        signals = reference, measurement, feedforward
+        saturated, overflowed = _run(*signals, self._constants, self.before, self.beside, self._state, command, feedback)
         self.saturated += saturated
         self.overflowed = self._overflowed() if overflowed else ()
         return command, feedback
@@ -285,24 +290,51 @@ def _held(last: float, constants: Array) -> float:
 
 
 @njit(cache=True)
+def _through(section: Array, value: float, memory: Array, axis: int, moved: Array) -> float:
+    """Output of a filter; its states (2, A) of the axis go on to `moved` (2,)."""
+    output: float = section[0] * value + memory[0, axis]
+    moved[0] = section[1] * value - section[3] * output + memory[1, axis]
+    moved[1] = section[2] * value - section[4] * output
+    return output
+
+
+@njit(cache=True)
 def _run(
-    reference: Array, measurement: Array, feedforward: Array, constants: Array, state: Array, command: Array, feedback: Array
+    reference: Array,
+    measurement: Array,
+    feedforward: Array,
+    constants: Array,
+    before: Array,
+    beside: Array,
+    state: Array,
+    command: Array,
+    feedback: Array,
 ) -> tuple[int, int]:
     kp, ki_step, share, passed = constants[0], constants[1], constants[5], constants[6]
     saturated = overflowed = 0
+    memory, first = state[4:], 2 * before.shape[0]
+    moved = np.empty(memory.shape[0])
     for k in range(command.shape[0]):
         for axis in range(command.shape[1]):
             error = reference[k, axis] - measurement[k, axis]
+            for n in range(before.shape[0]):
+                error = _through(before[n], error, memory[2 * n : 2 * n + 2], axis, moved[2 * n : 2 * n + 2])
             if passed < 1.0:
                 error = state[2, axis] + passed * (error - state[2, axis])
             integral = state[0, axis] + ki_step * error
             correction = kp * error + integral
+            for n in range(beside.shape[0]):
+                at = first + 2 * n
+                correction += _through(beside[n], error, memory[at : at + 2], axis, moved[at : at + 2])
             wanted = feedforward[k, axis] + correction
             limited = _clamped(wanted, state[1, axis], constants)
             limits = limited != wanted
             if limits:
                 integral += (limited - wanted) * share
-            if not (np.isfinite(wanted) and np.isfinite(integral)):
+            total = 0.0
+            for n in range(memory.shape[0]):
+                total += moved[n]
+            if not (np.isfinite(wanted) and np.isfinite(integral) and np.isfinite(total)):
                 overflowed += 1
                 state[3, axis] = 1.0
                 feedback[k, axis] = 0.0
@@ -312,6 +344,8 @@ def _run(
                 saturated += 1
             if passed < 1.0:
                 state[2, axis] = error
+            for n in range(memory.shape[0]):
+                memory[n, axis] = moved[n]
             feedback[k, axis] = correction
             command[k, axis] = limited
             state[0, axis] = integral

@@ -173,7 +173,7 @@ class SafeLoop:
             return command, feedback
         running = self._running(fault, found, 1)
         if not running.any():
-            return self.stopped(1)
+            return self._to_safe(1)
         tracking = running & np.isfinite(self.applied) if self.applied is not None else np.zeros_like(running)
         return self._partly(running & ~tracking, tracking, last, reference, measurement, feedforward)
 
@@ -195,23 +195,24 @@ class SafeLoop:
             return np.concatenate([led, command]), np.zeros_like(feedforward)
         return command, feedback
 
-    def stopped(self, ticks: int) -> tuple[Array, Array]:
-        """Command (ticks, A) on the way to the safe value, in V, and a feedback of zeros."""
+    def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
+        """Command (ticks, A) on the way to the safe value, in V, and a feedback of zeros, for a reason."""
+        if self._limits is not None:
+            self._move_limits()
+        self._running(fault, (), ticks)
+        return self._to_safe(ticks)
+
+    def _to_safe(self, ticks: int) -> tuple[Array, Array]:
+        """Command and feedback on the way to the safe value; the limits are those of the first of the ticks."""
         self._away[:] = True
         self._well = False
         rows: list[Array] = []
-        while self._limits is not None and len(rows) < ticks:
-            self._move_limits()
+        while self._limits is not None and len(rows) < ticks - 1:
             rows.extend(self.controller.ramp(self._safe, self.rate))
-        if len(rows) < ticks:
-            rows.extend(self.controller.ramp(self._safe, self.rate, ticks - len(rows)))
+            self._move_limits()
+        rows.extend(self.controller.ramp(self._safe, self.rate, ticks - len(rows)))
         command = np.array(rows)
         return command, np.zeros_like(command)
-
-    def stopped_by(self, fault: str, ticks: int) -> tuple[Array, Array]:
-        """Command and feedback on the way to the safe value, for a reason."""
-        self._running(fault, (), ticks)
-        return self.stopped(ticks)
 
     @property
     def _safe(self) -> Array:
@@ -270,7 +271,7 @@ class SafeLoop:
     def _open_partly(self, running: Mask, feedforward: Array) -> tuple[Array, Array]:
         """Open loop in which axes are stopped: row by row, each axis towards its own target at the safe rate."""
         if not running.any():
-            return self.stopped(len(feedforward))
+            return self._to_safe(len(feedforward))
         limits, rows = self.controller.description, []
         for row in feedforward:
             last = self.controller.command

@@ -48,8 +48,12 @@ from hyst_control.control.feedforward.mhl_inverse import (
 from hyst_control.control.feedforward.quasi_static import hysteretic, mean_line, quasi_static_stages
 from hyst_control.model_file import Model
 
-RATE_FILTER = (3.23e-7, 9.1e-4, 1.0)
-"""Denominator of N(s) = 1 / (3.23e-7 s² + 9.1e-4 s + 1), descending powers of s (MHL paper §4.4)."""
+FROM_MODEL = (-1.0,)
+"""In place of N(s)'s denominator: `model_rate_filter`."""
+FILTER_DAMPING = 0.8
+"""Of N(s), as published (MHL paper §4.4)."""
+BELOW_MODE = 3.0
+"""First resonance over the corner of N(s): little phase where the rate correction was identified, little gain at the resonance."""
 
 
 class Compensator:
@@ -98,7 +102,7 @@ class Design:
     preview: bool = True
     iterations: int | None = None
     inverse_model: Model | None = None
-    rate_filter: Sequence[float] | None = RATE_FILTER
+    rate_filter: Sequence[float] | None = FROM_MODEL
     smoothing: int = 0
 
     @property
@@ -122,7 +126,7 @@ def build_compensator(
     preview: bool = True,
     iterations: int | None = None,
     inverse_model: Model | None = None,
-    rate_filter: Sequence[float] | None = RATE_FILTER,
+    rate_filter: Sequence[float] | None = FROM_MODEL,
     smoothing: int = 0,
 ) -> Compensator:
     """Build the compensator of a model; the module's table describes the kinds.
@@ -149,7 +153,8 @@ def build_compensator(
     inverse_model
         Model from the measurement to V with separately identified inverse curves, for `mhl` and `mhl_static`.
     rate_filter
-        Denominator of N(s), descending powers of s; None for no filter.
+        Denominator of N(s), descending powers of s, for `mhl`; None for no filter; by default a third of the model's first resonance
+        (`model_rate_filter`).
     smoothing
         Order of the low-pass without phase (`inverse_dynamics.zero_phase_low_pass`) that the reference passes first, 0 for none;
         for the kinds that look ahead, which then look as many ticks further ahead. For `mhl` that of an N without phase in place of
@@ -201,7 +206,31 @@ def _mhl(model: Model, design: Design) -> Compensator:
         ahead = design.smoothing + 1
         late = 0 if design.preview else ahead
         return Compensator([*stages, design.rating], model, design.sample_time, ahead - late, late, design.limits)
-    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, design.rate_filter, tustin), model, design)
+    rate_filter = model_rate_filter(model) if tuple(design.rate_filter or ()) == FROM_MODEL else design.rate_filter
+    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, rate_filter, tustin), model, design)
+
+
+def model_rate_filter(model: Model) -> tuple[float, ...] | None:
+    """Denominator of N(s) for a model: a low-pass of second order below its first resonance.
+
+    Parameters
+    ----------
+    model
+        Model of the plant.
+
+    Returns
+    -------
+    tuple[float, ...] or None
+        Denominator, descending powers of s; None for a model without a resonance.
+    """
+    from hyst_control.control.linearization import first_mode  # here, not above: it imports more of scipy than a node needs
+
+    before, _, after = split(model)
+    mode = first_mode([*before, *after], len(model.axes))
+    if mode is None:
+        return None
+    corner = abs(mode) / BELOW_MODE
+    return corner**-2, 2.0 * FILTER_DAMPING / corner, 1.0
 
 
 def _without_preview(stages: Sequence[Stage], model: Model, design: Design) -> Compensator:

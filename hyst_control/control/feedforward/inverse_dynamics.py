@@ -39,7 +39,6 @@ INFINITE_ZERO = 1e4
 """A zero farther out than this is a delay of one sample: the difference is below 1e-4 in gain and phase at every frequency."""
 
 
-
 @dataclass(frozen=True)
 class DiscreteSystem:
     """gain · prod(z - zeros) / prod(z - poles), single input and output; poles (n,), zeros (m,), m <= n."""

@@ -40,7 +40,6 @@ LATEST = 2**63 - 1
 """ns; a damaged file may hold any time."""
 
 
-
 def read_bag(
     path: str | Path,
     namespace: str | None = None,

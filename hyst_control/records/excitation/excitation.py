@@ -63,7 +63,6 @@ __all__ = [
 ]
 
 
-
 def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     """Rows of a signal, built from its description.
 

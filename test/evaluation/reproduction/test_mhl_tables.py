@@ -5,11 +5,10 @@
 import numpy as np
 import pytest
 
-from evaluation.reproduction.mhl import Part, tracking_reference
+from evaluation.reproduction.mhl import RATE_FILTER, Part, tracking_reference
 from evaluation.reproduction.mhl_responses import error_spectrum
 from evaluation.reproduction.mhl_runs import REACH, SAMPLE_TIME
 from evaluation.reproduction.mhl_tables import AHEAD, OWN_LOOP, PLAIN, TABLE_2, TRADITIONAL, rival_of
-from hyst_control.control.feedforward.compensator import RATE_FILTER
 from hyst_control.reporting.tables import Table
 
 
