@@ -36,7 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", choices=("mcap", "csv", "parquet", "mat"), help="of a bag: form of the file")
     parser.add_argument("--namespace", help="of a bag: namespace of its topics, where it holds several plants")
     parser.add_argument(
-        "--output", metavar="OUT", required=True, help="folder to write into, created where it is missing; of a bag: file"
+        "--output",
+        metavar="OUT",
+        help="folder to write into, created where it is missing (default: the source's name and _c); of a bag: file (default: its name "
+        "with the form's ending)",
     )
     parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
     parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
@@ -80,6 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    import os
+
     from hyst_control.base.errors import InputError
     from hyst_control.control.feedforward.compensator import RATE_FILTER
     from hyst_control.export import programs
@@ -88,6 +93,8 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from hyst_control.reporting.artifacts import Artifacts
 
     given = arguments
+    if given.output is None:
+        given.output = f"{os.path.basename(os.path.realpath(given.source)).partition('.')[0]}{f'.{given.to}' if given.to else '_c'}"
     if given.to:
         return _bag(given)
     if given.rate is not None and not 0 < given.rate < 1e12:

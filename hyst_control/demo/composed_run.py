@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hyst_control.base import progress
-from hyst_control.chain.stage import Array
+from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.loop import Compensator, run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import build_compensator
