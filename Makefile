@@ -47,7 +47,7 @@ docs: $(CHECKS_READY) env
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --quiet --strict $(ARGS)
 
 figures: env
-	$(VENV)/bin/python docs/make_figures.py $(FOLDER)
+	$(VENV)/bin/python docs/make_figures.py $(FOLDER) $(TO)
 
 check-browser:
 	.ci/browser.sh

@@ -14,6 +14,7 @@ import zipfile
 from configparser import ConfigParser
 from pathlib import Path
 
+from readme import untrue_errors
 from sources import ROOT, copy_sources
 
 IMPORT_ALL = """
@@ -29,24 +30,6 @@ print(len(names), "modules imported without ROS")
 
 ELSEWHERE = ("win_amd64", "macosx_14_0_arm64")
 """Platforms for which pip must find a wheel of everything that is needed."""
-
-
-def errors_in_readme() -> set[tuple[str, str, float]]:
-    """Errors in the README's table of the demo: frequency, controller, % of range."""
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    begin = next(number for number, line in enumerate(lines) if line.startswith("| | 10 Hz"))
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[begin:] if line.startswith("|")]
-    return {
-        (frequency, row[0].removesuffix(" (published)"), float(cell.partition(" ")[0]))
-        for row in rows[2:6]
-        for frequency, cell in zip(rows[0][1:], row[1:], strict=True)
-    }
-
-
-def errors_of_demo(text: str) -> set[tuple[str, str, float]]:
-    """The same of what the demo printed."""
-    found = re.findall(r"^ +(\d+ Hz) +(\S.*?) +nrmse +([\d.]+)", text, re.MULTILINE)
-    return {(frequency, subject, round(float(value), 2)) for frequency, subject, value in found}
 
 
 def run(*words: str | Path, **options) -> subprocess.CompletedProcess[str]:
@@ -135,8 +118,8 @@ def main() -> None:
                     f"{' '.join(words)} without ROS: one line and exit status 2 are due, not {refused.returncode}\n{refused.stderr}"
                 )
         demo = run(bin_folder / "hyst", "demo", **clean).stdout
-        if differing := errors_in_readme() - errors_of_demo(demo):
-            sys.exit(f"hyst demo without ROS: README.md says {sorted(differing)}, it printed\n{demo}")
+        if untrue := untrue_errors((ROOT / "README.md").read_text(encoding="utf-8"), demo):
+            sys.exit("\n".join(["hyst demo without ROS does not print what README.md says:", *untrue]))
         for platform in ELSEWHERE:
             command = ["install", "--quiet", "--dry-run", "--ignore-installed", "--target", folder / platform]
             run(bin_folder / "pip", *command, "--only-binary", ":all:", "--platform", platform, "--python-version", "3.12", wheel)

@@ -1,8 +1,8 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hook of the site's build: adds the reference pages, prints the time of each tutorial page, converts equations to MathML.
+"""Hook of the site's build: adds reference pages and notebooks, prints the time of each page that runs, converts equations to MathML.
 
-A tutorial page whose commands fail ends the build.
+A tutorial page or notebook that fails ends the build.
 """
 
 from __future__ import annotations
@@ -48,11 +48,17 @@ def _expanded(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Add the reference pages to the site."""
+    """Add the reference pages, and the executed notebooks, to the site."""
     from mkdocs.structure.files import File
+
+    from docs import notebook_pages
 
     for path, text in _reference.items():
         files.append(File.generated(config, path, content=text))
+    for name in notebook_pages.NAMES:
+        begin = time.monotonic()
+        files.append(File.generated(config, f"notebooks/{name}.md", content=notebook_pages.page(name)))
+        print(f"{time.monotonic() - begin:6.1f} s  notebooks/{name}.ipynb")
     return files
 
 

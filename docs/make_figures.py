@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the figures of README and documents: `make figures`.
 
-Without a folder the chain and, where Chromium is, the live page of a loop that runs meanwhile. With FOLDER=the tour's folder also the
-loops and the tracking of its bags, and with any folder pictures of the pages `gap.html` and `report.html` in it, light and dark, taken by
-Chromium; `make demo` leaves both in demo_out.
+Without a folder the chain and, where Chromium is, the live page of a loop that runs meanwhile, into docs/figures. With FOLDER=the tour's
+folder the loops and the tracking of its bags, and of any folder pictures of the pages `gap.html` and `report.html` in it, light and dark,
+taken by Chromium; `make demo` leaves both in demo_out. They are written into that folder, or with TO=docs/figures to where documents look.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ WIDTH, HEIGHT = 2.1, 0.9
 plt.rcParams |= {"svg.hashsalt": "hyst_control", "svg.fonttype": "path", "font.size": 9}
 
 
-def save(figure: plt.Figure, name: str) -> None:
+def save(figure: plt.Figure, path: Path) -> None:
     """Write a figure, the same file every time."""
-    stamp = {"Date": None} if name.endswith(".svg") else {"Software": None}
-    figure.savefig(FIGURES / name, metadata=stamp, bbox_inches="tight", facecolor="white", dpi=110)
+    stamp = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+    figure.savefig(path, metadata=stamp, bbox_inches="tight", facecolor="white", dpi=110)
     plt.close(figure)
 
 
@@ -64,10 +64,10 @@ def signal_chain() -> None:
     )
     axes.set(xlim=(-0.2, 11.6), ylim=(-2.2, 2.0))
     axes.axis("off")
-    save(figure, "signal_chain.svg")
+    save(figure, FIGURES / "signal_chain.svg")
 
 
-def tour(folder: Path) -> None:
+def tour(folder: Path, to: Path) -> None:
     """Loops of the excitation, and the last two periods of the tracking before its way out."""
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
@@ -82,7 +82,7 @@ def tour(folder: Path) -> None:
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")
     tracking.set(xlabel="time (ms)", ylabel="um", title="tracking, 50 Hz")
     tracking.legend(loc="center right", fontsize=7)
-    save(figure, "tour.png")
+    save(figure, to / "tour.png")
 
 
 PICTURES = {
@@ -107,7 +107,7 @@ LIVE = {
 LIVE_RATE = 200.0  # Hz
 
 
-def screenshots(folder: Path) -> None:
+def screenshots(folder: Path, to: Path) -> None:
     """Pictures of the pages in a folder, as a reader sees them."""
     from playwright.sync_api import sync_playwright
 
@@ -122,7 +122,7 @@ def screenshots(folder: Path) -> None:
                     boxes = [view.locator(selector).first.bounding_box() for selector in (first, last)]
                     top, bottom = boxes[0]["y"] - 8, boxes[1]["y"] + boxes[1]["height"] + 8
                     clip = {"x": 0, "y": top, "width": 1000, "height": bottom - top}
-                    _shoot(view, name.replace(".png", f"{ending}.png"), clip=clip)
+                    _shoot(view, to / name.replace(".png", f"{ending}.png"), clip=clip)
                     view.close()
         browser.close()
 
@@ -154,7 +154,7 @@ def dashboard() -> None:
                 view = browser.new_page(viewport={"width": 1000, "height": 900}, color_scheme=scheme)
                 view.goto(url)
                 view.wait_for_function(SHOWS_ALL, timeout=240_000)
-                _shoot(view, f"dashboard{ending}.png")
+                _shoot(view, FIGURES / f"dashboard{ending}.png")
                 view.close()
             browser.close()
 
@@ -169,20 +169,22 @@ SHOWS_ALL = """() => {
 """Condition under which the live page shows curves over its whole window, and a gap."""
 
 
-def _shoot(view: Any, name: str, **how: Any) -> None:
+def _shoot(view: Any, path: Path, **how: Any) -> None:
     """Write a picture of a page with 256 colors, a third of the size."""
     with Image.open(io.BytesIO(view.screenshot(full_page=True, **how))) as picture:
-        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(FIGURES / name, optimize=True)
-    print(f"written: {FIGURES / name}")
+        picture.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"written: {path}")
 
 
 if __name__ == "__main__":
-    signal_chain()
-    if shutil.which("chromium"):
-        dashboard()
     if len(sys.argv) > 1:
         given = Path(sys.argv[1])
+        target = Path(sys.argv[2]) if len(sys.argv) > 2 else given
         if (given / "tracking").exists():
-            tour(given)
-        if any((given / page).is_file() for page in ("gap.html", "report.html")):
-            screenshots(given)
+            tour(given, target)
+        if shutil.which("chromium") and any((given / page).is_file() for page in ("gap.html", "report.html")):
+            screenshots(given, target)
+    else:
+        signal_chain()
+        if shutil.which("chromium"):
+            dashboard()

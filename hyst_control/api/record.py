@@ -18,6 +18,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records import record as records
 from hyst_control.records.bags.bag_reader import read_bag as read_signals
+from hyst_control.records.editing import EditableRecord
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.tables.columns import Column, unit_and_scale
 from hyst_control.records.tables.importing import import_table, write_bag
@@ -34,8 +35,8 @@ _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
 
 
 @dataclass(frozen=True)
-class Record(records.Record, Shown):
-    """Signals of one run with their units: `command`, `measurement`, and whatever else was recorded.
+class Record(EditableRecord, Shown):
+    r"""Signals of one run with their units: `command`, `measurement`, and whatever else was recorded.
 
     Parameters
     ----------
@@ -47,6 +48,8 @@ class Record(records.Record, Shown):
         Sentences on what was met while reading.
     hold
         The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled).
+    history
+        Steps of its preparation, in their order.
 
     Examples
     --------
@@ -60,6 +63,15 @@ class Record(records.Record, Shown):
     >>> first, rest = record.split(0.7)
     >>> len(first), len(rest)
     (700, 300)
+    >>> prepared = record.cut(0.1, 0.9).remove_outliers().detrend("constant").filter(low_pass=100).resample(500)
+    >>> print(*prepared.history, sep="\n")
+    cut to 0.1 s … 0.9 s
+    0 outliers removed from measurement (beyond 8 standard deviations)
+    constant trend removed from measurement
+    filtered: low-pass 100 Hz, order 4 without phase
+    resampled from 1000 to 500 Hz
+    >>> len(record.merge(rest).aligned(["command"], allow_gaps=True))     # the two stretches
+    2
     """
 
     def __len__(self) -> int:
@@ -74,7 +86,7 @@ class Record(records.Record, Shown):
             f"{signal.values.min():.4g} to {signal.values.max():.4g}"
             for name, signal in self.signals.items()
         ]
-        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+        return "\n".join([*lines, *(f"  {step}" for step in self.history), *(f"  note: {note}" for note in self.notes)])
 
     def split(self, share: float) -> tuple[Record, Record]:
         """Cut the record in two, such as one to identify from and one to test on.
@@ -100,10 +112,6 @@ class Record(records.Record, Shown):
             raise InputError(f"share: must leave samples on both sides, got {share!r} of {len(time)} samples")
         middle = 0.5 * float(time[count - 1] + time[count])
         return self.between(None, middle), self.between(middle, None)
-
-    def between(self, begin: float | None, end: float | None) -> Record:
-        """The part of the record from the sample time `begin` to `end`, s; None for the record's own."""
-        return promoted(Record, super().between(begin, end))
 
     def plot(self, path: str | Path | None = None, *, kind: str = "time") -> list[Axes]:
         """Draw the record.

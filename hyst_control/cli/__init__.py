@@ -26,7 +26,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
 from types import FrameType, ModuleType
-from typing import cast
+from typing import NoReturn, cast
 
 from hyst_control.base import plugins, progress
 from hyst_control.base.errors import InputError
@@ -53,9 +53,17 @@ def installed_version() -> str:
         return "not installed"
 
 
-def parser() -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Parser that says in one line what is wrong, without all options."""
+
+    def error(self, message: str) -> NoReturn:
+        """End with the message and exit status 2."""
+        self.exit(2, f"{self.prog}: {message}: see {self.prog} --help\n")
+
+
+def parser() -> Parser:
     """Parser of all subcommands."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="hyst",
         description="Excite, record, identify, control and diagnose piezo stages and fast steering mirrors.",
         epilog="`hyst COMMAND --help` explains a command.",

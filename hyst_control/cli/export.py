@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output",
         metavar="OUT",
-        required=True,
-        help="folder to write into, created where it is missing; of a bag, and with --fmu: file",
+        help="folder to write into, created where it is missing (default: the source's name and _c); of a bag, and with --fmu: file "
+        "(default: its name with the form's ending)",
     )
     parser.add_argument(
         "--fmu", action="store_true", help="write one .fmu file: co-simulation by FMI 2.0, with the C compiled for this machine"
@@ -87,6 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> Artifacts:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    import os
+
     from hyst_control.base.errors import InputError
     from hyst_control.control.feedforward.compensator import FROM_MODEL
     from hyst_control.export import programs
@@ -96,6 +98,9 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     from hyst_control.reporting.artifacts import Artifacts
 
     given = arguments
+    if given.output is None:
+        ending = f".{given.to}" if given.to else ".fmu" if given.fmu else "_c"
+        given.output = os.path.basename(os.path.realpath(given.source)).partition(".")[0] + ending
     if given.to:
         return _bag(given)
     if given.rate is not None and not 0 < given.rate < 1e12:

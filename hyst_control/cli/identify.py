@@ -3,10 +3,10 @@
 """Identify a model from all records of bags with `command` and `measurement` together.
 
 examples:
-  hyst identify demo_out/excitation --model hampi --output hampi.yaml --json fit.json
-  hyst identify loops.bag --output best.yaml --figure choice.svg
-  hyst identify loops.bag sweeps.bag --model hapi --method paper --output hapi.yaml
-  hyst identify loops.bag --model madelung --degree 7 --output madelung.yaml
+  hyst identify demo_out/bags/excitation --model hampi --output hampi.yaml --json fit.json
+  hyst identify loops --figure choice.svg                   # the best family, to model.yaml
+  hyst identify loops sweeps --model hapi --method paper --output hapi.yaml
+  hyst identify loops --model madelung --degree 7 --output madelung.yaml
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", "--family", metavar="NAME", help="model family (default: auto, the best of several on held-out data)"
     )
     parser.add_argument("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
-    parser.add_argument("--output", metavar="MODEL.yaml", required=True, help="model file to write")
+    parser.add_argument("--output", metavar="MODEL.yaml", default="model.yaml", help="model file to write (default model.yaml)")
     parser.add_argument(
         "--hold",
         choices=("auto", "zoh", "foh"),

@@ -26,7 +26,7 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
+    parser.add_argument("--output", metavar="BAG", default="record", help="bag to write, which must not exist (default record)")
     parser.add_argument("--topics", nargs="+", help="topics (default: the five of the loop)")
     parser.add_argument("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
     parser.add_argument("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")

@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--excitation", nargs="+", metavar="WORD", help="kind of signal or .yaml file, and parameter=value (see hyst excite)"
     )
-    parser.add_argument("--output", metavar="BAG", required=True, help="bag to write, which must not exist")
+    parser.add_argument(
+        "--output", metavar="BAG", default="simulated", help="bag to write, which must not exist (default simulated)"
+    )
     parser.add_argument("--rate", type=float, help="sample rate of an excitation in Hz (default: the model's)")
     parser.add_argument("--seed", type=int, help="add the model's noise, drawn with this seed (default: no noise)")
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
 from hyst_control.records.stream.foreign_rows import admissible
 from hyst_control.records.stream.row_store import blocks, empty_rows
 
+Cut = TypeVar("Cut", bound="Record")
 AXES = ("x", "y", "z", "u", "v", "w")
 
 
@@ -186,6 +188,8 @@ class Record:
     notes: tuple[str, ...] = field(default_factory=tuple)
     hold: str = "zoh"
     """The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled)."""
+    history: tuple[str, ...] = ()
+    """Steps of its preparation, in their order."""
 
     def signal(self, topic: str) -> Signal:
         """A signal by topic. Raises `InputError` naming the topics that are there."""
@@ -194,7 +198,7 @@ class Record:
             raise InputError(f"{self.source}: has no topic {topic} (topics: {there}): record it, or remap the topic's name")
         return self.signals[topic]
 
-    def between(self, begin: float | None, end: float | None) -> Record:
+    def between(self: Cut, begin: float | None, end: float | None) -> Cut:
         """The part of the record between two sample times.
 
         Parameters

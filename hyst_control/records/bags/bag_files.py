@@ -44,6 +44,7 @@ class _Metadata:
     files: tuple[str, ...]
     compression: str
     hold: str
+    history: tuple[str, ...]
 
 
 @dataclass
@@ -59,6 +60,7 @@ class Bag:
     types: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Type and definition of topics."""
     hold: str = "zoh"
+    history: tuple[str, ...] = ()
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """(topic, receive time in ns, CDR bytes) of every message of the topics to read."""
@@ -71,7 +73,7 @@ class Bag:
             if file.stat().st_size == 0:
                 raise InputError(f"{file}: is empty: the recording wrote nothing")
         if metadata is not None:
-            self.hold = metadata.hold
+            self.hold, self.history = metadata.hold, metadata.history
         mode = metadata.compression if metadata is not None else ""
         finished = metadata is not None and all(file.suffix != ".mcap" or _has_footer(file) for file in files)
         for file in files:
@@ -160,8 +162,10 @@ def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
         if not isinstance(names, list) or not names or not all(isinstance(name, str) and Path(name).name for name in names):
             raise InputError("relative_file_paths is no list of names")
         custom = found.get("custom_data")
-        hold = "foh" if isinstance(custom, dict) and custom.get("hold") == "foh" else "zoh"
-        return _Metadata(tuple(Path(name).name for name in names), compression, hold)
+        said = custom if isinstance(custom, dict) else {}
+        hold = "foh" if said.get("hold") == "foh" else "zoh"
+        history = tuple(str(said.get("history", "")).splitlines())
+        return _Metadata(tuple(Path(name).name for name in names), compression, hold, history)
     except InputError as error:
         reason = str(error).removeprefix(f"{file}: ")
     except (KeyError, TypeError, AttributeError, ValueError):

@@ -112,7 +112,7 @@ def read_bag(
                 regular, more = on_one_clock(str(path), received, bag.hold, allow_gaps=True)
                 signals |= regular
                 notes += more
-    record = Record(signals, str(path), tuple(notes), bag.hold)
+    record = Record(signals, str(path), tuple(notes), bag.hold, bag.history)
     return replace(record, notes=(*record.notes, *_not_followed(record)))
 
 

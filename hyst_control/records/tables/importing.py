@@ -192,7 +192,10 @@ def write_bag(path: str | Path, record: Record) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
         part = Path(temporary) / path.name
-        with BagWriter(part, {"hold": record.hold} if record.hold != "zoh" else None) as writer:
+        said = {"hold": record.hold} if record.hold != "zoh" else {}
+        if record.history:
+            said["history"] = "\n".join(record.history)
+        with BagWriter(part, said or None) as writer:
             _write_signals(writer, record)
         part.rename(path)
 

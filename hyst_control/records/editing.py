@@ -1,0 +1,244 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Preparation of records: cut, resample, filter, detrend, merge, remove outliers. Each step leaves a line in the record's history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import TypeVar
+
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
+from hyst_control.records.record import Record, Signal
+
+MEASUREMENT = ("measurement",)
+MAX_FACTOR = 1000
+"""Largest numerator and denominator of the ratio of two rates."""
+NEARBY = 21
+"""Samples around one that say how rough the signal is there."""
+NORMAL_75, NORMAL_95 = 1.15, 1.96
+"""Quantiles of |x| over its standard deviation, of normal noise."""
+
+Edited = TypeVar("Edited", bound="EditableRecord")
+
+
+@dataclass(frozen=True)
+class EditableRecord(Record):
+    """A record with the steps of its preparation."""
+
+    def cut(self: Edited, begin: float | None = None, end: float | None = None) -> Edited:
+        """The part of the record between two sample times.
+
+        Parameters
+        ----------
+        begin, end
+            First and last sample time, s; None for the record's own.
+
+        Returns
+        -------
+        Record
+            The part, with its own times.
+        """
+        cut = self.between(begin, end)
+        return cut if cut is self else cut._noted(f"cut to {_time(begin, 'its begin')} … {_time(end, 'its end')}")
+
+    def resample(self: Edited, rate: float) -> Edited:
+        """The record at another sample rate, by a polyphase filter that keeps out what the new rate cannot carry.
+
+        Command and measurement pass the same filter, so the linear relation between them stays. Between samples the filtered command is
+        smooth (hold "foh"); only a held command at a higher rate stays held.
+
+        Parameters
+        ----------
+        rate
+            New sample rate, Hz.
+
+        Returns
+        -------
+        Record
+            The record at that rate.
+        """
+        from scipy.signal import resample_poly
+
+        step, begin = self._clock()
+        ratio = Fraction(rate * step).limit_denominator(MAX_FACTOR) if 0 < rate * step <= MAX_FACTOR else Fraction(0)
+        if not ratio or abs(ratio / (rate * step) - 1) > 1e-9:
+            raise InputError(f"rate: must be a ratio of whole numbers up to {MAX_FACTOR} of {1 / step:g} Hz, got {rate!r} Hz")
+        up, down = ratio.numerator, ratio.denominator
+        held = self.hold == "zoh" and up > down
+
+        def resampled(topic: str, values: Array) -> Array:
+            if held and topic not in MEASUREMENT:
+                return np.asarray(values[np.arange(-(-len(values) * up // down)) * down // up])
+            return np.asarray(resample_poly(values, up, down, axis=0, padtype="line"))
+
+        done = replace(self._changed(tuple(self.signals), resampled, begin, 1.0 / rate), hold="zoh" if held else "foh")
+        return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
+
+    def filter(self: Edited, low_pass: float | None = None, high_pass: float | None = None, *, order: int = 4) -> Edited:
+        """Filter every signal by a Butterworth filter forward and backward, without phase.
+
+        Command and measurement pass the same filter, so the linear relation between them stays.
+
+        Parameters
+        ----------
+        low_pass, high_pass
+            Corners, Hz, at which the magnitude is one half; None: no such filter.
+        order
+            Order of the filter, which runs twice.
+
+        Returns
+        -------
+        Record
+            The filtered record.
+        """
+        from scipy.signal import butter, sosfiltfilt
+
+        step, begin = self._clock()
+        corners = {"high_pass": high_pass, "low_pass": low_pass}
+        given = {name: corner for name, corner in corners.items() if corner is not None}
+        for name, corner in given.items():
+            if not 0 < corner < 0.5 / step:
+                raise InputError(f"{name}: must be > 0 and < {0.5 / step:g} Hz, half the sample rate, got {corner!r}")
+        if not given or list(given.values()) != sorted(given.values()):
+            raise InputError("low_pass, high_pass: give one of them, or both with the low-pass above the high-pass")
+        kind = "bandpass" if len(given) == 2 else "lowpass" if low_pass is not None else "highpass"
+        sections = butter(order, np.squeeze(list(given.values())), kind, fs=1.0 / step, output="sos")
+        try:
+            done = self._changed(tuple(self.signals), lambda _, values: sosfiltfilt(sections, values, axis=0), begin, step)
+        except ValueError:
+            raise InputError(f"{self.source}: is too short for this filter: choose a lower order or a longer record") from None
+        words = " and ".join(f"{name.replace('_', '-')} {corner:g} Hz" for name, corner in given.items())
+        return replace(done, hold="foh")._noted(f"filtered: {words}, order {order} without phase")
+
+    def detrend(self: Edited, kind: str = "linear", *, topics: Sequence[str] = MEASUREMENT) -> Edited:
+        """Remove the mean or the straight line of best fit, which of a measurement is offset and drift.
+
+        Parameters
+        ----------
+        kind
+            "linear" or "constant".
+        topics
+            Signals to change.
+
+        Returns
+        -------
+        Record
+            The record without them.
+        """
+        from scipy.signal import detrend
+
+        if kind not in ("linear", "constant"):
+            raise InputError(f"kind: must be linear or constant, got {kind!r}")
+        step, begin = self._clock()
+        done = self._changed(tuple(topics), lambda _, values: detrend(values, axis=0, type=kind), begin, step)
+        return done._noted(f"{kind} trend removed from {', '.join(topics)}")
+
+    def remove_outliers(self: Edited, threshold: float = 8.0, *, window: int = 7, topics: Sequence[str] = MEASUREMENT) -> Edited:
+        """Replace samples that jump away from both neighbors and from the running median by the line between their neighbors.
+
+        Steps and turning points stay: the median follows the former, and the latter are no steeper than the motion around them.
+
+        Parameters
+        ----------
+        threshold
+            Size of the jump, in standard deviations of the signal's roughness there and in the whole record.
+        window
+            Samples of the running median, odd.
+        topics
+            Signals to change.
+
+        Returns
+        -------
+        Record
+            The record without outliers; the history has their number.
+        """
+        from scipy.ndimage import maximum_filter, median_filter, percentile_filter
+
+        if window < 3 or window % 2 == 0 or not threshold > 0:
+            raise InputError(f"window, threshold: must be odd and >= 3, and > 0, got {window!r} and {threshold!r}")
+        step, begin = self._clock()
+        found = 0
+
+        def cleaned(_: str, values: Array) -> Array:
+            nonlocal found
+            distance = np.abs(values - median_filter(values, size=(window, 1), mode="nearest"))
+            jump = np.zeros_like(values)
+            jump[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+            nearby = percentile_filter(jump, 75, size=(NEARBY, 1), mode="nearest") / NORMAL_75
+            deviation = np.maximum(nearby, np.quantile(jump, 0.95, axis=0) / NORMAL_95)
+            steepness = percentile_filter(np.abs(np.diff(values, axis=0, append=values[-1:])), 75, size=(NEARBY, 1), mode="nearest")
+            least = np.maximum(threshold * deviation, 2.0 * steepness) + 1e-12 * np.ptp(values, axis=0)
+            outlying = (np.minimum(distance, jump) > least) & (jump == maximum_filter(jump, size=(3, 1)))
+            found += int(outlying.any(axis=1).sum())
+            done, rows = values.copy(), np.arange(len(values))
+            for axis, bad in enumerate(outlying.T):
+                done[bad, axis] = np.interp(rows[bad], rows[~bad], values[~bad, axis])
+            return done
+
+        done = self._changed(tuple(topics), cleaned, begin, step)
+        return done._noted(f"{found} outliers removed from {', '.join(topics)} (beyond {threshold:g} standard deviations)")
+
+    def merge(self: Edited, *others: Record) -> Edited:
+        """Append records of the same machine, each behind a gap of one sample, so that nothing takes them for one motion.
+
+        Parameters
+        ----------
+        *others
+            Records with the same axes, units, sample rate and hold.
+
+        Returns
+        -------
+        Record
+            The common signals of all; commands use it with `--allow-gaps`, `identify` with `allow_gaps=True`.
+        """
+        step, _ = self._clock()
+        topics = [topic for topic in self.signals if all(topic in other.signals for other in others)]
+        signals = {topic: self.signals[topic] for topic in topics}
+        for other in others:
+            theirs = other.sample_time(topics)
+            if abs(theirs / step - 1) > 1e-6:
+                raise InputError(f"{other.source}: has {1 / theirs:g} Hz, {self.source} {1 / step:g} Hz: resample it")
+            if other.hold != self.hold:
+                raise InputError(
+                    f"{other.source}: has hold {other.hold}, {self.source} {self.hold}: filter or resample both, or none"
+                )
+            end = max(float(signal.time[-1]) for signal in signals.values())
+            shift = end + 2 * step - min(float(other.signal(topic).time[0]) for topic in topics)
+            for topic in topics:
+                own, more = signals[topic], other.signal(topic)
+                if (own.axes, own.unit) != (more.axes, more.unit):
+                    raise InputError(f"{other.source}: {topic} has other axes or another unit than that of {self.source}")
+                time = np.rint(np.concatenate([own.time, more.time + shift]) / step) * step
+                signals[topic] = replace(own, time=time, values=np.concatenate([own.values, more.values]))
+        return replace(self, signals=signals)._noted(f"merged with {', '.join(other.source for other in others)}")
+
+    def _clock(self) -> tuple[float, float]:
+        """Sample time and first sample time (s) of the record's signals, which share them."""
+        if not self.signals:
+            raise InputError(f"{self.source}: has no signals: record again")
+        topics = list(self.signals)
+        return self.sample_time(topics), max(float(self.signal(topic).time[0]) for topic in topics)
+
+    def _changed(self: Edited, topics: tuple[str, ...], change: Callable[[str, Array], Array], begin: float, step: float) -> Edited:
+        """Change signals on the ticks that all signals share; a record with gaps is refused."""
+        for topic in topics:
+            self.signal(topic)
+        [data] = self.aligned(list(self.signals))
+        signals = {}
+        for topic, signal in self.signals.items():
+            values = np.asarray(change(topic, data.values[topic]) if topic in topics else data.values[topic])
+            time = begin + np.arange(len(values)) * step
+            signals[topic] = Signal(time, np.ascontiguousarray(values), signal.axes, signal.unit)
+        return replace(self, signals=signals)
+
+    def _noted(self: Edited, step: str) -> Edited:
+        return replace(self, history=(*self.history, step))
+
+
+def _time(value: float | None, otherwise: str) -> str:
+    return otherwise if value is None else f"{value:g} s"
