@@ -252,7 +252,7 @@ def collect(folder: Path, until: float) -> None:
             print(f"{place.name}: {type(error).__name__}: {error}")
             continue
         first = time.process_time()
-        untested = [(part.tests.evidence, part.tests) for part in parts]
+        untested = [(part.tests.evidence, part.tests) for part in parts if part.tests is not None]
         for move in moves(CONFIGURATION.policy):
             with without(move.rule):
                 for evidence, tests in untested:
@@ -293,8 +293,8 @@ def made(kind: Any, value: Any) -> Any:
         return tuple(made(one, each) for one, each in zip(kinds, value, strict=True))
     if origin is frozenset:
         return frozenset(made(inner[0], each) for each in value)
-    if is_dataclass(kind):
-        return kind(**{name: made(_hints(kind)[name], each) for name, each in value.items()})  # type: ignore[operator]
+    if isinstance(kind, type) and is_dataclass(kind):
+        return kind(**{name: made(_hints(kind)[name], each) for name, each in value.items()})
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     raise TypeError(kind)

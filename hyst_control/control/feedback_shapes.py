@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -41,8 +41,10 @@ class Shape:
     def law(self, kp: float, ki: float, kd: float, sample_time: float) -> PI:
         """The law with these gains, without limits."""
         corner = self.derivative_corner if kd else 0.0
-        notch = [(value,) for value in self.notch] if self.notch else []
-        filters = Filters(kd, corner, *notch, damping_gain=self.damping_gain, damping_corner=self.damping_corner)
+        filters = Filters(kd, corner, damping_gain=self.damping_gain, damping_corner=self.damping_corner)
+        if self.notch:
+            frequency, width, depth = self.notch
+            filters = replace(filters, notch_frequency=(frequency,), notch_width=(width,), notch_depth=(depth,))
         return PI(kp, ki, sample_time, -1e300, 1e300, roll_off=self.roll_off, filters=filters)
 
 

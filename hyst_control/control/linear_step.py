@@ -77,7 +77,8 @@ def law_sections(law: PI) -> tuple[list[Section], list[Section]]:
 def _autonomous(plant: Discrete, axes: int, law: PI) -> tuple[Array, Array, Array]:
     """Matrix, first state and output rows of the loop with the reference 1 as its last state."""
     before, beside = law_sections(law)
-    passed = reduce(then, [_realized(section) for section in before], Discrete(*map(np.zeros, ((0, 0), (0, 1), (1, 0))), np.eye(1)))
+    unchanged = Discrete(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1))
+    passed = reduce(then, [_realized(section) for section in before], unchanged)
     parts = [_realized(section) for section in beside]
     size = 2 * len(parts)
     a = np.zeros((size, size))
@@ -86,7 +87,7 @@ def _autonomous(plant: Discrete, axes: int, law: PI) -> tuple[Array, Array, Arra
     together = Discrete(
         a, np.vstack([part.b for part in parts]), np.hstack([part.c for part in parts]), np.sum([part.d for part in parts], axis=0)
     )
-    control = Discrete(*(np.kron(np.eye(axes), matrix) for matrix in then(passed, together)))
+    control = Discrete._make(np.kron(np.eye(axes), matrix) for matrix in then(passed, together))
     one = np.ones((axes, 1))
     pushed = plant.b @ control.d
     matrix = np.block(

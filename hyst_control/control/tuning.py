@@ -288,10 +288,11 @@ def _greatest_integral(plants: Complex, static: float, sample_time: float, shape
             if filtered and above and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
                 continue  # no greater integral gain than the best so far
             scale = _largest_scale(loops, *limits, above=above)
-        gains = tuple(scale * factor / (static * sample_time) for factor in (time, 1.0, advance))
+        slope = static * sample_time
+        gains = (scale * time / slope, scale / slope, scale * advance / slope)
         if gains[1] > best[1]:
             best = gains
-    return shape.law(*map(float, best), sample_time) if best[1] > 0.0 else None
+    return shape.law(float(best[0]), float(best[1]), float(best[2]), sample_time) if best[1] > 0.0 else None
 
 
 def _damped(fixed: Complex, limits: Limits) -> bool:

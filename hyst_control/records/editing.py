@@ -233,7 +233,7 @@ class EditableRecord(Record):
         for topic, signal in self.signals.items():
             values = np.asarray(change(topic, data.values[topic]) if topic in topics else data.values[topic])
             time = begin + np.arange(len(values)) * step
-            signals[topic] = Signal(time, np.ascontiguousarray(values), signal.axes, signal.unit)
+            signals[topic] = Signal(time.astype(np.float64), np.ascontiguousarray(values), signal.axes, signal.unit)
         return replace(self, signals=signals)
 
     def _noted(self: Edited, step: str) -> Edited:

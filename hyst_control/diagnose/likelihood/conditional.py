@@ -61,8 +61,8 @@ def conditioned(baseline: Baseline, settings: BaselineSettings) -> Baseline:
     for rows in carried.series:
         rest, _ = without_zero(rows)
         at = 0.5 / problem.sample_time * np.arange(len(rows)) / len(rows)
-        there = [np.stack([np.interp(at, frequencies, column) for column in power.T], axis=1) for power in (repeating, varying)]
-        mean, _ = conditional(dct(rest, norm="ortho", axis=0), *there, count)
+        kept, new = (np.stack([np.interp(at, frequencies, column) for column in power.T], axis=1) for power in (repeating, varying))
+        mean, _ = conditional(dct(rest, norm="ortho", axis=0), kept, new, count)
         series.append(np.asarray(rows - rest + idct(mean, norm="ortho", axis=0), dtype=np.float64))
     _, variance = conditional(np.zeros_like(repeating), repeating, varying, count)
     own = ErrorSpectrum(frequencies, np.maximum(variance - problem.sigma**2, 0.0), np.zeros(len(problem.sigma)))

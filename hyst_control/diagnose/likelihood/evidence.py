@@ -122,7 +122,7 @@ def _exact(fit: Fit, octaves: Octaves, variance: Array, freedom: Array, rough: A
 
 def _inside(fit: Fit, curvature: Array, slope: Array) -> Array:
     """Newton's step; what would leave its range is held at its end, and the others go on from there."""
-    step = np.linalg.solve(curvature, slope)
+    step: Array = np.linalg.solve(curvature, slope).astype(np.float64)
     out = np.flatnonzero((fit.value + step < fit.lower) | (fit.value + step > fit.upper))
     if not len(out):
         return step

@@ -105,7 +105,7 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
         heavy = np.arange(len(value))
         fit = Fit.of(octaves, residual, design, value, (heavy >= k) & (heavy < k + p), bounds)
         change_energy = octaves.energies(cosine(problem, change))
-        reduction = float(np.sqrt(max(np.mean(none**2) - np.mean(residual**2), 0.0)))
+        reduction = float(np.sqrt(max(float(np.mean(none**2) - np.mean(residual**2)), 0.0)))
         count = float(np.prod([realizations[name] for name in one.names]))
         at_bound = one.candidate is not None and one.candidate.is_at_bound(one.solution.x)
         hypotheses.append(Hypothesis(index, one.names, one.inflated, count, at_bound, fit, k, p, m, change_energy, reduction))
