@@ -59,7 +59,6 @@ RULES: dict[str, Rule] = {
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
     "_without_detail": (policy, "_without_detail", lambda *_: None),
     "_wanted": (policy, "_wanted", lambda *_: frozenset()),
-    "_explains": (policy, "_explains", lambda *_: True),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_stands_out": (policy, "_stands_out", lambda *_: False),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
@@ -295,7 +294,9 @@ def made(kind: Any, value: Any) -> Any:
     if origin is frozenset:
         return frozenset(made(inner[0], each) for each in value)
     if is_dataclass(kind):
-        return kind(**{name: made(_hints(kind)[name], each) for name, each in value.items()})  # type: ignore[arg-type, operator]
+        hints = _hints(kind)  # type: ignore[arg-type]
+        # Evidence of before a number was deleted has it still.
+        return kind(**{name: made(hints[name], each) for name, each in value.items() if name in hints})  # type: ignore[operator]
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     raise TypeError(kind)

@@ -72,10 +72,6 @@ class Thresholds:
     run_to_run: float = _setting(
         "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
     )
-    min_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
-    min_explained_whitened: float = _setting(
-        "share of the gap's energy", "the same where the fits know the spectrum of the model's own error"
-    )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")
     noise_own_share: float = _setting(

@@ -161,7 +161,6 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         if (one.names and with_effects or one.coefficients_alone)
         and _beats_null(one, evidence, thresholds)
         and _worth_naming(one, evidence, thresholds)
-        and _explains(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
 
@@ -279,18 +278,6 @@ def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: 
     """True where a hypothesis is better by what exceeds the model's own error, or by coefficients that need not move as far."""
     better = without.beyond + without.strain - one.beyond - one.strain
     return better > evidence.null + thresholds.margin
-
-
-def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where effects take off enough of the error beyond the one that the model states; any amount if coefficients are strained."""
-    none = evidence.hypotheses[0]
-    gap = none.energy - evidence.stated
-    if not one.names or gap <= thresholds.min_excess * evidence.stated:
-        return True
-    if strained(none.strain, evidence.coefficients, thresholds):
-        return True
-    least = thresholds.min_explained_whitened if evidence.whitened else thresholds.min_explained
-    return none.energy - one.energy > least * gap
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
