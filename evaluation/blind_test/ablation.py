@@ -58,7 +58,6 @@ RULES: dict[str, Rule] = {
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
     "_without_detail": (policy, "_without_detail", lambda *_: None),
-    "_wanted": (policy, "_wanted", lambda *_: frozenset()),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_stands_out": (policy, "_stands_out", lambda *_: False),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
@@ -88,8 +87,6 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "weight": {"weight": 1.0},
     "clean_noise": {"clean_noise": False},
     "repeating": {"repeating": frozenset()},
-    "drifts": {"drifts": frozenset()},
-    "carried_share": {"carried_share": 0.0},
     "ends_as": {"ends_as": ()},
     "moved": {"moved": 0.0},
 }

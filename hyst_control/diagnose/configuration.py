@@ -58,9 +58,6 @@ class Thresholds:
         "share of the measurement's range, rms", "most that coefficients within their tolerance move a simulation without a gap"
     )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
-    added_share_with_own_error: float = _setting(
-        "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
-    )
     distortion_change: float = _setting("1", "change of an effect's size with a variable from which it is another effect")
     distortion_share: float = _setting("share of the energy that the effect explains", "least that this change must explain")
     distortion_whitened: float = _setting(

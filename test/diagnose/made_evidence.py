@@ -30,7 +30,6 @@ LIMITS = replace(
     max_effects=2,
     many_tolerances=8.0,
     added_share=0.002,
-    added_share_with_own_error=0.05,
     min_excess=0.1,
     own_error_share=0.5,
     own_error_energy=1.5,
