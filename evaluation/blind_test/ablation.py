@@ -5,15 +5,15 @@
 `collect` diagnoses the cases of a blind test's folder and stores, for each, its evidence with all tests that any move asks for, in
 rules/NAME.json. `ablated` replays the decision alone on them, once for each move, and compares case by case.
 
-    hyst blind-test --seed 531 --count 160 --stop-after 0 --output simulated
+    hyst blind-test --seed 531 --count 160 --output simulated
     python -m evaluation.blind_test.ablation collect simulated injected
     python -m evaluation.blind_test.ablation replay simulated injected
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,9 +27,10 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from evaluation.blind_test.case import Case, from_document
+from evaluation.blind_test.injected_machines import SCORING
 from evaluation.blind_test.run import plain
 from evaluation.blind_test.scores import score
-from hyst_control.base.files import read_json
+from hyst_control.base.files import read_json, write_text
 from hyst_control.base.parallel import compute_serially
 from hyst_control.diagnose.configuration import CONFIGURATION, Thresholds
 from hyst_control.diagnose.decide import novelty, policy, record_findings
@@ -57,8 +58,6 @@ RULES: dict[str, Rule] = {
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
     "_without_detail": (policy, "_without_detail", lambda *_: None),
-    "_wanted": (policy, "_wanted", lambda *_: frozenset()),
-    "_explains": (policy, "_explains", lambda *_: True),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_stands_out": (policy, "_stands_out", lambda *_: False),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
@@ -88,8 +87,6 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "weight": {"weight": 1.0},
     "clean_noise": {"clean_noise": False},
     "repeating": {"repeating": frozenset()},
-    "drifts": {"drifts": frozenset()},
-    "carried_share": {"carried_share": 0.0},
     "ends_as": {"ends_as": ()},
     "moved": {"moved": 0.0},
 }
@@ -236,12 +233,12 @@ def _named(decisions: Sequence[tuple[Evidence, Decision]]) -> tuple[str, ...]:
     return (*sorted(ranks, key=ranks.__getitem__), *last)
 
 
-def collect(folder: Path, until: float) -> None:
+def collect(folder: Path) -> None:
     """Diagnose the cases of a folder and store the evidence with all tests that moves ask for; what is stored is kept."""
     (folder / "rules").mkdir(exist_ok=True)
     for place in sorted((folder / "cases").iterdir()):
         path = folder / "rules" / f"{place.name}.json"
-        if path.exists() or time.time() > until or not (place / "model.yaml").exists():
+        if path.exists() or not (place / "model.yaml").exists():
             continue
         begin = time.process_time()
         try:
@@ -294,7 +291,9 @@ def made(kind: Any, value: Any) -> Any:
     if origin is frozenset:
         return frozenset(made(inner[0], each) for each in value)
     if isinstance(kind, type) and is_dataclass(kind):
-        return kind(**{name: made(_hints(kind)[name], each) for name, each in value.items()})
+        hints = _hints(kind)
+        # Evidence of before a number was deleted has it still.
+        return kind(**{name: made(hints[name], each) for name, each in value.items() if name in hints})
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     raise TypeError(kind)
@@ -341,20 +340,35 @@ def ablated(cases: Mapping[str, tuple[Case, Parts, Outcome]]) -> list[Change]:
     return found
 
 
-def main(arguments: Sequence[str]) -> None:
+def table(found: Sequence[Change], cases: int) -> str:
+    """Write the changes as CSV, with the number of cases."""
+    rows = [f"{one.move},{cases - one.unmeasured},{one.changed},{one.better},{one.worse}" for one in found]
+    return "\n".join(["move,cases,changed,better,worse", *rows]) + "\n"
+
+
+def main() -> None:
     """Collect evidence, or replay it."""
-    what, *names = arguments
-    folders = [Path(name) for name in names]
-    if what == "collect":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("collect", "replay"))
+    parser.add_argument("folders", nargs="+", type=Path, help="folders of `hyst blind-test`, of tuning seeds")
+    parser.add_argument("--table", type=Path, metavar="OUT.csv", help="file to write what moves change")
+    given = parser.parse_args()
+    for folder in given.folders:
+        if read_json(folder / "labels.json")["seed"] >= SCORING:
+            raise SystemExit(f"{folder}: holds cases of a scoring seed: rules are measured on tuning seeds, below {SCORING}")
+    if given.what == "collect":
         compute_serially()
-        for folder in folders:
-            collect(folder, np.inf)
+        for folder in given.folders:
+            collect(folder)
         return
-    cases = replayed(folders)
+    cases = replayed(given.folders)
+    found = ablated(cases)
     print(f"{len(cases)} cases, {sum(usual.right for *_, usual in cases.values())} right")
-    for one in ablated(cases):
+    for one in found:
         print(f"{one.move:40s} changed {one.changed:4d}  better {one.better:3d}  worse {one.worse:3d}  unmeasured {one.unmeasured}")
+    if given.table is not None:
+        write_text(given.table, table(found, len(cases)))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -62,9 +62,6 @@ class Thresholds:
         "share of the measurement's range, rms", "most that coefficients within their tolerance move a simulation without a gap"
     )
     added_share: float = _setting("1", "share of all that a combination takes off which each of its effects must add")
-    added_share_with_own_error: float = _setting(
-        "1", "the same where the fits know of the model's own error: finer parts cannot be told from it"
-    )
     distortion_change: float = _setting("1", "change of an effect's size with a variable from which it is another effect")
     distortion_share: float = _setting("share of the energy that the effect explains", "least that this change must explain")
     distortion_whitened: float = _setting(
@@ -75,10 +72,6 @@ class Thresholds:
     min_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
     run_to_run: float = _setting(
         "stated energies", "energy that does not follow the command up to which it is the plant's variation from run to run"
-    )
-    min_explained: float = _setting("share of the gap's energy", "least that effects must take off to be an explanation")
-    min_explained_whitened: float = _setting(
-        "share of the gap's energy", "the same where the fits know the spectrum of the model's own error"
     )
     own_error_share: float = _setting("1", "share of the error that a model states of itself which an effect must take off")
     own_error_energy: float = _setting("noise energies", "stated energy from which a model is taken to state an error of its own")

@@ -191,9 +191,6 @@ class Evidence:
     repeating: frozenset[str] = frozenset()  # Names of the effects that repeat values by themselves
     # True where the model's own error is carried over from a clean record of the same command, so that it is in no residual
     carried: bool = False
-    drifts: frozenset[str] = frozenset()  # Names of the effects that are a change of the plant with time
-    # Energy of the error that is carried over, as a share of the motion's: so little of an effect's answer the model does not know
-    carried_share: float = 0.0
     # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()
     # Rms by which the coefficients of "no effect" move the simulation, beyond the model's own error, as a share of the range

@@ -200,8 +200,6 @@ class Effect:
         Whether a record could show the effect at all.
     repeats_values
         Whether the measurement repeats a value while the effect holds it, which is then no sample that was held.
-    drifts
-        Whether it is a change with time, by which the size of another effect may seem to change.
     ends_as
         Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better.
     waveform
@@ -249,7 +247,6 @@ class Effect:
     stage: Callable[[Values, Surroundings], Stage]
     exercised: Callable[[Surroundings], bool] = lambda _: True
     repeats_values: bool = False
-    drifts: bool = False
     ends_as: str | None = None
     waveform: bool = True
     couples: bool = False

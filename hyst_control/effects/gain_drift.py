@@ -242,7 +242,6 @@ EFFECT = Effect(
     parameters,
     lambda values, around: GainDrift(**stage_values({"span": around.duration, **values})),
     variants=drift_variants,
-    drifts=True,
     ends_as="gain",
     summary=in_the_end,
     also_at=("drive",),

@@ -30,7 +30,6 @@ LIMITS = replace(
     max_effects=2,
     many_tolerances=8.0,
     added_share=0.002,
-    added_share_with_own_error=0.05,
     min_excess=0.1,
     own_error_share=0.5,
     own_error_energy=1.5,
@@ -42,8 +41,6 @@ LIMITS = replace(
     distortion_share=0.01,
     distortion_whitened=6.3,
     stuck=2,
-    min_explained=0.1,
-    min_explained_whitened=0.7,
     sharpness_whitened=0.5,
 )
 """The values that the rows below were made for, so that tuning changes no row."""

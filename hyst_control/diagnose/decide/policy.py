@@ -161,25 +161,13 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         if (one.names and with_effects or one.coefficients_alone)
         and _beats_null(one, evidence, thresholds)
         and _worth_naming(one, evidence, thresholds)
-        and _explains(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
-
-    def kept(wanted: frozenset[frozenset[str]] = frozenset()) -> tuple[int, ...]:
-        return tuple(
-            index
-            for index in found
-            if not _adds_too_little(index, found, evidence, thresholds, wanted)
-            and not _is_known_effect(index, found, evidence, thresholds)
-        )
-
-    claims = kept()
-    wanted = _wanted(evidence, _first(claims), thresholds)
-    with_wanted = claims
-    if wanted:  # what a test asks for goes before what fails it
-        with_wanted = tuple(sorted(kept(wanted), key=lambda index: frozenset(evidence.hypotheses[index].names) not in wanted))
-    # Where the added effect is no cure, the explanation without it is the nearest one.
-    claims = claims if _changes(evidence, _first(with_wanted), thresholds) else with_wanted
+    claims = tuple(
+        index
+        for index in found
+        if not _adds_too_little(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
+    )
     simpler = _without_detail(evidence, _first(claims), found, thresholds)
     return claims if simpler is None else (simpler, *(index for index in claims[1:] if index != simpler))
 
@@ -207,17 +195,6 @@ def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[Di
     if evidence.hypotheses[index].residual is None:
         return ()
     return tuple(test for test, _ in failed_tests(evidence, index, thresholds))
-
-
-def _wanted(evidence: Evidence, index: int, thresholds: Thresholds) -> frozenset[frozenset[str]]:
-    """The effects of a hypothesis, each time with a drift that they lack, where their size would have to change with time.
-
-    The test is one of these effects: it says nothing of a drift beside others, which fitted worse.
-    """
-    if "time" not in {one.variable for one in _changes(evidence, index, thresholds)}:
-        return frozenset()
-    names = frozenset(evidence.hypotheses[index].names)
-    return frozenset(names | {drift} for drift in evidence.drifts - names)
 
 
 def _narrowband_vibration_index(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
@@ -281,18 +258,6 @@ def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: 
     return better > evidence.null + thresholds.margin
 
 
-def _explains(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where effects take off enough of the error beyond the one that the model states; any amount if coefficients are strained."""
-    none = evidence.hypotheses[0]
-    gap = none.energy - evidence.stated
-    if not one.names or gap <= thresholds.min_excess * evidence.stated:
-        return True
-    if strained(none.strain, evidence.coefficients, thresholds):
-        return True
-    least = thresholds.min_explained_whitened if evidence.whitened else thresholds.min_explained
-    return none.energy - one.energy > least * gap
-
-
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
 
@@ -316,14 +281,11 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     )
 
 
-def _adds_too_little(
-    index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds, wanted: frozenset[frozenset[str]] = frozenset()
-) -> bool:
+def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
     Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
-    coefficients had to leave their tolerance for a part, and need not for the combination, nor for a combination that is `wanted`: a
-    distortion test then tells what is added from the stage's own error.
+    coefficients had to leave their tolerance for a part, and need not for the combination.
     """
     one = evidence.hypotheses[index]
     if len(one.names) < 2:
@@ -331,19 +293,14 @@ def _adds_too_little(
     parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
     if not parts:
         return False
-    asked_for = frozenset(one.names) in wanted
-    if _has_own_error(evidence) and not asked_for and not all(_stands_out(part, one, evidence, thresholds) for part in parts):
+    if _has_own_error(evidence) and not all(_stands_out(part, one, evidence, thresholds) for part in parts):
         return True
     best = min(parts, key=lambda part: part.misfit)
     better = best.misfit - one.misfit
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
-    # Beside a clean record of the same command the model's own error is in no residual that a second effect could take off, but in
-    # the answer to the first effect, of which the model misses as large a share as of the motion.
-    alone = evidence.weight == 1.0 and (evidence.carried or not evidence.whitened)
-    share = max(thresholds.added_share, evidence.carried_share) if alone else thresholds.added_share_with_own_error
-    small = better <= share * (evidence.hypotheses[0].misfit - one.misfit) and not asked_for
+    small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
     return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
 
 

@@ -23,7 +23,6 @@ from hyst_control.effects.placement import mechanics_index
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
-from hyst_control.records.session_zero import without_zero
 
 SAME_POLE = 1e-6
 """Relative distance up to which two poles are one: axes without coupling have each a copy of the modes."""
@@ -105,20 +104,6 @@ class Problem:
     def is_carried(self) -> bool:
         """True where the model discrepancy is carried over from a baseline record of the same command."""
         return any(isinstance(stage, CarriedError) for stage in self.model.chain.stages)
-
-    @property
-    def carried_share(self) -> float:
-        """Energy of the error that is carried over as a share of the motion's, both without zero and drift; 0 where none is.
-
-        What the model misses of the motion it misses of an effect's answer, too, and that no clean record can carry over.
-        """
-        carried = [stage for stage in self.model.chain.stages if isinstance(stage, CarriedError)]
-        if not carried:
-            return 0.0
-        pieces = list(zip(self.pieces, carried[0].series, strict=True))
-        error = sum(np.sum(without_zero(piece.counted(series))[0] ** 2, axis=0) for piece, series in pieces)
-        motion = sum(np.sum(without_zero(piece.counted(piece.measurement))[0] ** 2, axis=0) for piece, _ in pieces)
-        return float(np.mean(error / np.maximum(motion, 1e-300)))
 
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""

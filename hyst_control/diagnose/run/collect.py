@@ -84,8 +84,6 @@ def collect(
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
-        frozenset(name for name, effect in EFFECTS.items() if effect.drifts),
-        problem.carried_share,
         tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
         _moved(found, stated),
     )
