@@ -17,16 +17,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from hyst_control.base.errors import InputError
-
-if TYPE_CHECKING:
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "blind-test"
 HELP = "test the diagnosis on cases whose effect is withheld"
-JSON = "result table"
 WRITES = ("page",)
 
 
@@ -102,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
 
 
-def run(arguments: argparse.Namespace) -> Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from dataclasses import replace
     from pathlib import Path

@@ -13,10 +13,9 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
+from hyst_control.reporting.result import CommandResult
 
 NAME = "cases"
 HELP = "draw recorded cases with effects in them, labels in a separate file"
@@ -67,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Artifacts:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.reporting.artifacts import Artifacts
 

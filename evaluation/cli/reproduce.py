@@ -11,13 +11,9 @@ Measurements are read from ../shared/data beside the repository, or from the fol
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from hyst_control.base.errors import InputError
-
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "reproduce"
 HELP = "run a published experiment and print its table"
@@ -40,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--page", metavar="OUT.md", help="page: Markdown to write")
 
 
-def run(arguments: argparse.Namespace) -> Table | Artifacts:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from importlib import import_module
 
@@ -54,5 +50,5 @@ def run(arguments: argparse.Namespace) -> Table | Artifacts:
         write_page(arguments.results, arguments.page)
         return Artifacts("reproduce page", [arguments.page])
     experiment = import_module(f"evaluation.reproduction.{arguments.experiment.replace('-', '_')}")
-    table: Table = experiment.run(None, arguments.figures)
+    table: CommandResult = experiment.run(None, arguments.figures)
     return table

@@ -4,10 +4,10 @@
 
 Other distributions add theirs by the entry points `hyst_control.commands`, as `evaluation` does in a checkout.
 
-A subcommand module has `NAME`, `HELP`, `JSON` (what `--json` writes), `add_arguments(parser)` and `run(arguments)`, and where it has
-such arguments `READS` and `WRITES`: names of those that are files or folders. `run` returns its result, which has `text()` for people,
-`document()` for programs and, where it is not 0, an `exit_status`, with a line `refusal` where nothing came out; or an exit status when
-it has printed everything itself. Imports of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are
+A subcommand module has `NAME`, `HELP`, `add_arguments(parser)` and `run(arguments)`, and where it has such arguments `READS` and `WRITES`:
+names of those that are files or folders. `JSON` says what `--json` writes where that is no table. `run` returns a `CommandResult` with,
+where it is not 0, an `exit_status`, and a line `refusal` where nothing came out; or an exit status when it has printed everything itself.
+Imports of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are
 added here for every subcommand.
 """
 
@@ -80,7 +80,8 @@ def parser() -> Parser:
         sub.add_argument(
             "--json",
             metavar="OUT",
-            help=f"{command.JSON} to write as JSON; -: to the standard output, with all text on the standard error",
+            help=f"{getattr(command, 'JSON', 'result table')} to write as JSON; -: to the standard output, with all text on the standard "
+            "error",
         )
         sub.add_argument("--quiet", action="store_true", help="do not show progress (it is shown on a terminal only)")
         sub.set_defaults(run=command.run, reads=getattr(command, "READS", ()), writes=("json", *getattr(command, "WRITES", ())))

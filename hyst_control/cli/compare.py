@@ -9,16 +9,12 @@ example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from hyst_control.cli import validate
-
-if TYPE_CHECKING:
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "compare"
 HELP = "score several models on the same bags"
-JSON = "result table"
 READS = ("models", "bags")
 
 
@@ -31,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     validate.add_options(parser)
 
 
-def run(arguments: argparse.Namespace) -> Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.base.errors import InputError
 

@@ -16,14 +16,11 @@ example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "demo"
 HELP = "the whole workflow on a simulated actuator, with a report"
-JSON = "result table"
 WRITES = ("output",)
 
 
@@ -33,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--without-ros", action="store_true", help="compute in one process, as where rclpy is not installed")
 
 
-def run(arguments: argparse.Namespace) -> Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from importlib.util import find_spec
 

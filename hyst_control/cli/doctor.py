@@ -12,10 +12,8 @@ example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.processes.installation import Installation
+from hyst_control.reporting.result import CommandResult
 
 NAME = "doctor"
 HELP = "check what this computer offers: Python, ROS, messages, clock, priority, disk"
@@ -27,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--folder", default=".", metavar="FOLDER", help="where records are going to be written (default: here)")
 
 
-def run(arguments: argparse.Namespace) -> Installation:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.processes.installation import examine
 

@@ -15,10 +15,9 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
+from hyst_control.reporting.result import CommandResult
 
 NAME = "excite"
 HELP = "build an excitation and write it as a table, array, bag or description"
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="V", help="unit: V for an excitation (default), um or mrad for a reference")
 
 
-def run(arguments: argparse.Namespace) -> Artifacts | Kinds:
+def run(arguments: argparse.Namespace) -> CommandResult | Kinds:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import numpy as np
 

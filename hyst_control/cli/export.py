@@ -18,10 +18,8 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
+from hyst_control.reporting.result import CommandResult
 
 NAME = "export"
 HELP = "write a model, a feedforward or a controller as C or FMU, or a bag for other tools"
@@ -85,7 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> Artifacts:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import os
 
@@ -166,7 +164,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     return made
 
 
-def _bag(given: argparse.Namespace) -> Artifacts:
+def _bag(given: argparse.Namespace) -> CommandResult:
     """Export a bag's signals."""
     from hyst_control.base.errors import InputError
     from hyst_control.base.files import check_writable

@@ -22,12 +22,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.fleet.population_model import PopulationModel
-    from hyst_control.fleet.study import Study
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "fleet"
 HELP = "identify, validate or diagnose the records of many units"
@@ -82,7 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
-def run(arguments: argparse.Namespace) -> Study | PopulationModel | Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.base import progress
     from hyst_control.base.errors import InputError

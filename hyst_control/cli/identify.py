@@ -12,10 +12,10 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from hyst_control.identify.workflow import Result
+from hyst_control.cli.validate import add_hold_and_start
+from hyst_control.reporting.result import CommandResult
 
 NAME = "identify"
 HELP = "fit a model's parameters to recorded bags"
@@ -32,19 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
     parser.add_argument("--output", metavar="MODEL.yaml", default="model.yaml", help="model file to write (default model.yaml)")
-    parser.add_argument(
-        "--hold",
-        choices=("auto", "zoh", "foh"),
-        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: auto, as "
-        "stated in the bag, else what explains held-out rows)",
-    )
-    parser.add_argument(
-        "--start",
-        choices=("auto", "settled", "unknown"),
-        default="auto",
-        help="state at the start: settled at the first command, reached from 0 V on the virgin curve; unknown; or found from the "
-        "record (default)",
-    )
+    add_hold_and_start(parser)
     parser.add_argument(
         "--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them"
     )
@@ -99,7 +87,7 @@ def add_options(parser: argparse.ArgumentParser) -> list[str]:
     return list(options)
 
 
-def run(arguments: argparse.Namespace) -> Result:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.identify.families.estimator import every_option
     from hyst_control.identify.workflow import identify_bags

@@ -29,11 +29,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from hyst_control.reporting.result import CommandResult
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from hyst_control.records.record import Record, Signal
-    from hyst_control.reporting.artifacts import Artifacts
 
 NAME = "import"
 HELP = "convert recordings of other tools to bags"
@@ -67,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
 
 
-def run(arguments: argparse.Namespace) -> Artifacts:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 
@@ -115,7 +116,7 @@ def run(arguments: argparse.Namespace) -> Artifacts:
     )
 
 
-def written(output: str, records: Sequence[Record]) -> Artifacts:
+def written(output: str, records: Sequence[Record]) -> CommandResult:
     """Write records to a bag, or several to numbered bags in a folder, and describe them."""
     from pathlib import Path
 

@@ -20,6 +20,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from hyst_control.reporting.result import CommandResult
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
 
 NAME = "learn"
 HELP = "learn the feedforward of a repeated reference from trial to trial"
-JSON = "result table"
 READS = ("model", "bags", "response", "reference", "plant")
 WRITES = ("output",)
 
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
 
 
-def run(arguments: argparse.Namespace) -> Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from pathlib import Path
 

@@ -13,10 +13,8 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
+from hyst_control.reporting.result import CommandResult
 
 NAME = "record"
 HELP = "record signal topics to a bag"
@@ -36,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics")
 
 
-def run(arguments: argparse.Namespace) -> Artifacts | int:
+def run(arguments: argparse.Namespace) -> CommandResult | int:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import json
     from pathlib import Path

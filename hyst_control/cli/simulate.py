@@ -10,10 +10,8 @@ examples:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.artifacts import Artifacts
+from hyst_control.reporting.result import CommandResult
 
 NAME = "simulate"
 HELP = "run a model over a recorded command or an excitation"
@@ -37,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
-def run(arguments: argparse.Namespace) -> Artifacts:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import numpy as np
 

@@ -9,14 +9,11 @@ example:
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from hyst_control.reporting.tables import Table
+from hyst_control.reporting.result import CommandResult
 
 NAME = "validate"
 HELP = "score a model on recorded bags"
-JSON = "result table"
 READS = ("model", "bags")
 
 
@@ -27,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that `validate` and `compare` share."""
+def add_hold_and_start(parser: argparse.ArgumentParser) -> None:
+    """Add the options on the command between samples and on the state at the start."""
     parser.add_argument(
         "--hold",
         choices=("auto", "zoh", "foh"),
@@ -39,15 +36,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--start",
         choices=("auto", "settled", "unknown"),
         default="auto",
-        help="state at the start: settled at the first command, reached from 0 V on the virgin curve; unknown; or found from the "
+        help="state at the start: settled at the first command, reached from 0 V on the initial loading curve; unknown; or found from the "
         "record (default)",
     )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that `validate` and `compare` share."""
+    add_hold_and_start(parser)
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
 
 
-def run(arguments: argparse.Namespace) -> Table:
+def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     from hyst_control.identify.validation import validate_bags
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -91,18 +91,7 @@ def _run(work: Path, progress: Callable[[str], None], runner: Runner) -> Table:
     progress("excite and record")
     signal = excitation.build({"signal": "hampi_identification", "peak": PEAK, "lower": RATING[0], "upper": RATING[1]}, SAMPLE_TIME)
     plant = str(config_path(f"plants/{PLANT}.yaml"))
-    # The excitation is a drive in V: it passes the feedforward with gain 1.
-    recorded = runner(
-        work / "excitation",
-        signal,
-        SAMPLE_TIME,
-        {
-            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": plant, "seed": SEED},
-        },
-        block=BLOCK,
-    )
+    recorded = excited(runner, work / "excitation", signal, {"plant": plant, "seed": SEED})
     shutil.move(recorded, bags / "excitation")
     results: dict[str, Result] = {}
     for family in ("hapi", "hampi"):
@@ -143,20 +132,21 @@ def _run(work: Path, progress: Callable[[str], None], runner: Runner) -> Table:
     return table
 
 
+def excited(runner: Runner, folder: Path, signal: Array, plant: Mapping[str, Any]) -> Path:
+    """Record a plant under an excitation: a drive in V, which passes the feedforward with gain 1."""
+    settings = {
+        "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
+        "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
+        "plant": plant,
+    }
+    return runner(folder, signal, SAMPLE_TIME, settings, block=BLOCK)
+
+
 def diagnose_withheld(runner: Runner, work: Path, model: Path, plant: str) -> dict[str, Any]:
     """Record the actuator with an effect that the model does not have, and diagnose the record without telling which."""
     signal = excitation.build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.7}, SAMPLE_TIME)
-    recorded = runner(
-        work / "withheld",
-        signal,
-        SAMPLE_TIME,
-        {
-            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": plant, "seed": SEED + 2, "effects": json.dumps([WITHHELD])},
-        },
-        block=BLOCK,
-    )
+    given = {"plant": plant, "seed": SEED + 2, "effects": json.dumps([WITHHELD])}
+    recorded = excited(runner, work / "withheld", signal, given)
     bag = work / "bags" / "withheld"
     shutil.move(recorded, bag)
     shutil.rmtree(work / "withheld")

@@ -11,8 +11,7 @@ import numpy as np
 
 from hyst_control.chain.chain import Averaged
 from hyst_control.chain.stage import Stage, frozen, register
-from hyst_control.effects.effect import Effect
-from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, lowpass_parameters, lowpass_values, lowpass_variants
+from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, lowpass_effect
 
 
 @register
@@ -27,10 +26,6 @@ class AmplifierLowpass(Lowpass, Averaged):
     """
 
     name: ClassVar[str] = "amplifier_lowpass"
-    equation: ClassVar[str] = (
-        r"y = \left(\frac{1}{1 + s / (2 \pi\, \mathrm{cutoff})}\right)^{\mathrm{order}} u \quad \text{for } "
-        r"\mathrm{damping} = 1"
-    )
     place: ClassVar[str] = "drive"
     last_at_place: ClassVar[bool] = True
 
@@ -47,13 +42,10 @@ class AmplifierLowpass(Lowpass, Averaged):
         return Rebuilt(*shape), AmplifierLowpass(*shape)
 
 
-EFFECT = Effect(
+EFFECT = lowpass_effect(
     "amplifier_lowpass",
     "drive",
     "The amplifier is slower than the model says: a low-pass of first or second order before the hysteresis.",
-    lowpass_parameters,
-    lambda values, around: AmplifierLowpass(**lowpass_values(values)),
-    variants=lowpass_variants,
-    separating_record="the amplifier's output voltage",
-    phrase="an amplifier low-pass at {cutoff}",
+    AmplifierLowpass,
+    "an amplifier low-pass at {cutoff}",
 )

@@ -5,22 +5,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.base.errors import InputError
-from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.linear.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
-from hyst_control.chain.stage import Modifier, Stage, register
-from hyst_control.effects.coupled_resonance import ChangedTogether
-from hyst_control.effects.placement import with_mechanics
+from hyst_control.chain.stage import register
+from hyst_control.effects.coupled_resonance import CoupledModifier
 
 
 @register
 @dataclass(frozen=True)
-class CoupledModes(Modifier):
+class CoupledModes(CoupledModifier):
     """Adds S + Σ (P ω² + V ω s) / (s² + 2 damping ω s + ω²), a sum over modes, to the mechanics before it; ω = 2π frequency (Hz).
 
     S: `static`, [output][input]; P: `in_phase`, V: `quadrature`, both [mode][output][input], in the mechanics' output per its input. A
@@ -39,11 +37,7 @@ class CoupledModes(Modifier):
     quadrature: AllAxes = all_axes("output unit / input unit", "V, [mode][output][input]", 3)
     static: AllAxes = all_axes("output unit / input unit", "S, [output][input]", 2)
 
-    @property
-    def mixes_axes(self) -> bool:
-        return True
-
-    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+    def check_shapes(self, axes: int) -> None:
         modes = len(np.atleast_1d(np.array(self.frequency, dtype=float)))
         due = {"damping": (modes,), "in_phase": (modes, axes, axes), "quadrature": (modes, axes, axes), "static": (axes, axes)}
         for field, shape in due.items():
@@ -51,14 +45,8 @@ class CoupledModes(Modifier):
                 raise InputError(
                     f"{field}: has shape {np.shape(getattr(self, field))}, {shape} is due for {modes} modes of {axes} axes"
                 )
-        before, index = with_mechanics(before)
-        return (
-            *before[:index],
-            ChangedTogether(cast(LinearStage, before[index]), self._with_modes, self.name),
-            *before[index + 1 :],
-        )
 
-    def _with_modes(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+    def changed(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         whole, eye = stacked(systems), np.eye(axes)
         states, entering, leaving = [], [], []
         values = (np.array(getattr(self, name), dtype=float) for name in ("frequency", "damping", "in_phase", "quadrature"))

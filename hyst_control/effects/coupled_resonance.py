@@ -18,9 +18,30 @@ from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import with_mechanics
 
 
+class CoupledModifier(Modifier):
+    """A change of the mechanics before it that lets the axes drive each other."""
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True
+
+    def check_shapes(self, axes: int) -> None:
+        """Raise `InputError` for coefficients that do not fit the number of axes."""
+
+    def changed(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+        """The mechanics' systems with the change."""
+        raise NotImplementedError
+
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        self.check_shapes(axes)
+        before, index = with_mechanics(before)
+        together = ChangedTogether(cast(LinearStage, before[index]), self.changed, self.name)
+        return (*before[:index], together, *before[index + 1 :])
+
+
 @register
 @dataclass(frozen=True)
-class CoupledResonance(Modifier):
+class CoupledResonance(CoupledModifier):
     """Adds (P ω² + V ω s) / (s² + 2 damping ω s + ω²) to the mechanics before it, fed alike; ω = 2π frequency (Hz).
 
     P: `in_phase`, V: `quadrature`, both [output][input], in the mechanics' output per its input. V is what a mode has whose inputs and
@@ -38,22 +59,12 @@ class CoupledResonance(Modifier):
     in_phase: AllAxes = all_axes("output unit / input unit", "P, [output][input]", 2)
     quadrature: AllAxes = all_axes("output unit / input unit", "V, [output][input]", 2)
 
-    @property
-    def mixes_axes(self) -> bool:
-        return True
-
-    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+    def check_shapes(self, axes: int) -> None:
         for field in ("in_phase", "quadrature"):
             if np.shape(getattr(self, field)) != (axes, axes):
                 raise InputError(f"{field}: shape {np.shape(getattr(self, field))} does not fit {axes} axes, give [output][input]")
-        before, index = with_mechanics(before)
-        return (
-            *before[:index],
-            ChangedTogether(cast(LinearStage, before[index]), self._with_mode, self.name),
-            *before[index + 1 :],
-        )
 
-    def _with_mode(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
+    def changed(self, systems: list[LinearSystem], axes: int) -> list[LinearSystem]:
         whole = stacked(systems)
         w, eye = 2 * np.pi * float(self.frequency), np.eye(axes)
         # A mode per input, in position and velocity / ω.

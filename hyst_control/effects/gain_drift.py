@@ -52,14 +52,11 @@ static real arrived_share(double t, double onset, double lasts, double smooth, c
 """`arrived` in C."""
 
 
-@register
 @dataclass(frozen=True)
-class GainDrift(TimedStage):
-    """y = u (1 + change (initial + a(t))), t from onset on; a: see `arrived`; initial -1: settles at the model's gain."""
+class Drift(TimedStage):
+    """A change that comes with time, t from onset on, as `arrived` has it."""
 
-    name: ClassVar[str] = "gain_drift"
-    equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
-    change: ScalarPerAxis = scalar("", "of the gain in the end")
+    change: ScalarPerAxis = scalar("", "in the end")
     tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
@@ -69,6 +66,16 @@ class GainDrift(TimedStage):
 
     def check(self) -> None:
         check_time_constant(self.tau)
+
+
+@register
+@dataclass(frozen=True)
+class GainDrift(Drift):
+    """y = u (1 + change (initial + a(t))), t from onset on; a: see `arrived`; initial -1: settles at the model's gain."""
+
+    name: ClassVar[str] = "gain_drift"
+    equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
+    change: ScalarPerAxis = scalar("", "of the gain in the end")
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")

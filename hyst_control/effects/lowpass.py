@@ -16,7 +16,7 @@ from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, discretise, linear_filter
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
-from hyst_control.effects.effect import Parameter, Surroundings, Values
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,10 @@ class Lowpass(LinearStage):
     Of order 2 it is ω² / (s² + 2 damping ω s + ω²) with ω = 2π cutoff: damping 1 is two equal low-passes, 0.707 a Butterworth filter.
     """
 
+    equation: ClassVar[str] = (
+        r"y = \left(\frac{1}{1 + s / (2 \pi\, \mathrm{cutoff})}\right)^{\mathrm{order}} u \quad \text{for } "
+        r"\mathrm{damping} = 1"
+    )
     unit_gain: ClassVar[bool] = True
     cutoff: ScalarPerAxis = scalar("Hz", "of every low-pass", above=0.0, infinite=True)
     order: ScalarPerAxis = scalar("", "number of low-passes", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
@@ -191,3 +195,17 @@ def lowpass_values(values: Values) -> Values:
     order = np.array(values.get("order", 1.0), dtype=float)
     damping = np.where(order == 2.0, np.array(values.get("damping", 1.0), dtype=float), 1.0)
     return {"cutoff": values["cutoff"], "order": frozen(order), "damping": frozen(damping)}
+
+
+def lowpass_effect(name: str, place: str, meaning: str, stage: type[Lowpass], phrase: str) -> Effect:
+    """The effect of a low-pass at a place."""
+    return Effect(
+        name,
+        place,
+        meaning,
+        lowpass_parameters,
+        lambda values, around: stage(**lowpass_values(values)),
+        variants=lowpass_variants,
+        separating_record="the amplifier's output voltage",
+        phrase=phrase,
+    )

@@ -14,12 +14,8 @@ from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
 from hyst_control.effects.gain_drift import (
-    LASTS,
-    ONSET,
-    SMOOTH,
-    TIME_CONSTANT,
+    Drift,
     arrived,
-    check_time_constant,
     drift_code,
     drift_course,
     drift_parameters,
@@ -27,26 +23,16 @@ from hyst_control.effects.gain_drift import (
     in_the_end,
     stage_values,
 )
-from hyst_control.effects.time_dependent import TimedStage
 
 
 @register
 @dataclass(frozen=True)
-class OffsetDrift(TimedStage):
+class OffsetDrift(Drift):
     """y = u + change (initial + a(t)), t from onset on; a: see `arrived`; initial -1: settles at the model's zero."""
 
     name: ClassVar[str] = "offset_drift"
     equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right)"
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
-    tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
-    decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
-    initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
-    onset: ScalarPerAxis = scalar("s", ONSET, default=0.0, lower=0.0)
-    lasts: ScalarPerAxis = scalar("s", LASTS, default=0.0, lower=0.0)
-    smooth: ScalarPerAxis = scalar("", SMOOTH, default=0.0, lower=0.0, upper=1.0)
-
-    def check(self) -> None:
-        check_time_constant(self.tau)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")

@@ -22,6 +22,7 @@ from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedforward.compensator import FROM_MODEL, Compensator, build_compensator
 from hyst_control.control.feedforward.static_gain import Proportional
+from hyst_control.control.learning.learning_loop import learned_rows
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
@@ -280,7 +281,7 @@ def _fed(given: Mapping[str, Any], node: str, axes: Sequence[str], time: float, 
     learned = None
     learning = given.get("learning", "none")
     if learning == "played":
-        learned = _learned(_beside(path, str(given.get("learned_file", ""))), len(axes))
+        learned = learned_rows(_beside(path, str(given.get("learned_file", ""))), len(axes))
     elif learning != "none":
         raise InputError(f"{node}.learning: {learning} goes on learning, which is not exported: let it learn, then take played")
     also = "" if learned is None else f" with {len(learned)} learned rows"
@@ -350,16 +351,6 @@ def _number(given: Mapping[str, Any], name: str, default: float) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise InputError(f"pi_feedback.{name}: must be a number, got {value!r}")
     return float(value)
-
-
-def _learned(path: str, axes: int) -> Array:
-    try:
-        rows = np.asarray(np.load(path), dtype=float)
-    except (OSError, ValueError) as error:
-        raise InputError(f"learned_file: {path}: {error}: give an .npy file as hyst learn writes it") from None
-    if rows.ndim != 2 or rows.shape[1] != axes or not len(rows) or not np.isfinite(rows).all():
-        raise InputError(f"learned_file: {path}: must be finite rows by {axes} axes, got shape {rows.shape}")
-    return rows
 
 
 def _command_span(model: Model) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import browser as browsers
 import numpy as np
 import pytest
+from no_actions import NoActions
 
 from hyst_control.dashboard.live_state import LOST_AFTER, LiveState, NodeState
 
@@ -40,14 +41,8 @@ def patient(monkeypatch):
     monkeypatch.setattr(pages, "SILENT_AFTER", SLOW)
 
 
-class Actions:
+class Actions(NoActions):
     recording = "Recording to recordings/20260102T030405-1."
-
-    def ask(self, what):
-        raise AssertionError(what)
-
-    def record(self):
-        raise AssertionError
 
 
 def node(name, message="running", rate=1000.0, heard=None, **values):

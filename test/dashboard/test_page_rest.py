@@ -5,18 +5,9 @@
 from __future__ import annotations
 
 import pytest
+from no_actions import NoActions
 
 from hyst_control.dashboard.live_state import LiveState
-
-
-class Actions:
-    recording = ""
-
-    def ask(self, what):
-        raise AssertionError(what)
-
-    def record(self):
-        raise AssertionError
 
 
 def test_a_slow_drawing_is_followed_by_a_longer_rest(monkeypatch):
@@ -28,7 +19,7 @@ def test_a_slow_drawing_is_followed_by_a_longer_rest(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(page.time, "monotonic", lambda: now[0])
     document = Document()
-    window = page._Window(document, LiveState(), Actions())
+    window = page._Window(document, LiveState(), NoActions())
     window._ready(None)
 
     def updates() -> bool:

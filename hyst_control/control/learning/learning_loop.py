@@ -13,6 +13,7 @@ from typing import Annotated, Protocol
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Compensator, Plant, feedforward_rows
 from hyst_control.control.feedback.pi import RunningPI
 
@@ -95,3 +96,14 @@ def run_learning_loop(
         "command": command,
         "measurement": measurement,
     }
+
+
+def learned_rows(path: str, axes: int) -> Array:
+    """Rows (N, A) of a learned feedforward from the file of `hyst learn`."""
+    try:
+        rows = np.asarray(np.load(path), dtype=float)
+    except (OSError, ValueError) as error:
+        raise InputError(f"learned_file: {path}: {error}: give an .npy file as hyst learn writes it") from None
+    if rows.ndim != 2 or rows.shape[1] != axes or not len(rows) or not np.isfinite(rows).all():
+        raise InputError(f"learned_file: {path}: must be finite rows by {axes} axes, got shape {rows.shape}")
+    return rows

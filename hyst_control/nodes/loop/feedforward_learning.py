@@ -15,7 +15,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.control.learning.feedback_error_learning import FeedbackErrorLearning, RunningFeedbackErrorLearning
 from hyst_control.control.learning.iterative_learning import IterativeLearning, RunningIterativeLearning
 from hyst_control.control.learning.learning_filter import model_filter
-from hyst_control.control.learning.learning_loop import Learner, Played
+from hyst_control.control.learning.learning_loop import Learner, Played, learned_rows
 from hyst_control.model_file import load_model
 from hyst_control.nodes.signal_node.parameters import Setting
 
@@ -29,12 +29,9 @@ SETTINGS = (
     Setting("learning_period", 0, "samples", "trials: period of the reference, which the generator repeats", 0, 10_000_000),
     Setting("learning_settling", 1, "periods", "trials: of a trial, not measured", 1, 1000),
     Setting("learning_averaged", 2, "periods", "trials: of a trial, measured", 2, 1000),
-    Setting("learning_trials", 20, "trials", "trials: at most", 1, 1_000_000),
-    Setting("learning_gain", 1.0, "relative", "trials: share of a correction that is applied at first", 1e-3, 1.0),
     Setting(
         "learning_mode_spread", 0.0, "relative", "trials: of the model's first resonance, with which no trial may lose", 0.0, 0.9
     ),
-    Setting("learning_peak", 2.0, "ratio", "trials: greatest sensitivity |S| of the feedback, 1 without", 1.0, 100.0),
     Setting("learning_time", 0.2, "s", "feedback_error: in which it learns most of an error", 1e-6, 1e6),
     Setting("learning_corner", 1.0, "Hz", "feedback_error: what is slower is left to the feedback", 1e-6, 1e6),
     Setting("learning_excitation", 1.0, "V", "feedback_error: amplitude of the feedforward from which it learns", 1e-9, 1e6),
@@ -51,7 +48,7 @@ def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learn
         return FeedbackErrorLearning(
             period, given.learning_time, given.learning_corner, given.learning_excitation, given.gain_bound, given.lag_bound
         ).start(axes)
-    begin = _period_of(given.learned_file, axes) if given.learned_file else None
+    begin = learned_rows(given.learned_file, axes) if given.learned_file else None
     if given.learning == PLAYED:
         if begin is None:
             raise InputError("learned_file: must be given for learning: played")
@@ -61,15 +58,9 @@ def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learn
     if begin is not None and len(begin) != given.learning_period:
         raise InputError(f"learned_file: {given.learned_file}: has {len(begin)} rows, learning_period {given.learning_period}")
     learning_filter = model_filter(
-        load_model(given.model),
-        given.learning_period,
-        sample_time=period,
-        mode_spread=given.learning_mode_spread,
-        peak_sensitivity=given.learning_peak,
+        load_model(given.model), given.learning_period, sample_time=period, mode_spread=given.learning_mode_spread
     )
-    return IterativeLearning(
-        learning_filter, given.learning_settling, given.learning_averaged, given.learning_gain, given.learning_trials
-    ).start(begin)
+    return IterativeLearning(learning_filter, given.learning_settling, given.learning_averaged).start(begin)
 
 
 class FeedforwardLearning:
@@ -175,16 +166,6 @@ class _Queue:
 
     def skip_to(self, tick: int) -> None:
         self.take(min(max(tick - self.first, 0), len(self.rows)))
-
-
-def _period_of(path: str, axes: int) -> Array:
-    try:
-        rows = np.asarray(np.load(path), dtype=float)
-    except (OSError, ValueError) as error:
-        raise InputError(f"learned_file: {path}: {error}: give an .npy file as hyst learn writes it") from None
-    if rows.ndim != 2 or rows.shape[1] != axes or not len(rows) or not np.isfinite(rows).all():
-        raise InputError(f"learned_file: {path}: must be finite rows by {axes} axes, got shape {rows.shape}")
-    return rows
 
 
 def _listed(values: Array) -> str:

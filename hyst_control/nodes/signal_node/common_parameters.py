@@ -49,7 +49,6 @@ COMMON = (
         1e9,
         live=True,
     ),
-    Setting("most_sources", 1, "publishers", "publishers that an input may have before the diagnostics warn", 1, 1000, live=True),
     Setting(
         "most_waiting",
         65536,

@@ -124,7 +124,7 @@ class NodeDiagnostics:
         seconds, new = now - before, ticks - ticks_before
         health = NodeHealth(
             trouble=node.trouble(),
-            contested=[topic for topic, count in publishers.items() if count > node.settings.most_sources],
+            contested=[topic for topic, count in publishers.items() if count > 1],
             waits=node.waits(now),
             enabled=node.working,
             slow=schedule.slow(new, missed - missed_before, seconds) if before > self._ready_since else "",

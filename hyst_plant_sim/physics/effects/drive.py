@@ -160,6 +160,19 @@ def _delay(values: Mapping[str, float], context: Context) -> LateReading | dict[
     return LateReading(values["tau"], context.period) if context.place == "sensor" else {"delay": values["tau"]}
 
 
+def low_pass_effect(place: str, where: str) -> Effect:
+    """The effect of low-passes at a place."""
+    return Effect(
+        "insert",
+        place,
+        {"cutoff": np.inf},
+        low_pass,
+        f"Equal first-order low-passes in a row, as many as `order`, {where}.",
+        {"cutoff": "Hz", "order": "", "damping": ""},
+        {"order": 1, "damping": 1.0},
+    )
+
+
 EFFECTS = {
     "dac_hold": Effect(
         "insert",
@@ -206,13 +219,5 @@ EFFECTS = {
         "Around the middle of the rating the drive does not answer; beyond, it falls short by as much.",
         {"half_width": "V"},
     ),
-    "amplifier_lowpass": Effect(
-        "insert",
-        "amplifier",
-        {"cutoff": np.inf},
-        low_pass,
-        "Equal first-order low-passes in a row, as many as `order`, before the hysteresis.",
-        {"cutoff": "Hz", "order": "", "damping": ""},
-        {"order": 1, "damping": 1.0},
-    ),
+    "amplifier_lowpass": low_pass_effect("amplifier", "before the hysteresis"),
 }

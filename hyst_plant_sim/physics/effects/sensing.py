@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hyst_plant_sim.physics.arrays import Array
-from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass
+from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass_effect
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
 from hyst_plant_sim.physics.signal_path import Part
 
@@ -154,15 +154,7 @@ def _hum(values: Mapping[str, float], context: Context) -> Timed:
 
 
 EFFECTS = {
-    "sensor_lowpass": Effect(
-        "insert",
-        "sensor",
-        {"cutoff": np.inf},
-        low_pass,
-        "Equal first-order low-passes in a row, as many as `order`, after the mechanics.",
-        {"cutoff": "Hz", "order": "", "damping": ""},
-        {"order": 1, "damping": 1.0},
-    ),
+    "sensor_lowpass": low_pass_effect("sensor", "after the mechanics"),
     "sensor_nonlinearity": Effect(
         "insert",
         "sensor",

@@ -8,22 +8,13 @@ import json
 
 import numpy as np
 import pytest
+from measured_here import needs
 
 from evaluation.reproduction import bouc_wen
 from evaluation.reproduction.bouc_wen import CANDIDATES, EQUATIONS, TARGETS, interpolated
-from evaluation.reproduction.measured_data import data_folder
 from hyst_control.base.errors import InputError
 
-
-def absent() -> bool:
-    try:
-        data_folder("bouc_wen")
-    except InputError:
-        return True
-    return False
-
-
-benchmark = pytest.mark.skipif(absent(), reason="the records of bouc_wen are not there: set HYST_DATA")
+benchmark = needs("bouc_wen")
 
 
 @pytest.fixture(scope="module")

@@ -8,23 +8,14 @@ import json
 
 import numpy as np
 import pytest
+from measured_here import needs
 
 from evaluation.reproduction import pea_p885
-from evaluation.reproduction.measured_data import data_folder
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 
-
-def absent() -> bool:
-    try:
-        data_folder("pea_p885")
-    except InputError:
-        return True
-    return False
-
-
-measured = pytest.mark.skipif(absent(), reason="the measurements of pea_p885 are not there: set HYST_DATA")
+measured = needs("pea_p885")
 
 
 @pytest.fixture(scope="module")
