@@ -4,8 +4,9 @@
 
 Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (baseline records beside the new
 one; the command of a later session, for which the reduction is predicted; the begin that does not count). labels.json is kept separate (its
-SHA-256 is printed before anything is diagnosed), reports/NAME.json (and .yaml, the augmented model) and evidence/NAME.json are the output
-of the diagnosis, results.csv has a row for every case. A run that was interrupted goes on where it stopped.
+SHA-256 is printed before anything is diagnosed). The output of the diagnosis is reports/NAME.json (and .yaml, the augmented model),
+evidence/NAME.json and separation/NAME.json (how far the effects' fits are apart, for the ideal observer). results.csv has a row for every
+case. A run that was interrupted goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 from evaluation.blind_test import injected, simulated, withheld
 from evaluation.blind_test.case import Case, Made, as_document, from_document
 from evaluation.blind_test.case_drawing import draw
+from evaluation.blind_test.ideal_observer import separation
 from evaluation.blind_test.injected_machines import PLANTS, SCORING, machines_of
 from evaluation.blind_test.injected_plan import planned
 from evaluation.blind_test.scores import ERROR, Result, metrics, score, table, write_results
@@ -93,8 +95,10 @@ class Batch:
         """Score the cases that were diagnosed."""
         found = []
         for folder, role in (("reports", self.role), ("reports_left_out", "left_out")):
-            named = [(case, self.folder / folder / f"{case.name}.json") for case in self.cases()]
-            found += [score(case, read_json(path), role) for case, path in named if path.exists()]
+            for case in self.cases():
+                path, apart = (self.folder / place / f"{case.name}.json" for place in (folder, "separation"))
+                if path.exists():
+                    found.append(score(case, read_json(path), role, read_json(apart) if apart.exists() and not role else None))
         return found
 
 
@@ -195,7 +199,7 @@ def _jobs(batch: Batch, absolute: bool) -> list[Job]:
     """Diagnoses that have no report yet; of some cases, single effects on the rich record, a second one without the effect."""
     folder, left_out = batch.folder.resolve() if absolute else batch.folder, batch.left_out
     jobs: list[Job] = []
-    for name in ("reports", "reports_left_out", "evidence"):
+    for name in ("reports", "reports_left_out", "evidence", "separation"):
         (folder / name).mkdir(exist_ok=True)
     for case in batch.cases():
         place, file = str(folder / "cases" / case.name), f"{case.name}.json"
@@ -246,6 +250,7 @@ def _diagnose_one(job: Job) -> str:
     if diagnosis is not None and not job[2]:
         evidence = [plain(part.evidence) for part in diagnosis.parts]
         (report.parents[1] / "evidence" / report.name).write_text(json.dumps(evidence))
+        write_json(report.parents[1] / "separation" / report.name, [separation(part) for part in diagnosis.parts])
     write_json(report, document)
     return place.name
 

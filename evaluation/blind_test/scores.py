@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import binomtest, mannwhitneyu
 
 from evaluation.blind_test.case import VERDICTS, Case
+from evaluation.blind_test.ideal_observer import ceiling
 from evaluation.blind_test.injected_machines import SIMULATED
 from hyst_control.base.files import write_text
 from hyst_control.diagnose.report.document import sentence
@@ -81,10 +82,12 @@ class Result:
     foreseen_error: float | None  # The same, predicted for that session's command
     processor_seconds: float
     said: str  # The report in one sentence
+    ceiling: float | None  # Probability that an ideal observer names the effects; None where that is not known
 
 
-def score(case: Case, report: Mapping[str, Any], role: str = "") -> Result:
+def score(case: Case, report: Mapping[str, Any], role: str = "", apart: Sequence[Mapping[str, Any]] | None = None) -> Result:
     """Score the report on a case."""
+    # apart: by part of the diagnosis, how far the effects' fits are apart; None where that is not known
     label, verdict = case.answer, report["verdict"]
     hidden = label.hidden or ()
     accepted = label.accepted if label.accepted is not None else tuple((name,) for name in label.names)
@@ -130,7 +133,14 @@ def score(case: Case, report: Mapping[str, Any], role: str = "") -> Result:
         foreseen_error=abs(foreseen["shrink"] - realized[1]) if realized and foreseen else None,
         processor_seconds=report.get("processor_seconds", 0.0),
         said=report["error"] if verdict == ERROR else sentence(dict(report)) if "gap" in report else "",
+        ceiling=_ceiling(accepted, apart or ()),
     )
+
+
+def _ceiling(accepted: Sequence[Sequence[str]], apart: Sequence[Mapping[str, Any]]) -> float | None:
+    """Ceiling of the axis that shows the effects best."""
+    found = [ceiling(one["names"], one["products"], accepted) for one in apart if accepted and one["names"]]
+    return max((one for one in found if one is not None), default=None)
 
 
 def _covered(case: Case, report: Mapping[str, Any]) -> bool | None:
@@ -279,6 +289,10 @@ def _no_gap(r: Result) -> bool:
     return r.case.source == "simulated" and r.role != "left_out" and r.kind == "none" and not r.hidden
 
 
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))
+
+
 SIMULATION, INJECTION, WITHHELD = (partial(_only, source) for source in ("simulated", "injected", "withheld"))
 CLEAR, PUBLISHED_PLANTS = SIMULATION("single", clear=True), partial(SIMULATION, "single", clear=True, published=True)
 SINGLE, PAIR, ALL = SIMULATION("single"), SIMULATION("pair"), SIMULATION()
@@ -288,6 +302,7 @@ REDUCTION, FORESEEN = "shrink, predicted - realized", "shrink, foreseen for the 
 
 ROWS = (
     Row("top-1, single effects on published plants, rich record, gap >= 3 sigma", 0.97, PUBLISHED_PLANTS(), "first"),
+    Row("ideal observer, the same cases", None, PUBLISHED_PLANTS(), "ceiling", value=_mean),
     Row("its family", 0.98, PUBLISHED_PLANTS(), _same_family),
     Row("macro-F1", 0.95, PUBLISHED_PLANTS(), _given, value=_macro_f1),
     Row("top-1, the same, realizations that tuning drew", 0.97, PUBLISHED_PLANTS(untuned=False), "first"),
@@ -337,6 +352,8 @@ ROWS = (
         STAND_IN("single"),
         "first",
     ),
+    Row("ideal observer of `third` and the Bouc-Wen stage", None, STAND_IN("single"), "ceiling", value=_mean),
+    Row("ideal observer, injected, {r.case.regime}, {r.case.multiple:g} x", None, MACHINE("single"), "ceiling", value=_mean),
     Row(f"injected, {NONE}: top-1 at 3 x", 0.70, MACHINE("single", regime="none", multiple=3.0), "first"),
     Row(f"injected, {NONE}: top-1 at 10 x", 0.90, MACHINE("single", regime="none", multiple=10.0), "first"),
     Row(f"injected, {OTHER}: top-1 at 3 x", 0.85, MACHINE("single", regime="other_command", multiple=3.0), "first"),

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hyst_control.diagnose.configuration import Configuration
@@ -14,6 +14,7 @@ from hyst_control.diagnose.likelihood.conditional import conditioned
 from hyst_control.diagnose.likelihood.decide import Judgement, judge
 from hyst_control.diagnose.likelihood.fits import Fits, fits_of
 from hyst_control.diagnose.likelihood.hypotheses import FLICKER, PRIORS, Kind, Priors, Weighed, weigh
+from hyst_control.diagnose.likelihood.structure import structure
 from hyst_control.diagnose.model_error.baseline import Baseline, with_discrepancy
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
@@ -34,7 +35,7 @@ class Judged:
     evidence: Evidence
     decision: Decision
     baseline: Baseline | None
-    weighed: tuple[Weighed, ...]  # All hypotheses, the most probable first
+    structure: Mapping[str, float]  # Of a gap that no effect explains: probability of "yes" by question
 
 
 def by_likelihood(
@@ -56,7 +57,11 @@ def by_likelihood(
     collected = collect(found, 0.0, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
     evidence = _with_scores(collected.evidence, weighed)
     decision, evidence = _decision(judged, evidence, collected.hypotheses, prepared, baseline, found, configuration)
-    return Judged(found.linearized.problem, found.linearized, found, collected.hypotheses, evidence, decision, baseline, weighed)
+    asked: Mapping[str, float] = {}
+    if decision.verdict is Verdict.UNKNOWN:
+        effects = [one for one in weighed if one.kind is Kind.EFFECTS and not one.flicker]
+        asked = structure(fits, effects[0] if effects else None, priors)
+    return Judged(found.linearized.problem, found.linearized, found, collected.hypotheses, evidence, decision, baseline, asked)
 
 
 def searched(

@@ -19,7 +19,6 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.diagnose.likelihood.evidence import Fit
 from hyst_control.diagnose.likelihood.octaves import Octaves, cosine, octaves_of
-from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 from hyst_control.diagnose.validate.constancy import variables_of
@@ -71,8 +70,8 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
     realizations = Counter(one.names[0] for one in found.singles)
     coefficient_columns = cosine(problem, linearized.columns)
     variables = variables_of(linearized)
-    features = _features(problem)
-    none = _residual(problem, linearized, found.none)
+    features = _features(linearized)
+    none = cosine(problem, found.none.solution.residual)
     hypotheses = []
     for index in chosen:
         one = every[index]
@@ -90,7 +89,7 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
             modulations = np.column_stack([problem.whitened(variable * plain) for variable in variables.values()])
         wider = np.where(linearized.scatter.companions > 0.0, 1.0, one.tolerances) if linearized.count else np.ones(0)
         design = np.hstack([coefficient_columns * wider, cosine(problem, columns), cosine(problem, modulations), features])
-        residual = _residual(problem, linearized, one)
+        residual = cosine(problem, one.solution.residual)
         k, p, m, f = linearized.count, columns.shape[1], modulations.shape[1], features.shape[1]
         unbounded = np.full(m + f, np.inf)
         lower, upper, centre = (np.zeros(0),) * 3
@@ -110,15 +109,7 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
         at_bound = one.candidate is not None and one.candidate.is_at_bound(one.solution.x)
         hypotheses.append(Hypothesis(index, one.names, one.inflated, count, at_bound, fit, k, p, m, change_energy, reduction))
     motion = octaves.energies(cosine(problem, linearized.nominal))
-    return Fits(octaves, tuple(hypotheses), len(realizations), motion, _noise_shares(octaves))
-
-
-def _residual(problem: Problem, linearized: Linearized, one: FittedHypothesis) -> Array:
-    return cosine(problem, one.solution.residual)
-
-
-def _noise_shares(octaves: Octaves) -> Array:
-    return np.asarray(1.0 - octaves.own, dtype=np.float64)
+    return Fits(octaves, tuple(hypotheses), len(realizations), motion, 1.0 - octaves.own)
 
 
 def _effect_columns(linearized: Linearized, one: FittedHypothesis) -> Array:
@@ -129,12 +120,17 @@ def _effect_columns(linearized: Linearized, one: FittedHypothesis) -> Array:
     return effect_columns(linearized, one.candidate.unknowns(), one.solution.z, one.solution.x, simulated)
 
 
-def _features(problem: Problem) -> Array:
-    """Features of the command (M, F) as cosine coefficients, of a problem of one axis; none of several."""
+def _features(linearized: Linearized) -> Array:
+    """Features of the command (M, F), and what a clock of another rate changes, as cosine coefficients; none of several axes."""
+    problem = linearized.problem
     if len(problem.model.axes) > 1:
-        return np.zeros((sum(problem.counts) * len(problem.model.axes), 0))
+        return np.zeros((len(linearized.measured), 0))
     scales = CommandFeatures.of([piece.command[:, 0] for piece in problem.pieces], problem.sample_time)
-    rows = [piece.counted(scales.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time)) for piece in problem.pieces]
+    rows = []
+    for piece, simulated in zip(problem.pieces, problem.by_piece(problem.in_noise(linearized.nominal)), strict=True):
+        features = scales.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time)
+        late = np.linspace(0.0, 1.0, len(simulated)) * np.gradient(simulated[:, 0])
+        rows.append(np.column_stack([piece.counted(features), late]))
     design = np.concatenate([part - part.mean(axis=0) for part in rows])
     size = np.sqrt(np.mean(design**2, axis=0))
     span = max(float(np.ptp(piece.measurement)) for piece in problem.pieces)

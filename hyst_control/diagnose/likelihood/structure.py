@@ -21,14 +21,15 @@ from hyst_control.diagnose.validate.constancy import VARIABLES
 
 AFTER_PLAYS, AFTER_LAGS = FIRST_PLAY + len(PLAYS), FIRST_PLAY + len(PLAYS) + len(LAGS)
 # In the order of `features_of_tick`: 0-2 powers of the level, 3-8 products with the rate, 9-14 distance from the last reversal, plays,
-# lags, low-passed copies. Even ones are the same for the command turned about its middle.
+# lags, low-passed copies; `fits` adds the clock. Even ones are the same for the command turned about its middle.
 GROUPS: dict[str, tuple[int, ...]] = {
     "memory": tuple(range(9, AFTER_PLAYS)),
     "even": (1, 4, 5, 10, 12),
     "rate": (*range(3, 9), *range(AFTER_PLAYS, AFTER_LAGS)),
     "slow": tuple(range(AFTER_LAGS, FEATURES)),
+    "clock": (FEATURES,),
 }
-"""Questions and the features that answer them: memory or none, even or odd, dependent on the rate or not, slow or not."""
+"""Questions, and the features that answer them."""
 
 
 def structure(fits: Fits, nearest: Weighed | None, priors: Priors) -> dict[str, float]:
@@ -37,10 +38,11 @@ def structure(fits: Fits, nearest: Weighed | None, priors: Priors) -> dict[str, 
     found = {}
     nothing = fits.hypotheses[0]
     begin = nothing.coefficients + nothing.parameters + nothing.modulations
-    if len(nothing.fit.value) - begin == FEATURES:
-        size = max(priors.features, key=lambda one: _value(nothing, fits, octaves, priors, np.full(FEATURES, one)))
+    count = len(nothing.fit.value) - begin
+    if count:
+        size = max(priors.features, key=lambda one: _value(nothing, fits, octaves, priors, np.full(count, one)))
         for question, group in GROUPS.items():
-            factors = np.full(FEATURES, size)
+            factors = np.full(count, size)
             whole = _value(nothing, fits, octaves, priors, factors)
             factors[list(group)] = 0.0
             found[question] = _probability(whole - _value(nothing, fits, octaves, priors, factors))

@@ -78,6 +78,12 @@ def gap_report(
     )
     if any(part.baseline for part in diagnosis.parts):
         document |= _finite(_beside_clean_records(diagnosis))
+    if any(part.structure for part in diagnosis.parts):
+        document["structure"] = [
+            {"axis": [diagnosis.model.axes[i] for i in part.axes], "question": question, "probability": _number(probability)}
+            for part in diagnosis.parts
+            for question, probability in part.structure.items()
+        ]
     if remainder is not None:
         document["predictable"] = _finite(remainder)
     return document

@@ -7,8 +7,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -55,6 +55,7 @@ class AxisDiagnosis:
     decision: Decision  # Verdict, its reasons, and the effects that are named
     baseline: Baseline | None = None  # Clean records or stated discrepancy that were used
     tests: ContenderTests | None = None  # What contenders leave, and whether they hold; None by likelihood
+    structure: Mapping[str, float] = field(default_factory=dict)  # Of an unknown gap, by the likelihood core: see `structure`
 
     @property
     def chosen(self) -> FittedHypothesis:
@@ -124,6 +125,7 @@ def diagnose(
                     judged.evidence,
                     judged.decision,
                     judged.baseline,
+                    judged.structure,
                 )
             )
             axis += len(axes)
