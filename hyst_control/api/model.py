@@ -22,8 +22,9 @@ from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.linearization import hysteresis_slopes, linearized
-from hyst_control.control.model_figures import beside, bode_of
+from hyst_control.control.model_figures import beside, bode_of, poles_and_zeros
 from hyst_control.control.state_space import state_space
+from hyst_control.identify.assess.choice_figure import choice_panels
 from hyst_control.identify.assess.explained_share import NOTHING
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Report
@@ -100,6 +101,8 @@ class Model(model_file.Model, Shown):
     3
     >>> len(model.plot(record))                         # signals, residual, loops and correlations
     4
+    >>> len(model.plot_poles())                         # in the plane of s, an axis each
+    1
     """
 
     report: Report | None = field(default=None, compare=False)
@@ -204,6 +207,16 @@ class Model(model_file.Model, Shown):
             The axes of matplotlib.
         """
         return drawn(bode_of(self, record), self.name, path)
+
+    def plot_poles(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw poles and zeros, the hysteresis replaced by its mean slope, and write them to a file where `path` is given."""
+        return drawn(poles_and_zeros(self), self.name, path)
+
+    def plot_choice(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw what the identification chose among, the error on held-out rows over the number of parameters."""
+        if self.report is None:
+            raise InputError(f"{self.name}: was loaded, and its file does not say among what it was chosen: identify it")
+        return drawn(choice_panels(self.report), self.name, path)
 
     def linear(self, rate: float | None = None) -> StateSpace:
         """The linear part as a discrete system of scipy, from the held command to the measurement, delays included.

@@ -113,8 +113,10 @@ class Record(EditableRecord, Shown):
         middle = 0.5 * float(time[count - 1] + time[count])
         return self.between(None, middle), self.between(middle, None)
 
-    def plot(self, path: str | Path | None = None, *, kind: str = "time") -> list[Axes]:
-        """Draw the record.
+    def plot(
+        self, path: str | Path | None = None, *, kind: str = "time", others: Sequence[Record] = (), color: str | None = None
+    ) -> list[Axes]:
+        """Draw the record, alone or over others.
 
         Parameters
         ----------
@@ -122,6 +124,10 @@ class Record(EditableRecord, Shown):
             File to write as well: .png, .svg, .pdf or .html.
         kind
             "time", "loops" (measurement over command) or "spectra".
+        others
+            Further records in the same drawing.
+        color
+            Of loops: by "record", "time" or "frequency"; None: by frequency, or of several records by record.
 
         Returns
         -------
@@ -129,9 +135,9 @@ class Record(EditableRecord, Shown):
             The axes of matplotlib.
         """
         kinds = {
-            "time": lambda: over_time(self),
-            "loops": lambda: over_each_other(self, *TOPICS),
-            "spectra": lambda: spectra(self),
+            "time": lambda: over_time(self, *others),
+            "loops": lambda: over_each_other(self, *TOPICS, *others, color=color),
+            "spectra": lambda: spectra(self, *others),
         }
         if kind not in kinds:
             raise InputError(f"kind: must be one of {', '.join(kinds)}, got {kind!r}")

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draw what a bag or a model holds: signals, loops, spectra or frequency responses, as a picture or a zoomable page.
+"""Draw bags, a model or a fit: signals, loops, spectra, frequency responses, poles, margins, as a picture or a zoomable page.
 
 examples:
   hyst plot record                                         signals over time, to record.png
@@ -8,8 +8,13 @@ examples:
   hyst plot record --xy measurement.x measurement.y        the path of a mirror
   hyst plot record --spectrum --from 2 --to 10
   hyst plot record --bode --model model.yaml               frequency response with coherence, and the model's
-  hyst plot record --model model.yaml                      measured against simulated, and what is left
+  hyst plot record --model model.yaml                      measured against simulated, residual and its correlations
+  hyst plot monday friday --xy --color record              loops of several bags over each other
+  hyst plot record --xy --color time                       color tells when; of one bag it tells the frequency
   hyst plot model.yaml                                     the model's frequency response
+  hyst plot model.yaml --poles                             its poles and zeros
+  hyst plot model.yaml --tuning                            margins and step of the PI feedback that hyst tune finds
+  hyst plot fit.json                                       the orders or structures among which hyst identify chose
 """
 
 from __future__ import annotations
@@ -25,13 +30,13 @@ if TYPE_CHECKING:
 NAME = "plot"
 HELP = "draw a bag's or a model's signals, loops, spectra or frequency responses"
 JSON = "list of written files"
-READS = ("file", "model")
+READS = ("files", "model")
 WRITES = ("output",)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("file", metavar="BAG", help="recorded bag, or a model file (.yaml)")
+    parser.add_argument("files", nargs="+", metavar="BAG", help="recorded bags, or a model file (.yaml) or fit report (.json)")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--xy",
@@ -43,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind.add_argument(
         "--bode", action="store_true", help="draw the frequency response from command to measurement, with the coherence"
     )
+    kind.add_argument("--poles", action="store_true", help="of a model: draw its poles and zeros")
+    kind.add_argument(
+        "--tuning", action="store_true", help="of a model: draw open loop, sensitivities and step of its tuned PI feedback"
+    )
+    parser.add_argument("--color", choices=("record", "time", "frequency"), help="of --xy: what the colors tell")
     parser.add_argument("--model", metavar="MODEL.yaml", help="model that is drawn beside the bag")
     parser.add_argument("--signals", nargs="+", metavar="SIGNAL", help="signals to draw (default: all)")
     parser.add_argument("--from", dest="begin", type=float, default=None, metavar="S", help="first sample time, s")
@@ -61,27 +71,46 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.reporting.artifacts import Artifacts
     from hyst_control.reporting.signal_figures import write_drawing
 
-    output = arguments.output or f"{Path(os.path.realpath(arguments.file)).stem}.png"
+    first = arguments.files[0]
+    output = arguments.output or f"{Path(os.path.realpath(first)).stem}.png"
     check_writable(output)
-    if arguments.file.endswith((".yaml", ".yml")):
-        if arguments.xy is not None or arguments.spectrum or arguments.model or arguments.signals:
-            raise InputError(f"{arguments.file}: of a model the frequency response is drawn: leave the other options out")
-        panels, notes = _of_model(arguments.file)
+    if first.endswith((".yaml", ".yml", ".json")):
+        others = ("xy", "spectrum", "model", "signals", "color", "begin", "end", "bode")
+        if len(arguments.files) > 1 or any(getattr(arguments, name) not in (None, False) for name in others):
+            raise InputError(f"{first}: of a model or a fit nothing but --poles or --tuning is chosen: leave the other options out")
+        panels, notes = _of_report(first) if first.endswith(".json") else _of_model(arguments, first), ()
+    elif arguments.poles or arguments.tuning:
+        raise InputError(f"{first}: --poles and --tuning are of a model: give a model file (.yaml)")
     else:
-        panels, notes = _of_bag(arguments)
-    write_drawing(panels, output, Path(arguments.file).name)
+        panels, notes = _of_bags(arguments)
+    write_drawing(panels, output, Path(first).name)
     return Artifacts("plot", [output], lines=[f"note: {note}" for note in notes])
 
 
-def _of_model(path: str) -> tuple[list[Panel], tuple[str, ...]]:
-    from hyst_control.control.model_figures import bode_of
+def _of_model(arguments: argparse.Namespace, path: str) -> list[Panel]:
+    from hyst_control.control.model_figures import bode_of, poles_and_zeros, tuning_panels
+    from hyst_control.control.tuning import tune
     from hyst_control.model_file import load_model
 
-    return bode_of(load_model(path)), ()
+    model = load_model(path)
+    if arguments.tuning:
+        return tuning_panels(tune(model), model)
+    return poles_and_zeros(model) if arguments.poles else bode_of(model)
 
 
-def _of_bag(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]]:
-    """What the options ask for of a bag, and the notes of its reading."""
+def _of_report(path: str) -> list[Panel]:
+    from hyst_control.base.errors import InputError
+    from hyst_control.base.files import read_json
+    from hyst_control.identify.assess.choice_figure import choice_panels
+
+    report = read_json(path)
+    if "family" not in report:
+        raise InputError(f"{path}: is no fit report: give what hyst identify --json wrote")
+    return choice_panels(report)
+
+
+def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]]:
+    """What the options ask for of bags, and the notes of their reading."""
     from hyst_control.base.errors import InputError
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.reporting.frequency_figures import bode_of_record
@@ -96,7 +125,14 @@ def _of_bag(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]
     wanted = ("command", "measurement", "applied") if compared else arguments.signals
     if xy is not None and not wanted:
         wanted = [name.partition(".")[0] for name in xy]
-    record = read_bag(arguments.file, arguments.namespace, topics=wanted).between(arguments.begin, arguments.end)
+    if compared and len(arguments.files) > 1:
+        raise InputError("--bode, --model: are of one bag: give one")
+    if arguments.color and xy is None:
+        raise InputError("--color: is of loops: give --xy too")
+    record, *others = records = [
+        read_bag(path, arguments.namespace, topics=wanted).between(arguments.begin, arguments.end) for path in arguments.files
+    ]
+    notes = tuple(note for each in records for note in each.notes)
     if arguments.model:
         from hyst_control.control.model_figures import beside, bode_of  # with every stage, for which the others need not wait
         from hyst_control.model_file import load_model
@@ -105,5 +141,5 @@ def _of_bag(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]
     if arguments.bode:
         return bode_of_record(record), record.notes
     if xy is not None:
-        return over_each_other(record, *xy), record.notes
-    return (spectra(record) if arguments.spectrum else over_time(record)), record.notes
+        return over_each_other(record, *xy, *others, color=arguments.color), notes
+    return (spectra if arguments.spectrum else over_time)(*records), notes

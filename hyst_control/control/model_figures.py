@@ -9,16 +9,21 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
+from hyst_control.control.state_space import Discrete, state_space
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.reporting.frequency_figures import Response, bode, measured_responses
-from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel, thinned
+from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel, axis_title, thinned
 
 DECADES, LINES = 4.0, 400
 """Decades below half the sample rate, and frequencies, that a response is computed at."""
+OF_DELAYS = 0.05
+"""Size of a root of a sampled system below which it belongs to a delay."""
+CANCELED = 1e-6
+"""Distance of a pole and a zero that cancel."""
 LAGS = 200
 """Samples of the residual's correlations on either side."""
 
@@ -53,6 +58,39 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
     return bode([*measured_responses(record), *model_responses(model, frequencies(step), step)], unit)
 
 
+def poles_and_zeros(model: Model) -> list[Panel]:
+    """Poles and zeros of every axis in the plane of s, those of delays left out; the hysteresis is replaced by its mean slope."""
+    mean, _ = hysteresis_slopes(model)
+    system = state_space(linearized(model, mean), len(model.axes), model.sample_time)
+    panels = []
+    for index, axis in enumerate(model.axes):
+        zeros, poles = _of_axis(system, index)
+        lines = []
+        for name, roots, marker in (("poles", poles, "x"), ("zeros", zeros, "o")):
+            seen = roots[(np.abs(roots) > OF_DELAYS) & (np.abs(roots) < 1.0 / OF_DELAYS)]
+            s = np.log(seen.astype(complex)) / model.sample_time
+            lines.append(Line(name, s.real, s.imag / (2.0 * np.pi), True, marker))
+        name = f" of {axis}" if len(model.axes) > 1 else ""
+        panels.append(Panel(f"real part{name} [1/s]", f"imaginary part{name} / 2π [Hz]", tuple(lines)))
+    return panels
+
+
+def _of_axis(system: Discrete, index: int) -> tuple[Complex, Complex]:
+    """Zeros and poles from the command of an axis to its own measurement, without what the other axes add."""
+    from scipy.linalg import eigvals
+
+    own, count = slice(index, index + 1), len(system.a)
+    poles = np.linalg.eigvals(system.a).astype(complex)
+    pencil = np.block([[system.a, system.b[:, own]], [system.c[own], system.d[own, own]]])
+    zeros = eigvals(pencil, np.diag([*np.ones(count), 0.0]))
+    zeros = zeros[np.isfinite(zeros)]
+    for root in list(zeros):  # a mode that only other axes move is no part of this one
+        if len(poles) and np.abs(poles - root).min() < CANCELED:
+            poles = np.delete(poles, np.abs(poles - root).argmin())
+            zeros = np.delete(zeros, np.abs(zeros - root).argmin())
+    return zeros, poles
+
+
 def beside(model: Model, record: Record) -> list[Panel]:
     """Measured against simulated signals, what is left, the loops, and how the rest correlates, of the record's longest stretch."""
     data = max(compared_stretches(record), key=lambda each: len(each.command))
@@ -73,13 +111,13 @@ def beside(model: Model, record: Record) -> list[Panel]:
         panels += [
             Panel(
                 "time [s]",
-                f"measurement{name} [{data.unit}]",
+                axis_title("measurement", data.unit, axis if len(data.axes) > 1 else ""),
                 (Line("measured", *thinned(time, y)), Line("simulated", *thinned(time, simulated))),
             ),
             Panel("time [s]", f"residual{name} [{data.unit}]", (Line("residual", *thinned(time, rest)),)),
             Panel(
-                f"command{name} [V]",
-                f"measurement{name} [{data.unit}]",
+                axis_title("command", "V", axis if len(data.axes) > 1 else ""),
+                axis_title("measurement", data.unit, axis if len(data.axes) > 1 else ""),
                 (Line("measured", u, y[::step]), Line("simulated", u, simulated[::step])),
             ),
             Panel(

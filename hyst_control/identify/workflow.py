@@ -160,9 +160,10 @@ def identify_bags(
     if json_path is not None:
         write_json(json_path, fit.report)
     if figure is not None:
-        from hyst_control.identify.assess.choice_figure import write_choice  # takes a second
+        from hyst_control.identify.assess.choice_figure import choice_panels
+        from hyst_control.reporting.signal_figures import write_drawing  # takes a second
 
-        write_choice(figure, fit.report["tried"])
+        write_drawing(choice_panels(fit.report), figure, f"choice of {fit.model.name}")
     return Result(fit, Path(output) if keep else None, strict)
 
 

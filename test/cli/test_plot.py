@@ -4,16 +4,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from PIL import Image
 
+from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
-from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.cli import main
-from hyst_control.control.model_figures import bode_of
+from hyst_control.control.model_figures import bode_of, poles_and_zeros
+from hyst_control.identify.assess.choice_figure import choice_panels
 from hyst_control.model_file import Model, save_model, simulate
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
@@ -21,6 +26,10 @@ from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra, thinned
 
 RATE = 2000.0
+STRUCTURES = [
+    {"axis": "x", "structure": f"{n} modes", "parameters": 4 + 2 * n, "held_out_nrmse": value, "chosen": n == 2}
+    for n, value in ((1, 0.9), (2, 0.3), (3, 0.31), (4, None))
+]
 
 
 @pytest.fixture
@@ -46,7 +55,7 @@ def test_a_thinned_line_keeps_every_peak():
 def test_signals_of_one_unit_share_a_panel(record):
     volts, tilt = over_time(record)
     assert [line.name for line in volts.lines] == ["command.x", "command.y"]
-    assert tilt.y_title == "[mrad]"
+    assert tilt.y_title == "angle [mrad]" and volts.y_title == "voltage [V]"
 
 
 def test_a_spectrum_peaks_where_the_signal_does_and_holds_its_power(record):
@@ -57,7 +66,7 @@ def test_a_spectrum_peaks_where_the_signal_does_and_holds_its_power(record):
 
 def test_one_axis_over_the_other(record):
     [panel] = over_each_other(record, "measurement.x", "measurement.y")
-    assert panel.x_title == "measurement.x [mrad]"
+    assert panel.x_title == "angle x [mrad]"
     np.testing.assert_allclose((panel.lines[0].x - 1.0) ** 2 + (panel.lines[0].y - 1.0) ** 2, 0.64, rtol=1e-9)
     assert len(over_each_other(record, "command", "measurement")) == 2
 
@@ -74,7 +83,7 @@ def test_pictures_and_pages(record, tmp_path, words):
     coloured = pixels.max(axis=2).astype(int) - pixels.min(axis=2) > 60
     assert coloured.sum() > 300, "there are curves in it"
     assert main(["plot", str(tmp_path / "bag"), *words, "--output", str(page)]) == 0
-    assert "measurement" in page.read_text(encoding="utf-8") and page.stat().st_size < 8e6
+    assert "angle" in page.read_text(encoding="utf-8") and page.stat().st_size < 8e6
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
@@ -114,6 +123,8 @@ def stage(tmp_path):
     time = np.arange(len(command)) / RATE
     signals = {"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, simulate(model, command), ("x",), "um")}
     write_bag(tmp_path / "bag", Record(signals, "bag"))
+    (tmp_path / "fit.json").write_text(json.dumps({"family": "hampi", "structures": STRUCTURES}))
+    (tmp_path / "other.json").write_text("{}")
     return tmp_path, model
 
 
@@ -129,7 +140,16 @@ def test_a_frequency_response_is_that_of_the_stage(stage):
 
 
 @pytest.mark.parametrize(
-    "words", [["bag", "--bode"], ["bag", "--bode", "--model", "model.yaml"], ["bag", "--model", "model.yaml"], ["model.yaml"]]
+    "words",
+    [
+        ["bag", "--bode"],
+        ["bag", "--bode", "--model", "model.yaml"],
+        ["bag", "--model", "model.yaml"],
+        ["model.yaml"],
+        ["model.yaml", "--poles"],
+        ["model.yaml", "--tuning"],
+        ["fit.json"],
+    ],
 )
 def test_frequency_responses_and_models_are_drawn(stage, words, monkeypatch):
     monkeypatch.chdir(stage[0])
@@ -141,12 +161,68 @@ def test_frequency_responses_and_models_are_drawn(stage, words, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["model.yaml", "--spectrum"], "of a model the frequency response is drawn"),
+        (["model.yaml", "--spectrum"], "nothing but --poles or --tuning is chosen"),
         (["bag", "--model", "model.yaml", "--xy"], "are about command and measurement"),
         (["bag", "--bode", "--signals", "command"], "are about command and measurement"),
+        (["bag", "--poles"], "are of a model"),
+        (["bag", "--color", "time"], "give --xy too"),
+        (["bag", "bag", "--bode"], "are of one bag"),
+        (["model.yaml", "bag"], "leave the other options out"),
+        (["other.json"], "is no fit report"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(stage, words, said, monkeypatch, capsys):
     monkeypatch.chdir(stage[0])
     assert main(["plot", *words]) == 2
     assert said in capsys.readouterr().err and not list(stage[0].glob("*.png"))
+
+
+def test_loops_of_several_frequencies_are_colored_by_them():
+    time = np.arange(20000) / RATE
+    command = 50 + 40 * np.sin(2 * np.pi * np.where(time < 5, 2.0, 30.0) * time)[:, None]
+    made = Record({"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, 0.1 * command, ("x",), "um")}, "r")
+    [panel] = over_each_other(made, "command", "measurement")
+    assert (panel.x_title, panel.y_title, panel.shade_title) == ("voltage [V]", "position [um]", "frequency [Hz]")
+    shade = panel.lines[0].shade
+    assert np.median(shade[: len(shade) // 2 - 500]) == pytest.approx(2.0, rel=0.02)
+    assert np.median(shade[len(shade) // 2 + 500 :]) == pytest.approx(30.0, rel=0.05)
+    [one] = over_each_other(made.between(None, 4.0), "command", "measurement")
+    assert one.lines[0].shade is None and not one.shade_title
+    [by_time] = over_each_other(made, "command", "measurement", color="time")
+    np.testing.assert_allclose(by_time.lines[0].shade, time[:: len(time) // len(by_time.lines[0].x)][: len(by_time.lines[0].x)])
+
+
+@pytest.mark.parametrize("color", ["record", "time", "frequency"])
+def test_records_are_drawn_over_each_other(record, tmp_path, monkeypatch, color):
+    monkeypatch.chdir(tmp_path)
+    for name in ("monday", "friday"):
+        write_bag(tmp_path / name, record)
+    for ending in ("png", "html"):
+        assert main(["plot", "monday", "friday", "--xy", "--color", color, "--output", f"out.{ending}"]) == 0
+        assert (tmp_path / f"out.{ending}").stat().st_size > 10_000
+    [both, _] = over_each_other(record, "command", "measurement", replace(record, source="s"), color=color)
+    assert [line.name for line in both.lines] == ["r", "s"]
+    assert [line.name for line in over_time(record, replace(record, source="s"))[0].lines][1:3] == ["r: command.y", "s: command.x"]
+
+
+@settings(deadline=None, max_examples=15)
+@given(frequency=st.floats(5.0, 400.0), damping=st.floats(0.01, 0.9), lag=st.floats(2e-4, 1e-2))
+def test_poles_are_those_of_the_stage(frequency, damping, lag):
+    w = 2 * np.pi * frequency
+    stages = (TransferFunction([1.0], [lag, 1.0]), TransferFunction([w**2], [1.0, 2 * damping * w, w**2]), Delay(3.4 / RATE))
+    model = Model("m", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain(stages))
+    poles = poles_and_zeros(model)[0].lines[0]
+    due = np.array([-1 / lag, w * (-damping + 1j * np.sqrt(1 - damping**2)), w * (-damping - 1j * np.sqrt(1 - damping**2))])
+    for pole in due:
+        assert np.abs(poles.x + 2j * np.pi * poles.y - pole).min() < 1e-3 * abs(pole)
+
+
+def test_what_was_chosen_among_is_drawn_with_its_errors():
+    [panel] = choice_panels({"family": "hampi", "structures": STRUCTURES})
+    others, chosen = panel.lines
+    assert list(others.x) == [6, 10] and list(others.y) == [0.9, 0.31]
+    assert (chosen.name, list(chosen.x), list(chosen.y)) == ("chosen: 2 modes", [8], [0.3])
+    [orders] = choice_panels({"family": "linear", "orders": [{"states": 2, "held_out": 0.1, "fitted": 0.05}]})
+    assert list(orders.lines[0].y) == [10.0] and orders.x_title == "states"
+    with pytest.raises(InputError, match="chose among nothing"):
+        choice_panels({"family": "pi"})

@@ -1,39 +1,65 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figure of a model choice: error on held-out rows over the number of parameters, for every family and structure that was tried."""
+"""Drawing of a model choice: error on held-out rows over the number of parameters, for what was tried."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
-from hyst_control.identify.data.dataset import TriedRow
+import numpy as np
+
+from hyst_control.base.errors import InputError
+
+if TYPE_CHECKING:
+    from hyst_control.reporting.signal_figures import Line, Panel
 
 
-def write_choice(path: str | Path, rows: Sequence[TriedRow]) -> None:
-    """Draw what was tried."""
+def choice_panels(report: Mapping[str, Any]) -> list[Panel]:
+    """Families and structures of G(s) that a fit report has, or the orders of a linear model; small dots are what was not chosen."""
     # Here, not above: the families are looked for in every module of this folder, and few runs draw.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from hyst_control.reporting.signal_figures import Panel
 
-    figure = Figure(figsize=(7.2, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    for index, row in enumerate(rows):
-        if row["held_out_nrmse"] is None:
-            continue
-        color = f"C{index % 10}"
-        tried = [each for each in row["structures"] if each["held_out_nrmse"] is not None]
-        if tried:
-            axes.plot(
-                [each["parameters"] for each in tried], [each["held_out_nrmse"] for each in tried], ".", color=color, alpha=0.35
+    title = "NRMSE on held-out rows [% of range]"
+    if "tried" in report:
+        return [Panel("parameters", title, tuple(_of_families(report["tried"])), "y")]
+    if "structures" in report:
+        names = dict.fromkeys(row["axis"] for row in report["structures"])
+        of_axes = {name: [row for row in report["structures"] if row["axis"] == name] for name in names}
+        return [Panel("parameters", title, tuple(_of_structures(rows, "")), "y") for rows in of_axes.values()]
+    orders = [row for row in report.get("orders", ()) if row["held_out"] is not None]
+    if not orders:
+        raise InputError(
+            f"family {report['family']}: chose among nothing: identify without a family, or with hampi, hapi or linear"
+        )
+    states = np.array([row["states"] for row in orders], dtype=float)
+    lines = [
+        _points(name, states, [100.0 * row[key] for row in orders])
+        for name, key in (("held-out rows", "held_out"), ("fitted rows", "fitted"))
+    ]
+    return [Panel("states", "rms error [% of rms measurement]", tuple(lines), "y")]
+
+
+def _of_families(rows: Sequence[Mapping[str, Any]]) -> Iterator[Line]:
+    for row in rows:
+        if row["held_out_nrmse"] is not None:
+            name = f"{row['family']}, {row['seconds']:.1f} s" + (" (chosen)" if row["chosen"] else "")
+            yield _points(name, [row["parameters"]], [row["held_out_nrmse"]], "x" if row["chosen"] else "o")
+            yield from list(_of_structures(row["structures"], f"{row['family']}: "))[:1]
+
+
+def _of_structures(rows: Sequence[Mapping[str, Any]], before: str) -> Iterator[Line]:
+    """Those that were not chosen, and the chosen one."""
+    for chosen in (False, True):
+        found = [row for row in rows if row["chosen"] is chosen and row["held_out_nrmse"] is not None]
+        name = "chosen: " + ", ".join(row["structure"] for row in found) if chosen else f"{before}structures of G(s)"
+        if found:
+            yield _points(
+                name, [row["parameters"] for row in found], [row["held_out_nrmse"] for row in found], "x" if chosen else "."
             )
-        label = f"{row['family']}, {row['seconds']:.1f} s" + (" (chosen)" if row["chosen"] else "")
-        marker = "*" if row["chosen"] else "o"
-        axes.plot(row["parameters"], row["held_out_nrmse"], marker, color=color, markersize=13 if row["chosen"] else 7, label=label)
-    axes.set_yscale("log")
-    axes.set_xlabel("number of parameters")
-    axes.set_ylabel("NRMSE on held-out rows (% of range)")
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend(title="large: each family's choice\nsmall: structures of G(s) tried", fontsize=8, title_fontsize=8)
-    figure.savefig(path)
+
+
+def _points(name: str, x: Any, y: Any, marker: str = "o") -> Line:
+    from hyst_control.reporting.signal_figures import Line
+
+    return Line(name, np.asarray(x, dtype=float), np.asarray(y, dtype=float), True, marker)
