@@ -125,7 +125,7 @@ def diagnose(
                     judged.evidence,
                     judged.decision,
                     judged.baseline,
-                    judged.structure,
+                    structure=judged.structure,
                 )
             )
             axis += len(axes)
