@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the evidence of a search to a decision: what contenders leave is measured on demand, and what does not hold is dropped."""
+"""From the evidence of a search to a decision: what candidates leave is measured on demand, and what does not hold is dropped."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VETOES = 6
 
 
 class Tests(Protocol):
-    """Tests of a contender, by its index among the hypotheses."""
+    """Tests of a candidate, by its index among the hypotheses."""
 
     def residual(self, index: int) -> ResidualEvidence:
         """Measure what it leaves."""
@@ -34,7 +34,7 @@ class Tests(Protocol):
 
 
 def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[Evidence, Decision]:
-    """Decide, with the contenders tested; a test that fails may bring up another contender, which is then tested in turn."""
+    """Decide, with the candidates tested; a test that fails may bring up another candidate, which is then tested in turn."""
     for _ in range(VETOES if evidence.whitened else 0):
         evidence = _measured(evidence, tests, thresholds)
         decision = decide(evidence, thresholds)
@@ -47,14 +47,14 @@ def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[E
 
 
 def _measured(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> Evidence:
-    """The evidence with what every contender leaves."""
+    """The evidence with what every candidate leaves."""
     while missing := [index for index in contenders(evidence, thresholds) if evidence.hypotheses[index].residual is None]:
         evidence = evidence.with_residuals({index: tests.residual(index) for index in missing})
     return evidence
 
 
 class ContenderTests:
-    """Tests of an axis' contenders on its records; each is done once."""
+    """Tests of an axis' candidates on its records; each is done once."""
 
     def __init__(
         self, prepared: Prepared, found: Found, collected: Collected, baseline: Baseline | None, configuration: Configuration
@@ -86,7 +86,7 @@ class ContenderTests:
         return self.residuals[index]
 
     def dropped(self, index: int) -> tuple[int, ...]:
-        """Hypotheses with an effect that clean records ask for too; or this one, if it does not hold on the record itself."""
+        """Hypotheses with an effect that baseline records ask for too; or this one, if it does not hold on the record itself."""
         if index not in self.drops:
             self.drops[index] = self._dropped(index)
         return self.drops[index]
