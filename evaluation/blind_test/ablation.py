@@ -105,7 +105,7 @@ class StoredTests:
     drops: Mapping[int, tuple[int, ...]]
 
     def residual(self, index: int) -> ResidualEvidence:
-        """What a hypothesis leaves."""
+        """Residual under a hypothesis."""
         if index not in self.residuals:
             raise NotMeasured(index)
         return self.residuals[index]
@@ -158,7 +158,7 @@ class _ChangedTests:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a report would say of a case, as far as it is scored."""
+    """Result of a case, as far as it is scored."""
 
     verdict: str
     names: tuple[str, ...]

@@ -54,7 +54,7 @@ class Octaves:
 
     def energies(self, coefficients: Array) -> Array:
         """Sum of squares by octave."""
-        return np.bincount(self.index, coefficients**2, minlength=len(self.own)).astype(np.float64)
+        return np.bincount(self.index, coefficients**2, minlength=len(self.own))
 
     def weighted(self, excess: Array, values: float) -> Octaves:
         """The same octaves, of which those with a model's error count as `values` independent coefficients.
@@ -66,7 +66,7 @@ class Octaves:
         return replace(self, weight=1.0 / (1.0 + shares * np.maximum(self.sizes / values - 1.0, 0.0)))
 
     def degrees(self, variance: Array, stage: float) -> Array:
-        """Degrees of freedom of the scale of each octave, whose variance beyond 1 is an effect's inaccuracy, known by `stage` degrees."""
+        """Degrees of freedom of the scale of each octave, whose variance beyond 1 is an effect's error, known by `stage` degrees."""
         own, added = self.own / variance, 1.0 - 1.0 / variance
         noise = np.maximum(1.0 - own - added, 0.0)
         return 1.0 / np.maximum(own**2 / self.freedom + added**2 / stage + noise**2 / self.white, 1e-12)

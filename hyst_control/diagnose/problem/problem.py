@@ -157,6 +157,7 @@ class Problem:
 
     @cached_property
     def edges(self) -> Array:
+        """Rows at which a piece ends and the next begins."""
         return np.cumsum(self.counts)[:-1]
 
     @cached_property
