@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hyst_control.diagnose.configuration import Configuration
-from hyst_control.diagnose.decide.record_findings import findings, flicker_found
+from hyst_control.diagnose.decide.record_findings import findings
+from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found
 from hyst_control.diagnose.evidence import CompanionEvidence, Evidence
 from hyst_control.diagnose.likelihood.conditional import conditioned
 from hyst_control.diagnose.likelihood.decide import Judgement, judge
@@ -18,9 +19,10 @@ from hyst_control.diagnose.likelihood.structure import structure
 from hyst_control.diagnose.model_error.baseline import Baseline, with_discrepancy
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
-from hyst_control.diagnose.run.prepare import Prepared, prepare
+from hyst_control.diagnose.run.prepare import Prepared, clean_rows, prepare
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.fit import Linearized
+from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 
 
@@ -53,6 +55,7 @@ def by_likelihood(
     found, fits, weighed = searched(prepared, sensor_side, progress, configuration, priors)
     if FLICKER in prepared.without:
         weighed = tuple(one for one in weighed if not one.flicker)
+    weighed = _changed(weighed, found, baseline, priors)
     judged = judge(weighed, fits, prepared.floor, priors.level)
     collected = collect(found, 0.0, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
     evidence = _with_scores(collected.evidence, weighed)
@@ -69,14 +72,31 @@ def searched(
 ) -> tuple[Found, Fits, tuple[Weighed, ...]]:
     """Fit and weigh single effects, and combinations where something else may be more than any of these."""
     members = prepared.members(sensor_side)
-    alone = replace(configuration, search=replace(configuration.search, depth=1, depth_with_own_error=1))
-    for settings in (alone, configuration):
+    usual, few = configuration.search, priors.parents
+    alone = replace(configuration, search=replace(usual, depth=1, depth_with_own_error=1))
+    together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few, screened=priors.screened))
+    for settings in (alone, together):
         found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings)
         fits = fits_of(found, priors.kept, priors.freedom)
         weighed = weigh(fits, priors)
-        if sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE) < priors.combined:
+        other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)
+        if weighed[0].kind is Kind.NOTHING or other < priors.combined:
             break
     return found, fits, weighed
+
+
+def _changed(weighed: tuple[Weighed, ...], found: Found, baseline: Baseline | None, priors: Priors) -> tuple[Weighed, ...]:
+    """The hypotheses without effects that baseline records of other commands ask for as well: what was there before is no change."""
+    rows = None if baseline is None else clean_rows(baseline, found.linearized.problem)
+    if rows is None:
+        return weighed
+    every, clean = (found.none, *found.singles, *found.combinations, found.parameters), CleanRecords(rows)
+    while (best := next((one for one in weighed if one.kind is not Kind.PARAMETERS), None)) and best.hypothesis.names:
+        known = clean.show(every[best.hypothesis.index], priors.followed)
+        if not known:
+            break
+        weighed = tuple(one for one in weighed if not known.intersection(one.names))
+    return weighed
 
 
 def _with_spectrum(problem: Problem, baseline: Baseline | None, configuration: Configuration) -> Baseline | None:
@@ -129,32 +149,40 @@ def _decision(
             for index in {0, chosen}
         }
     )
-    with_flicker = any(one.flicker for one in judged.named)
-    noise = flicker_found(evidence, chosen, configuration.policy) if with_flicker else None
-    shown, outliers = findings(evidence, chosen, noise, configuration.policy)
     left = evidence.hypotheses[chosen].residual
-    unusual = tuple(one for one in (left.companions if left else ()) if _is_unusual(one, evidence, configuration))
-    listed = tuple(dict.fromkeys(one.hypothesis.index for one in fitted))
-    verdict, reasons = judged.verdict, set(judged.reasons)
+    assert left is not None
+    noise = left.flicker if judged.named and judged.named[0].flicker else None
+    shown, outliers = findings(evidence, chosen, noise, configuration.policy)
+    verdict, reasons, listed = judged.verdict, set(judged.reasons), tuple(dict.fromkeys(one.hypothesis.index for one in fitted))
+    shaken = None
+    if verdict is Verdict.UNKNOWN:
+        shaken = vibration_found(evidence, chosen, judged.something_else, configuration.policy)
+    if shaken is not None:  # a vibration whose phase wanders is noise of a narrow band
+        hump = evidence.hypotheses[shaken].residual
+        assert hump is not None and hump.hump is not None
+        shown = (*shown, vibration(hump.hump, evidence.noise[0]))
+        verdict, reasons, listed, chosen = Verdict.EFFECT, set(), (chosen,) if shaken else (), shaken
+    unusual = tuple(one for one in left.companions if _is_unusual(one, evidence, configuration))
     if verdict is Verdict.NO_GAP and (shown or unusual):
         verdict, reasons = Verdict.EFFECT, set()
-    if verdict is not Verdict.UNKNOWN and outliers:
+    if outliers and verdict is not Verdict.UNKNOWN:
         verdict, reasons = Verdict.UNKNOWN, {Reason.OUTLIERS}
     if verdict is Verdict.EFFECT:
         reasons |= ({Reason.RECORD_CHECK} if shown else set()) | ({Reason.SESSION_DIFFERS} if unusual else set())
+    other = judged.something_else if verdict is Verdict.UNKNOWN or shaken is None else 0.0
     decision = Decision(
         verdict,
         tuple(reason for reason in Reason if reason in reasons),
         chosen,
         listed,
         judged.probability,
-        judged.something_else,
+        other,
         shown,
         outliers,
         unusual if verdict is not Verdict.UNKNOWN else (),
         (),
-        judged.something_else,
-        judged.something_else,
+        other,
+        other,
     )
     return decision, evidence
 

@@ -73,7 +73,9 @@ class Priors:
     flicker_sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # Its power at the top in that of the white noise
     temperature: float = 1.0  # Factor of the log evidences
     level: float = 0.9  # Probability of the set of explanations that is named
-    combined: float = 0.01  # Probability of something else from which combinations of effects are tried
+    combined: float = 1e-6  # Probability of something else from which combinations of effects are tried
+    parents: int = 2  # Explanations that a further effect is added to
+    screened: int = 3  # Starts of an effect that are looked at on top of another effect
     followed: float = 8.0  # Gain from which a search adds further effects, nats
     kept: int = 14  # Single effects, and combinations, that are weighed: those that come closest
     freedom: float = 4.0  # Degrees of freedom of the discrepancy's scale in an octave
@@ -142,13 +144,14 @@ def _further(one: Weighed, fits: Fits, octaves: Octaves, priors: Priors) -> Iter
     """A hypothesis beside 1/f noise, and something else that is like it, or like nothing."""
     hypothesis = one.hypothesis
     prior, fit = _log_prior(hypothesis, fits, priors), _fit(hypothesis)
-    grid = [(power, top) for power in priors.flicker_powers for top in priors.flicker_sizes]
-    stage = one.end.variance
-    each = [(stage + flicker_variance(fits, *at), one.end.freedom, 1.0 / len(grid)) for at in grid]
-    value, end = _mixed(fit, octaves, each)
-    yield Weighed(Kind.EFFECTS, (*one.names, FLICKER), value + prior + np.log(priors.flicker), hypothesis, end, True)
+    if octaves.per_axis == len(octaves.own):  # of several axes nobody knows whose noise it is
+        grid = [(power, top) for power in priors.flicker_powers for top in priors.flicker_sizes]
+        each = [(one.end.variance + flicker_variance(fits, *at), one.end.freedom, 1.0 / len(grid)) for at in grid]
+        value, end = _mixed(fit, octaves, each)
+        yield Weighed(Kind.EFFECTS, (*one.names, FLICKER), value + prior + np.log(priors.flicker), hypothesis, end, True)
     if one.names:
-        shares = _by_share(priors.stage + priors.other, hypothesis.change, octaves, priors)
+        either = tuple((share, 0.5 * weight) for share, weight in priors.stage + priors.other)
+        shares = _by_share(either, hypothesis.change, octaves, priors)
         value, end = _mixed(_fit(hypothesis, priors.modulation), octaves, shares)
         value += prior + np.log(priors.else_odds)
     else:

@@ -25,6 +25,8 @@ from hyst_control.diagnose.problem.problem import Problem
 
 FIRST = 4
 """Cosine coefficients of the slowest octave."""
+CHANCE = 2.0
+"""Standard deviations that the mean square of an octave may exceed its variance by chance."""
 
 
 def cosine(problem: Problem, flat: Array) -> Array:
@@ -62,7 +64,8 @@ class Octaves:
         excess: by octave, mean square that the best explanation leaves, in variances. What it leaves beyond the variance is an error
         of some model too.
         """
-        shares = np.maximum(self.own, 1.0 - 1.0 / np.maximum(excess, 1.0))
+        beyond = excess - CHANCE * np.sqrt(2.0 / np.maximum(self.sizes, 1.0))
+        shares = np.maximum(self.own, 1.0 - 1.0 / np.maximum(beyond, 1.0))
         return replace(self, weight=1.0 / (1.0 + shares * np.maximum(self.sizes / values - 1.0, 0.0)))
 
     def degrees(self, variance: Array, stage: float) -> Array:
