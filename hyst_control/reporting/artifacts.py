@@ -51,12 +51,15 @@ class Artifacts:
         Numbers on them.
     lines
         Lines of the summary.
+    exit_status
+        Exit status of the command.
     """
 
     source: str
     files: Sequence[str | Path]
     facts: list[Fact] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
+    exit_status: int = 0
 
     def add(self, case: str, quantity: str, unit: str, value: float) -> None:
         """Append one fact; numpy numbers become Python ones.

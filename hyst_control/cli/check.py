@@ -1,0 +1,56 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tell of recorded bags what is there and what is missing: rows, ticks without a row, values that are no numbers, damage of the file.
+
+A bag is whole where every topic has a row at every tick from its first to its last, and nothing was damaged or left out. The exit status is
+0 if all bags are whole, 3 if one is not, 2 if one cannot be read.
+
+example:
+  hyst check recording
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from hyst_control.reporting.result import CommandResult
+
+NAME = "check"
+HELP = "tell what is missing in recorded bags"
+READS = ("bags",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of this command to `parser`."""
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags, of this package or of others")
+    parser.add_argument("--namespace", help="namespace of the topics")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+
+
+def run(arguments: argparse.Namespace) -> CommandResult:
+    """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.records.bags.bag_reader import read_bag
+    from hyst_control.records.losses import account
+    from hyst_control.reporting.artifacts import Artifacts
+
+    made = Artifacts("check", [])
+    whole = True
+    for bag in arguments.bags:
+        record = read_bag(bag, arguments.namespace, unit=arguments.unit, columns=arguments.columns)
+        topics = account(record)
+        sound = bool(topics) and all(one.whole for one in topics) and not record.notes
+        whole &= sound
+        made.lines.append(f"{bag}: {'whole' if sound else 'not whole'}")
+        for one in topics:
+            case = one.topic if len(arguments.bags) == 1 else f"{bag}: {one.topic}"
+            rate = "" if one.rows < 2 else f" at {1.0 / one.step:.6g} Hz, {one.first:.6g} to {one.last:.6g} s" if one.step else ""
+            lost = f", {one.missing} ticks missing (at most {one.longest} in a row)" if one.missing else ""
+            bad = f", {one.invalid} rows that are no numbers" if one.invalid else ""
+            made.lines.append(f"  {one.topic:<12} {one.rows} rows{rate} by the {one.clock}{lost}{bad}")
+            for quantity, value in (("rows", one.rows), ("missing", one.missing), ("longest gap", one.longest), ("invalid", one.invalid)):
+                made.add(case, quantity, "", value)
+            made.add(case, "largest jitter", "steps", one.irregular)
+        made.lines += [f"  note: {note}" for note in record.notes]
+    made.exit_status = 0 if whole else 3
+    return made

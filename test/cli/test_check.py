@@ -1,0 +1,92 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""`hyst check`: what was taken out of a bag is what it says is missing."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hyst_control.cli import main
+from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.losses import account
+from hyst_control.records.record import Record, Signal
+from hyst_control.records.stream.signal_message import Encoder
+
+LABELS = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
+
+
+def written(path, ticks, values=None):
+    """A bag whose measurement has these ticks of 1 kHz, and whose command has all."""
+    with BagWriter(path) as writer:
+        for topic, label in LABELS.items():
+            encoder = Encoder(label)
+            for index in range(200) if topic == "/command" else ticks:
+                value = 1.0 if values is None or topic == "/command" else values[index]
+                writer.write(topic, encoder.encode(np.array([[index * 1e-3, value]])), 10**9 + index * 10**6)
+    return path
+
+
+def told(capsys, *words):
+    status = main(["check", *map(str, words)])
+    return status, capsys.readouterr().out
+
+
+def test_a_whole_bag_is_whole(tmp_path, capsys):
+    status, out = told(capsys, written(tmp_path / "bag", range(200)))
+    assert status == 0 and "bag: whole" in out and "missing" not in out and "200 rows at 1000 Hz, 0 to 0.199 s" in out
+
+
+def test_what_was_taken_out_is_counted(tmp_path, capsys):
+    ticks = [tick for tick in range(200) if tick not in (3, 50, 51, 52, 120)]
+    values = np.ones(200)
+    values[7:9] = np.nan
+    path = written(tmp_path / "bag", ticks, values)
+    status, out = told(capsys, path, "--json", tmp_path / "check.json")
+    assert status == 3 and "not whole" in out and "5 ticks missing (at most 3 in a row), 2 rows that are no numbers" in out
+    rows = {(row["case"], row["quantity"]): row["value"] for row in json.loads((tmp_path / "check.json").read_text())["rows"]}
+    assert rows["measurement", "missing"] == 5 and rows["measurement", "invalid"] == 2 and rows["command", "missing"] == 0
+
+
+def test_of_a_damaged_bag_it_says_what_is_still_good(tmp_path, capsys):
+    path = written(tmp_path / "bag", range(200))
+    [file] = path.glob("*.mcap")
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+    status, out = told(capsys, path)
+    good = int(re.search(r"(\d+) messages up to its last whole chunk were read", out)[1])
+    assert status == 3 and 0 < good < 400 and sum(map(int, re.findall(r"(\d+) rows at", out))) == good
+
+
+def test_one_bag_that_is_not_whole_is_enough(tmp_path, capsys):
+    status, out = told(capsys, written(tmp_path / "one", range(200)), written(tmp_path / "other", [*range(90), *range(95, 200)]))
+    assert status == 3 and out.count(": whole") == 1 and out.count(": not whole") == 1
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.sets(st.integers(1, 298), max_size=120), st.floats(0.0, 0.3), st.sampled_from(["layout", "receive"]))
+def test_missing_rows_are_counted_whatever_the_jitter(left_out, jitter, timing):
+    ticks = np.setdiff1d(np.arange(300), list(left_out)).astype(float)
+    noise = np.random.default_rng(1).uniform(-jitter / 2, jitter / 2, len(ticks))
+    signal = Signal((ticks + noise) * 2e-4, np.ones((len(ticks), 1)), ("x",), "um", timing)
+    if np.median(np.diff(ticks)) > 1:
+        return  # of every second row nobody knows that others are missing
+    [found] = account(Record({"measurement": signal}, "bag"))
+    assert found.missing == len(left_out) and found.rows == 300 - len(left_out)
+    assert found.longest == max(np.diff(ticks)) - 1
+
+
+def test_no_bag_is_one_line(tmp_path, capsys):
+    assert main(["check", str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_topic_of_next_to_nothing(count):
+    [found] = account(Record({"measurement": Signal(np.zeros(count), np.zeros((count, 1)), ("x",), "um")}, "bag"))
+    assert found.rows == count and found.whole == bool(count)
