@@ -79,7 +79,6 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "beyond": {"beyond": 0.0},
     "taken_up": {"taken_up": np.inf},
     "predictable": {"predictable": 1.0},
-    "passed": {"passed": 1.0},
     "hump": {"hump": None},
     "flicker": {"flicker": None},
     "companions": {"companions": ()},

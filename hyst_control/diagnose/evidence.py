@@ -100,7 +100,6 @@ class ResidualEvidence:
     # As this hypothesis has them; none without clean records
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()  # Of its effects
-    passed: float = 1.0  # Energy with which its effects pass on the model's own error, as a factor
     # A vibration whose phase wanders; None where none stands out, or none was looked for
     hump: HumpEvidence | None = None
 

@@ -73,15 +73,7 @@ ROWS = (
         ("",),
     ),
     Row(
-        "an effect that leaves the model's own error as it passes it on",
-        evidence(effect("a", left=16.0, residual=replace(QUIET, energy=16.0, passed=2.25)), stated=8.0),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-        remainder=0.0,
-    ),
-    Row(
-        "an effect that leaves as much and passes nothing on",
+        "an effect that leaves twice the own error that the model states",
         evidence(effect("a", left=16.0, residual=replace(QUIET, energy=16.0)), stated=8.0),
         V.UNKNOWN,
         (R.ENERGY_LEFT,),

@@ -17,7 +17,6 @@ from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.validate.error_gain import error_gain
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-3, 0.01, 2000
@@ -87,14 +86,6 @@ def test_a_size_far_beyond_the_usual_one_is_kept_where_samples_count_little():
     information = float(problem.weight * np.sum((0.1 * linearized.nominal) ** 2))  # of the gain, in usual deviations of 0.1
     normal = 0.9 * information / (1.0 + information)
     assert 0.9 - gain < 0.25 * (0.9 - normal)
-
-
-@pytest.mark.parametrize(("place", "energy"), [("sensor", 1.5**2), ("drive", 1.0)])
-def test_effects_of_the_sensor_pass_on_the_error_of_the_model(place, energy):
-    problem = problem_of(1.5 * COMMAND, lowest_frequency=3.0)
-    linearized, members = prepared(problem)
-    assert error_gain(linearized, fitted(linearized, members, "gain", place)) == pytest.approx(energy, rel=0.01)
-    assert error_gain(linearized, FittedHypothesis(None, fit(linearized), 0.0)) == 1.0
 
 
 def test_pairs_are_the_same_on_any_number_of_cores(monkeypatch):

@@ -25,7 +25,7 @@ def signs(
 ) -> dict[Reason, float]:
     """Measure the signs of an unknown effect beside an explanation."""
     one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
-    due = _energy_due(evidence, chosen)
+    due = evidence.stated
     beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.min_excess * due)
     found: dict[Reason, float] = {}
     if not outweighed:
@@ -76,7 +76,7 @@ def failed_tests(
     What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
-    residual, due = residual_of(evidence, index), _energy_due(evidence, index)
+    residual, due = residual_of(evidence, index), evidence.stated
     beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.min_excess * due)
     nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = []
@@ -94,14 +94,14 @@ def failed_tests(
 
 def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
-    after, due = residual_of(evidence, chosen).energy, _energy_due(evidence, chosen)
+    after, due = residual_of(evidence, chosen).energy, evidence.stated
     if not after - due > max(evidence.floor**2, thresholds.min_excess * due):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that an explanation leaves, or removes by coefficients many tolerances away only.
+    """Share of the gap's energy that an explanation leaves, or takes off by coefficients many tolerances away only.
 
     Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
@@ -114,13 +114,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
         return beyond  # coefficients took all of it
     if one.names:
         beyond = min(beyond, one.taken_up / before)
-    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - _energy_due(evidence, chosen)) / before, 0.0, 1.0)))
-
-
-def _energy_due(evidence: Evidence, chosen: int) -> float:
-    """Energy that the right explanation leaves: the one that the model states, its model discrepancy as the effects pass it on."""
-    own = evidence.stated if evidence.whitened else evidence.stated - 1.0
-    return evidence.stated + own * max(residual_of(evidence, chosen).passed - 1.0, 0.0)
+    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0)))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
@@ -142,7 +136,7 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, however little that is."""
     before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
-    due = _energy_due(evidence, chosen)
+    due = evidence.stated
     # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - due, residual_of(evidence, chosen).predictable

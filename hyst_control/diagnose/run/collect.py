@@ -123,7 +123,6 @@ def residual_evidence(
     configuration: Configuration = CONFIGURATION,
     beside: tuple[CompanionEvidence, ...] = (),
     distorted: tuple[DistortionEvidence, ...] = (),
-    passed: float = 1.0,
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves."""
     steps = np.zeros(len(problem.model.axes))
@@ -145,7 +144,6 @@ def residual_evidence(
         1.0 if problem.lowest_frequency is None else _predictable(problem, rows, configuration.baseline.blocks),
         beside,
         distorted,
-        passed,
         _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in checks else None,
     )
 

@@ -15,7 +15,6 @@ from hyst_control.diagnose.run.prepare import Prepared, clean_rows
 from hyst_control.diagnose.search.beam_search import Found
 from hyst_control.diagnose.validate.constancy import distortions
 from hyst_control.diagnose.validate.cross_validation import holds, widens
-from hyst_control.diagnose.validate.error_gain import error_gain
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision
 
@@ -81,7 +80,6 @@ class ContenderTests:
                 self._configuration,
                 companions(prepared.linearized, scored, beside.usual_zero, temper) if beside else (),
                 distortions(prepared.linearized, scored, temper),
-                error_gain(prepared.linearized, scored),
             )
         return self.residuals[index]
 
