@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme sbom bench env clean
+.PHONY: demo test quick test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme sbom bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -32,6 +32,11 @@ WATCHDOG = -o faulthandler_timeout=330 -o faulthandler_exit_on_timeout=true
 # Without files of byte code each of the many processes of a run would compile all of the sources for itself.
 test: env
 	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=3 $(WATCHDOG) $(ARGS)
+
+# The core alone, without ROS and without what takes half a minute: for the minutes between two edits.
+QUICK ?= test/chain test/physics test/test_files.py test/test_model_file.py test/test_yaml_files.py
+quick: env
+	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n 2 --dist loadfile -m "not long_file" $(QUICK) $(ARGS)
 
 # What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
 test-again: env

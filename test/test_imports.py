@@ -116,6 +116,17 @@ def test_imports_run_downward():
     assert not upward
 
 
+def test_private_names_stay_within_their_module():
+    private = [
+        f"{module_name(path)} imports {name}"
+        for path in SOURCES
+        for name in imported(path)
+        if name.startswith(("hyst_control.", "hyst_plant_sim.", "evaluation."))
+        and any(part.startswith("_") for part in name.split("."))
+    ]
+    assert not private
+
+
 def test_what_has_one_place_is_used_there_only():
     found = []
     for path in SOURCES:

@@ -85,9 +85,9 @@ class Feedforward(SignalNode):
         super().__init_subclass__(**options)
         cls.SETTINGS = settings_of(cls.KIND)
 
-    def __init__(self, name: str, compensator: Compensator | None = None, **options: Any) -> None:
-        """Create the node."""
-        super().__init__(name, **options)
+    def __init__(self, name: str = "", compensator: Compensator | None = None, **options: Any) -> None:
+        """Create the node, by default under the name of its kind."""
+        super().__init__(name or f"{self.KIND}_feedforward", **options)
         self._compensator = compensator or self._described()
         if self.settings.backend == C:
             self._compensator = self._compiled(self._compensator)

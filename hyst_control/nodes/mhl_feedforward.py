@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.feedforward import Feedforward
 
@@ -14,9 +12,6 @@ class MhlFeedforward(Feedforward):
     """Feedforward node whose default compensator is of the kind `mhl`."""
 
     KIND = "mhl"
-
-    def __init__(self, name: str = "mhl_feedforward", **options: Any) -> None:
-        super().__init__(name, **options)
 
 
 def main() -> int:

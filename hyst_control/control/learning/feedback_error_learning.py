@@ -19,7 +19,6 @@ wild measurement does little, and the bounds hold whatever it does. Where the fe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -114,13 +113,7 @@ class RunningFeedbackErrorLearning:
         self._state[5] = feedforward[-1]
         return np.asarray(self._parameters[0] * feedforward + self._parameters[1] * slope)
 
-    def observe(
-        self,
-        first: int,
-        reference: Annotated[Array, "N A"],
-        measurement: Annotated[Array, "N A"],
-        feedback: Annotated[Array, "N A"],
-    ) -> None:
+    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
         """Learn from the feedback of the ticks from `first` on; ticks without a feedforward are left out."""
         begin, end = max(first, self._first), min(first + len(feedback), self._first + len(self._given))
         if begin < end:

@@ -28,7 +28,6 @@ and the best feedforward that was measured is kept.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 
@@ -135,13 +134,7 @@ class RunningIterativeLearning:
         rows: Array = self.feedforward[np.arange(first - self._origin, self._end - self._origin) % len(self.feedforward)]
         return rows
 
-    def observe(
-        self,
-        first: int,
-        reference: Annotated[Array, "N A"],
-        measurement: Annotated[Array, "N A"],
-        feedback: Annotated[Array, "N A"],
-    ) -> None:
+    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
         """Learn from the loop's signals of the ticks from `first` on; a gap in them begins the trial anew."""
         error = np.asarray(reference - measurement)
         while len(error) and not self.stopped and self._origin is not None:

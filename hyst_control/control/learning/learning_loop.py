@@ -8,7 +8,7 @@ they are cut, nor how far ahead the feedforward runs: `available` says how many 
 
 from __future__ import annotations
 
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -30,14 +30,8 @@ class Learner(Protocol):
     def learned(self, first: int, feedforward: Array) -> Array:
         """Correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on; ask for each tick once, in order."""
 
-    def observe(
-        self,
-        first: int,
-        reference: Annotated[Array, "N A"],
-        measurement: Annotated[Array, "N A"],
-        feedback: Annotated[Array, "N A"],
-    ) -> None:
-        """Learn from the loop's signals of the ticks from `first` on."""
+    def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
+        """Learn from the loop's signals (N, A) of the ticks from `first` on."""
 
     def reset(self) -> None:
         """Forget everything that was learned."""
