@@ -74,11 +74,12 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     first = arguments.files[0]
     output = arguments.output or f"{Path(os.path.realpath(first)).stem}.png"
     check_writable(output)
+    notes: tuple[str, ...] = ()
     if first.endswith((".yaml", ".yml", ".json")):
         others = ("xy", "spectrum", "model", "signals", "color", "begin", "end", "bode")
         if len(arguments.files) > 1 or any(getattr(arguments, name) not in (None, False) for name in others):
             raise InputError(f"{first}: of a model or a fit nothing but --poles or --tuning is chosen: leave the other options out")
-        panels, notes = _of_report(first) if first.endswith(".json") else _of_model(arguments, first), ()
+        panels = _of_report(first) if first.endswith(".json") else _of_model(arguments, first)
     elif arguments.poles or arguments.tuning:
         raise InputError(f"{first}: --poles and --tuning are of a model: give a model file (.yaml)")
     else:

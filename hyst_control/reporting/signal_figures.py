@@ -142,10 +142,11 @@ def _pairs(record: Record, horizontal: str, vertical: str) -> list[_Pair]:
         raise InputError(f"{horizontal} has {len(x_titles)} axes, {vertical} {len(y_titles)}: name one of each, as measurement.x")
     step = max(1, sum(map(len, x)) // (10 * MAX_POINTS))  # a loop has no order in x: no point of it may be moved
     found = []
-    for index, titles in enumerate(zip(x_titles, y_titles, strict=True)):
+    for index, (x_title, y_title) in enumerate(zip(x_titles, y_titles, strict=True)):
         frequency = [motion_frequency(part[:, index], piece.sample_time) for part, piece in zip(x, pieces, strict=True)]
         columns = ([part[:, index] for part in x], [part[:, index] for part in y], [piece.time for piece in pieces], frequency)
-        found.append((*titles, *(np.concatenate(column)[::step] for column in columns)))
+        one, other, time, at = (np.concatenate(column)[::step] for column in columns)
+        found.append((x_title, y_title, one, other, time, at))
     return found
 
 
@@ -230,9 +231,10 @@ def draw(panels: Sequence[Panel], figure: Figure, title: str) -> list[Axes]:
     figure.suptitle(title)
     drawn = list(figure.subplots(len(panels), squeeze=False)[:, 0])
     for panel, axes in zip(panels, drawn, strict=True):
-        norm = LogNorm(*panel.shades) if panel.shades else None
-        if norm and (panel.shade_title.startswith("time") or norm.vmin == norm.vmax):
-            norm = Normalize(*panel.shades)
+        norm: Normalize | None = None
+        if panel.shades:
+            linear = panel.shade_title.startswith("time") or panel.shades[0] == panel.shades[1]
+            norm = (Normalize if linear else LogNorm)(*panel.shades)
         for index, line in enumerate(panel.lines):
             if line.shade is not None:
                 points = np.column_stack([line.x, line.y])[:, None]
@@ -295,8 +297,9 @@ def _shaded(panel: Panel, shade: Array, first: bool) -> dict[str, Any]:
     """Markers of a page that are colored by their shade, with the scale beside the first curve; a frequency's is logarithmic."""
     assert panel.shades is not None
     linear = panel.shade_title.startswith("time") or panel.shades[0] == panel.shades[1]
-    ends = panel.shades if linear else tuple(np.log10(panel.shades))
-    marks = np.linspace(*ends, 5)
+    ends = np.array(panel.shades, dtype=float)
+    ends = ends if linear else np.log10(ends)
+    marks = np.linspace(ends[0], ends[1], 5)
     bar = {
         "title": {"text": panel.shade_title},
         "tickvals": marks,

@@ -101,9 +101,9 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
-    """Share of the gap's energy that an explanation leaves, or takes off by coefficients many tolerances away only.
+    """Share of the gap's energy that an explanation leaves, or removes by coefficients many tolerances away only.
 
-    Of a change that needs a coefficient n times as far away as the most that is believed, that most takes off all but (1 - 1/n)² of
+    Of a change that needs a coefficient n times as far away as the most that is believed, that most removes all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
     """
     one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated

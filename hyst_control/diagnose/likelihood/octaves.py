@@ -56,7 +56,7 @@ class Octaves:
 
     def energies(self, coefficients: Array) -> Array:
         """Sum of squares by octave."""
-        return np.bincount(self.index, coefficients**2, minlength=len(self.own))
+        return np.bincount(self.index, coefficients**2, minlength=len(self.own)).astype(np.float64)
 
     def weighted(self, excess: Array, values: float) -> Octaves:
         """The same octaves, of which those with a model's error count as `values` independent coefficients.
