@@ -1,3 +1,5 @@
+/* Copyright 2026 The hyst_control authors */
+/* SPDX-License-Identifier: Apache-2.0 */
 /*
  * {{ name }}: co-simulation by FMI 2.0 around {{ name }}_settle and {{ name }}_step.
  *
