@@ -40,7 +40,6 @@ class Thresholds:
     rounding_share: float = _setting("1", "the same, as a share of a converter's rounding error")
     margin: float = _setting("nats", "score above the 99 % quantile of the simulated null that a claim needs")
     sharpness: float = _setting("1", "factor of the scores before they become probabilities")
-    sharpness_whitened: float = _setting("1", "the same where the fits know the spectrum of the model's own error")
     sure_probability: float = _setting("1", "probability from which one explanation is named alone")
     listed_probability: float = _setting("1", "probability from which an explanation is listed among what the data cannot separate")
     unknown_share: float = _setting(

@@ -272,13 +272,6 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "a score that is six nats behind, where the own error's spectrum is known",
-        evidence(effect("a"), effect("b", 994.0), whitened=True),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-    ),
-    Row(
         "an effect that stays within the model's own error at each of its frequencies",
         evidence(replace(effect("a"), local=2.9), base=none(energy=0.9, residual=QUIET), whitened=True),
         V.NO_GAP,

@@ -306,12 +306,11 @@ def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thre
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
     hypotheses = [evidence.hypotheses[index] for index in claims or (0,)]
-    sharpness = thresholds.sharpness_whitened if evidence.whitened else thresholds.sharpness
     # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
     best: dict[tuple[str, ...], float] = {}
     for one in hypotheses:
         best[key(one)] = max(best.get(key(one), -np.inf), _merit(one, evidence, thresholds))
-    weights = np.exp(sharpness * (np.array(list(best.values())) - max(best.values())))
+    weights = np.exp(thresholds.sharpness * (np.array(list(best.values())) - max(best.values())))
     return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
 
 
