@@ -57,7 +57,6 @@ RULES: dict[str, Rule] = {
     "vetoes": (settle, "VETOES", 0),  # type: ignore[dict-item]
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
-    "_without_detail": (policy, "_without_detail", lambda *_: None),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_stands_out": (policy, "_stands_out", lambda *_: False),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
@@ -66,7 +65,7 @@ RULES: dict[str, Rule] = {
     "vibration_found": (policy, "vibration_found", lambda *_: None),
     "flicker_found": (policy, "flicker_found", lambda *_: None),
     "too_many": (novelty, "_too_many", lambda *_: False),
-    "failed_tests": (novelty, "failed_tests", lambda *_: []),
+    "_constancy": (novelty, "_constancy", lambda *_: []),
     "_is_own_error": (record_findings, "_is_own_error", lambda *_: False),
     "_falls_to_the_top": (record_findings, "_falls_to_the_top", lambda *_: False),
 }

@@ -328,13 +328,6 @@ ROWS = (
         ("b",),
     ),
     Row(
-        "a combination whose effects are not themselves, and a part of it that explains nearly all and is",
-        evidence(effect("a", 900.0, left=3.0), CHANGING_PAIR),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-    ),
-    Row(
         "the same of a part that leaves a tenth of the gap",
         evidence(effect("a", 900.0, left=11.0), CHANGING_PAIR),
         V.UNKNOWN,

@@ -57,7 +57,7 @@ def score(evidence: Evidence, chosen: int, found: Mapping[Reason, float], at_bou
 
 def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
     """Tests by which a named effect is not itself, each with its sign: its size would have to change a lot, and that would explain much."""
-    found = failed_tests(evidence, chosen, thresholds, 0.0)
+    found = _constancy(evidence, chosen, thresholds)
     if not evidence.repeating.intersection(evidence.hypotheses[chosen].names):
         for seen in evidence.record:
             # One stretch is none that came back; half a stretch short of the threshold is on it.
@@ -68,10 +68,8 @@ def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tup
     return sorted(found, key=lambda each: -each[0].statistic)
 
 
-def failed_tests(
-    evidence: Evidence, index: int, thresholds: Thresholds, least: float = 1.0
-) -> list[tuple[DistortionEvidence, float]]:
-    """Distortion tests of a hypothesis whose sign exceeds `least`, each with its sign.
+def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
+    """Distortion tests of a hypothesis, each with its sign.
 
     What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
@@ -87,7 +85,7 @@ def failed_tests(
             abs(test.change) / thresholds.distortion_change,
             test.share / thresholds.distortion_share,
         )
-        if sign > least:
+        if sign > 0.0:
             found.append((test, float(sign)))
     return found
 

@@ -23,12 +23,11 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide import novelty
-from hyst_control.diagnose.decide.novelty import failed_tests, remainder, unexplained
+from hyst_control.diagnose.decide.novelty import remainder, unexplained
 from hyst_control.diagnose.decide.record_findings import findings, flicker_found, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found, without_vibration
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
-    DistortionEvidence,
     Evidence,
     HypothesisEvidence,
 )
@@ -163,38 +162,11 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _worth_naming(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
-    claims = tuple(
+    return tuple(
         index
         for index in found
         if not _adds_too_little(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
     )
-    simpler = _without_detail(evidence, _first(claims), found, thresholds)
-    return claims if simpler is None else (simpler, *(index for index in claims[1:] if index != simpler))
-
-
-def _without_detail(evidence: Evidence, first: int, found: Sequence[int], thresholds: Thresholds) -> int | None:
-    """Of a combination whose effects are not themselves, the part that explains nearly all and whose effects are; None without one.
-
-    The tests tell a second effect that only makes up for what the first one's stage, or the model, answers a little wrong.
-    """
-    if not _changes(evidence, first, thresholds):
-        return None
-    before = evidence.hypotheses[0].energy - evidence.stated
-    parts = [
-        index
-        for index in found
-        if set(evidence.hypotheses[index].names) < set(evidence.hypotheses[first].names)
-        and evidence.hypotheses[index].energy - evidence.stated <= thresholds.unknown_share * before
-        and not _changes(evidence, index, thresholds)
-    ]
-    return parts[0] if parts else None
-
-
-def _changes(evidence: Evidence, index: int, thresholds: Thresholds) -> tuple[DistortionEvidence, ...]:
-    """Distortion tests by which an effect of a hypothesis is not itself; none of a hypothesis that is not tested yet."""
-    if evidence.hypotheses[index].residual is None:
-        return ()
-    return tuple(test for test, _ in failed_tests(evidence, index, thresholds))
 
 
 def _narrowband_vibration_index(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:

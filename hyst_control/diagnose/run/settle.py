@@ -33,7 +33,7 @@ class Tests(Protocol):
 
 
 def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[Evidence, Decision]:
-    """Decide, with the candidates tested; a test that fails may bring up another candidate, which is then tested in turn."""
+    """Decide, with the candidates tested; where the best one does not hold, the next is tested in turn."""
     for _ in range(VETOES if evidence.whitened else 0):
         evidence = _measured(evidence, tests, thresholds)
         decision = decide(evidence, thresholds)
@@ -47,9 +47,8 @@ def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[E
 
 def _measured(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> Evidence:
     """The evidence with what every candidate leaves."""
-    while missing := [index for index in contenders(evidence, thresholds) if evidence.hypotheses[index].residual is None]:
-        evidence = evidence.with_residuals({index: tests.residual(index) for index in missing})
-    return evidence
+    missing = [index for index in contenders(evidence, thresholds) if evidence.hypotheses[index].residual is None]
+    return evidence.with_residuals({index: tests.residual(index) for index in missing})
 
 
 class ContenderTests:
