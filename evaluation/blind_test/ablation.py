@@ -67,7 +67,6 @@ RULES: dict[str, Rule] = {
     "too_many": (novelty, "_too_many", lambda *_: False),
     "_constancy": (novelty, "_constancy", lambda *_: []),
     "_is_own_error": (record_findings, "_is_own_error", lambda *_: False),
-    "_falls_to_the_top": (record_findings, "_falls_to_the_top", lambda *_: False),
 }
 """Rules of the policy that are more than a threshold."""
 

@@ -321,13 +321,6 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "a size at the end of its range, nearly as good with another effect, beside the model's own error",
-        evidence(effect("a", 1005.0, at_bound=True), effect("b", 1000.0), whitened=True),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("b",),
-    ),
-    Row(
         "the same of a part that leaves a tenth of the gap",
         evidence(effect("a", 900.0, left=11.0), CHANGING_PAIR),
         V.UNKNOWN,

@@ -220,13 +220,6 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "noise in excess that falls up to the top of the spectrum, beside a model's own error",
-        evidence(base=none(energy=3.0, residual=replace(QUIET, white=(5.0,), flicker=flicker(5.0, top=0.9))), weight=0.001),
-        V.EFFECT,
-        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
-        checks=(C.FALLING_SPECTRUM,),
-    ),
-    Row(
         "noise in excess that is flat at the top, beside a model's own error",
         evidence(base=none(energy=3.0, residual=replace(QUIET, white=(5.0,), flicker=flicker(5.0, top=0.01))), weight=0.001),
         V.EFFECT,

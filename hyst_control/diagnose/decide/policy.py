@@ -219,9 +219,7 @@ def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) 
         return one.score
     none = evidence.hypotheses[0]
     spent = evidence.temper * (none.misfit - one.misfit) - one.score
-    merit = none.beyond + none.strain - one.beyond - one.strain - spent + thresholds.under_own_error * one.score
-    # What needs a size at the end of its range has to be better than another by as much as a claim.
-    return merit - (evidence.null + thresholds.margin if one.at_bound else 0.0)
+    return none.beyond + none.strain - one.beyond - one.strain - spent + thresholds.under_own_error * one.score
 
 
 def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:

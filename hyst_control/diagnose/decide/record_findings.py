@@ -113,19 +113,7 @@ def flicker_found(evidence: Evidence, first: int, thresholds: Thresholds) -> Fli
         if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
             if index == first or outweighs(seen, evidence, first):
                 return seen
-        if large and index == first and _falls_to_the_top(seen, evidence, first, thresholds):
-            return seen
     return None
-
-
-def _falls_to_the_top(seen: FlickerEvidence, evidence: Evidence, first: int, thresholds: Thresholds) -> bool:
-    """True where noise in excess of the stated one falls with frequency up to the top of the spectrum, so that it is not white.
-
-    The weight of a sample, by the model's own error, is for what is slow; at the top of the spectrum the noise is what there is.
-    """
-    (white, *_), (stated, *_) = residual_of(evidence, first).white, evidence.stated_noise
-    sure = seen.gain > evidence.weight * (evidence.null + thresholds.margin + thresholds.flicker_margin)
-    return 0.0 < thresholds.excess_ratio * stated < white and seen.top > thresholds.flicker_hides and sure
 
 
 def outweighs(noise: FlickerEvidence, evidence: Evidence, first: int) -> bool:
