@@ -287,14 +287,7 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "an effect that stands far out of the model's own error at a few frequencies, which are a small share of all",
-        evidence(replace(FEW_LINES, local=9.5), base=SLIGHT, whitened=True),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
-    ),
-    Row(
-        "the same at many frequencies, at each of which it stays within that error",
+        "an effect at many frequencies, at each of which it stays within the model's own error",
         evidence(replace(FEW_LINES, local=2.9), base=SLIGHT, whitened=True),
         V.NO_GAP,
         (R.BELOW_PRACTICAL_SIZE,),

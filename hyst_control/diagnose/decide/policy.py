@@ -199,9 +199,6 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # What leaves no more than the model leaves on clean records is no gap.
     if before - one.energy > least and (unweighted or before > evidence.stated):
         return True
-    # A slow effect has few frequencies, a small share of all, however far it stands out of the model's own error there.
-    if _has_own_error(evidence) and one.names and not within and _stands_out(evidence.hypotheses[0], one, evidence, thresholds):
-        return True
     if unweighted and evidence.stated >= thresholds.own_error_energy:
         return False
     relief = evidence.temper * (evidence.hypotheses[0].strain - one.strain)
