@@ -47,6 +47,12 @@ from hyst_control.records.bags.bag_reader import read_bag
 FACTORS = (1e-6, 0.5, 2.0, 1e6)
 """A threshold is switched off at one end, halved, doubled, and switched off at the other end."""
 
+BEFORE = frozenset(
+    "practical_size stated_excess rounding_share rough_share rough_correlation rough_tail rough_deviations rough_received "
+    "rough_scatter".split()
+)
+"""Thresholds that act before the evidence is stored: a replay does not move them."""
+
 LEAST = {"excess_ratio": 1.001}
 """Values below which a threshold has no meaning: noise under the stated one is no excess."""
 
@@ -171,6 +177,8 @@ Parts = Sequence[tuple[Evidence, Tests]]
 def moves(thresholds: Thresholds) -> Iterator[Move]:
     """Every threshold moved, every rule switched off, every number not measured."""
     for one in fields(thresholds):
+        if one.name in BEFORE:
+            continue
         value = getattr(thresholds, one.name)
         for factor in FACTORS:
             moved = max(round(value * factor), 1) if isinstance(value, int) else max(value * factor, LEAST.get(one.name, 0.0))
