@@ -22,7 +22,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from pkgutil import iter_modules
 from types import FrameType, ModuleType
@@ -31,6 +30,7 @@ from typing import NoReturn, cast
 from hyst_control.base import plugins, progress
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import check_outputs, check_writable, write_json
+from hyst_control.base.installed import installed_version
 from hyst_control.processes.executables import ros_missing
 
 FIRST_STEPS = """\
@@ -43,14 +43,6 @@ Excite, record, identify, control and diagnose piezo stages and fast steering mi
   hyst diagnose record --model model.yaml    where model and stage disagree, and which effect is behind it
 
 `hyst --help` lists all commands, `hyst COMMAND --help` explains one."""
-
-
-def installed_version() -> str:
-    """Version of this package, or what it is called where it runs without having been installed."""
-    try:
-        return version("hyst_control")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 class Parser(argparse.ArgumentParser):

@@ -7,7 +7,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.installed import installed_version
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Filter, Sampling
 from hyst_control.chain.c_code.c_code import CCode, reals
@@ -373,11 +373,7 @@ def _facts(model: Model, what: str, more: Sequence[str]) -> tuple[str, ...]:
 
 
 def _made_by() -> str:
-    try:
-        number = version("hyst_control")
-    except PackageNotFoundError:
-        number = "0"
-    return f"Made by hyst export, hyst_control {number}: the same input gives the same bytes."
+    return f"Made by hyst export, hyst_control {installed_version('0')}: the same input gives the same bytes."
 
 
 def _sha(model: Model) -> str:

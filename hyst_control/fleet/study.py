@@ -13,13 +13,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as installed
 from pathlib import Path
 from typing import Any
 
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_json
+from hyst_control.base.installed import installed_version
 from hyst_control.base.parallel import Outcome, Workers, outcomes
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import Overview, overview
@@ -107,7 +106,7 @@ def run_study(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
-    version = _version()
+    version = installed_version("")
     entries = _columns_apart(entries, schema(kind, ()).names)
     columns = list(dict.fromkeys(name for entry in entries for name in entry.columns))
     results = Results(folder, kind, columns)
@@ -251,10 +250,3 @@ def _check_kind(folder: Path, kind: str) -> None:
     known = read_json(path).get("kind")
     if known != kind:
         raise InputError(f"{folder}: holds a study of another kind ({known}): choose another folder")
-
-
-def _version() -> str:
-    try:
-        return installed("hyst_control")
-    except PackageNotFoundError:  # run from its folder
-        return ""

@@ -10,8 +10,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from hyst_control.base.installed import installed_version
 
 
 @dataclass(frozen=True)
@@ -39,20 +40,13 @@ def provenance(files: Sequence[tuple[str, Sequence[str | Path]]] = (), facts: Se
     return [
         *found,
         Origin("command", (_command(),)),
-        Origin("made by", (f"hyst_control {_version()}",)),
+        Origin("made by", (f"hyst_control {installed_version()}",)),
         Origin("date", (datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),)),
     ]
 
 
 def _command() -> str:
     return shlex.join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])
-
-
-def _version() -> str:
-    try:
-        return version("hyst_control")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _link(text: str, folder: Path) -> str | None:

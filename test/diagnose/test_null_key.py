@@ -96,7 +96,7 @@ def test_what_else_it_depends_on(monkeypatch):
         "seed": key(here, seed=1),
         "members": cache_key(here, members(here)[:-1], 0, FEW),
     }
-    monkeypatch.setattr(null_distribution, "_version", lambda: "another")
+    monkeypatch.setattr(null_distribution, "installed_version", lambda otherwise: "another")
     others["version"] = key(here)
     monkeypatch.undo()
     assert len({key(here), *others.values()}) == 1 + len(others), others

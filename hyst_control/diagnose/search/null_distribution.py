@@ -21,7 +21,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +28,7 @@ from platformdirs import user_cache_path
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.installed import installed_version
 from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.problem.problem import Problem
@@ -172,7 +172,7 @@ def cache_key(linearized: Linearized, members: Sequence[Member], seed: int, conf
     span = float(f"{simulated.min():.6g}"), float(f"{simulated.max():.6g}")
     around = replace(problem.surroundings, measurement=span)
     document = {
-        "version": _version(),
+        "version": installed_version(""),
         "configuration": configuration.digest(),
         "model": model_to_document(problem.model),
         "sample_time": problem.sample_time,
@@ -196,12 +196,6 @@ def _member(member: Member, around: Surroundings) -> list[object]:
     parameters = [asdict(parameter) for maker in makers for parameter in maker(around)]
     return [member.name, member.axis, member.place, round(member.frequency), member.fixed, member.separate_sizes, parameters]
 
-
-def _version() -> str:
-    try:
-        return version("hyst_control")
-    except PackageNotFoundError:  # run from its folder
-        return ""
 
 
 def _cache_file(key: str) -> Path | None:

@@ -25,7 +25,7 @@ from scipy.linalg import eigh
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.command_features import CommandFeatures, rate_quantile
-from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum
+from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, rounded
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.session_zero import basis, usual_zero, without_zero, zero_of
@@ -60,11 +60,11 @@ class LearnedDiscrepancy:
     def document(self) -> dict[str, Any]:
         """Convert to the form in a model file."""
         return {
-            "features": {name: _rounded(value) for name, value in self.features.document().items()},
-            "mean": _rounded(self.mean),
-            "factor": _rounded(self.factor),
-            "rest": _rounded(self.rest),
-            "correlation": _rounded(self.correlation),
+            "features": {name: rounded(value, 6) for name, value in self.features.document().items()},
+            "mean": rounded(self.mean, 6),
+            "factor": rounded(self.factor, 6),
+            "rest": rounded(self.rest, 6),
+            "correlation": rounded(self.correlation, 6),
         }
 
     def predicted(self, command: Annotated[Array, "N"], sample_time: float) -> Annotated[Array, "N"]:
@@ -280,9 +280,3 @@ def _crossed(
             foreseen += float(np.sum((designs[i] @ covariance) * designs[i])) + rest**2 * len(targets[i])
             count += len(targets[i])
     return energy / count, float(np.sqrt(max(1.0, energy / foreseen)))
-
-
-def _rounded(value: Any) -> Any:
-    if np.ndim(value):
-        return [_rounded(item) for item in value]
-    return float(f"{float(value):.6g}")

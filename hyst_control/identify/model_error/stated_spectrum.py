@@ -75,13 +75,13 @@ class StatedSpectrum:
         """Convert to the form in a model file; `rest` only where it differs."""
         found = {
             "rows": self.rows,
-            "noise": _rounded(self.noise),
-            "output_rms": _rounded(self.output_rms),
-            "frequencies": _rounded(self.frequencies, 7),
-            "error": _rounded(self.error),
-            "output": _rounded(self.output),
+            "noise": rounded(self.noise),
+            "output_rms": rounded(self.output_rms),
+            "frequencies": rounded(self.frequencies, 7),
+            "error": rounded(self.error),
+            "output": rounded(self.output),
         }
-        return found if self.rest is self.error else found | {"rest": _rounded(self.rest)}
+        return found if self.rest is self.error else found | {"rest": rounded(self.rest)}
 
     @classmethod
     def from_document(cls, document: Any) -> StatedSpectrum:
@@ -161,7 +161,8 @@ def _largest(power: Array, band: np.ndarray[tuple[int, ...], np.dtype[np.int64]]
     return np.repeat(np.maximum.reduceat(power, begins), np.diff(begins, append=len(power)))
 
 
-def _rounded(value: Any, digits: int = DIGITS) -> Any:
+def rounded(value: Any, digits: int = DIGITS) -> Any:
+    """Numbers to so many digits, in lists where there are several."""
     if np.ndim(value):
-        return [_rounded(item, digits) for item in value]
+        return [rounded(item, digits) for item in value]
     return float(f"{float(value):.{digits}g}")
