@@ -144,7 +144,8 @@ def _further(one: Weighed, fits: Fits, octaves: Octaves, priors: Priors) -> Iter
     """A hypothesis beside 1/f noise, and something else that is like it, or like nothing."""
     hypothesis = one.hypothesis
     prior, fit = _log_prior(hypothesis, fits, priors), _fit(hypothesis)
-    if octaves.per_axis == len(octaves.own):  # of several axes nobody knows whose noise it is
+    # Of several axes nobody knows whose noise it is; and beside rounding errors white noise, which tells 1/f noise, is not seen.
+    if octaves.per_axis == len(octaves.own) and np.max(fits.noise) > 0.5:
         grid = [(power, top) for power in priors.flicker_powers for top in priors.flicker_sizes]
         each = [(one.end.variance + flicker_variance(fits, *at), one.end.freedom, 1.0 / len(grid)) for at in grid]
         value, end = _mixed(fit, octaves, each)
