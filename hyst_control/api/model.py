@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,7 @@ from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Report
 from hyst_control.identify.validation import compared_stretches, validate_record
 from hyst_control.identify.workflow import fit_text, identify_records
+from hyst_control.reporting.signal_figures import over_time
 from hyst_control.reporting.tables import Table
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class Score(Shown):
         NRMSE, NME and RMSE of every axis, on the whole record and by frequency and amplitude.
     r2
         Coefficient of determination of the worst axis: 1 for a perfect model, 0 for one that is no better than a constant.
+    model, record
+        What was scored, and on what.
 
     Examples
     --------
@@ -60,6 +63,8 @@ class Score(Shown):
 
     table: Table
     r2: float
+    model: model_file.Model = field(repr=False)
+    record: Record = field(repr=False)
 
     @property
     def nrmse(self) -> float:
@@ -76,6 +81,10 @@ class Score(Shown):
     def to_frame(self) -> Any:
         """The table as a pandas DataFrame."""
         return table_frame(self.table)
+
+    def plot(self, path: str | Path | None = None) -> list[Axes]:
+        """Draw measured and simulated signals and the residual, as `Model.plot` does, and write them to a file where `path` is given."""
+        return drawn(beside(self.model, self.record), f"{self.model.name} on {self.record.source}", path)
 
 
 @dataclass(frozen=True)
@@ -172,7 +181,7 @@ class Model(model_file.Model, Shown):
         for data in compared_stretches(record):
             error = residual(self, data)
             shares.append(1.0 - np.mean(error**2, axis=0) / np.var(data.measurement[-len(error) :], axis=0))
-        return Score(table, float(np.min(shares)))
+        return Score(table, float(np.min(shares)), self, record)
 
     def plot(self, record: Record, path: str | Path | None = None) -> list[Axes]:
         """Draw measured and simulated signals, what is left, the loops, and how what is left correlates.
@@ -269,7 +278,7 @@ class Model(model_file.Model, Shown):
 
 
 @dataclass(frozen=True)
-class Inverse:
+class Inverse(Shown):
     """Feedforward of a model: called with a reference, it gives the command.
 
     Parameters
@@ -291,12 +300,52 @@ class Inverse:
     >>> error = model.simulate(feedforward(reference)).signal("measurement").values[:, 0] - reference
     >>> bool(np.abs(error).max() < 0.03)
     True
+    >>> print(feedforward)
+    inverse of pea_hampi at 50000 Hz
+      commands 0 to 50 V
+      looks 2 samples ahead
+    >>> len(feedforward.plot(reference))                # motion and command
+    2
     """
 
     model: Model
     sample_time: float
     limits: tuple[ArrayLike, ArrayLike] | None = None
     compensator: Compensator | None = None
+
+    def summary(self) -> str:
+        """What is inverted, and how."""
+        limits = self.model.valid["command"] if self.limits is None and "command" in self.model.valid else self.limits
+        lines = [f"inverse of {self.model.name} at {1.0 / self.sample_time:g} Hz"]
+        if limits is not None:
+            lines.append(f"  commands {_range(np.transpose(limits) if limits is self.limits else limits)} V")
+        how = f"looks {self.compensator.preview} samples ahead" if self.compensator else "iterates over the whole reference"
+        return "\n".join([*lines, f"  {how}"])
+
+    def plot(self, reference: ArrayLike, path: str | Path | None = None) -> list[Axes]:
+        """Draw a reference, the motion that the model predicts for its command, and the command.
+
+        Parameters
+        ----------
+        reference
+            Samples (N,) or (N, A) in the measurement unit, which begin at rest.
+        path
+            File to write as well: .png, .svg, .pdf or .html.
+
+        Returns
+        -------
+        list of Axes
+            The axes of matplotlib.
+        """
+        wanted = rows_of("reference", reference)
+        predicted = self.model.simulate(self(wanted), 1.0 / self.sample_time)
+        motion = predicted.signal("measurement")
+        signals = {
+            "reference": replace(motion, values=wanted),
+            "predicted": motion,
+            "command": predicted.signal("command"),
+        }
+        return drawn(over_time(replace(predicted, signals=signals)), f"inverse of {self.model.name}", path)
 
     def __call__(self, reference: ArrayLike) -> Array:
         """Command (N, A), V, of a reference (N,) or (N, A) in the measurement unit that begins at rest."""

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -224,8 +224,7 @@ def read_csv(
       command: 90 samples of x in V, 0 to 8
       measurement: 90 samples of x in um, 0 to 0.8
     """
-    columns = [_column("command", command), _column("measurement", measurement)]
-    return promoted(Record, import_table(path, columns if time is None else [*columns, _column("time", time)], rate, rows, hold))
+    return _imported(path, _column, {"command": command, "measurement": measurement, "time": time}, rate, rows, hold)
 
 
 def read_mat(
@@ -268,10 +267,7 @@ def read_mat(
     >>> record.signal("measurement").unit, round(float(record.signal("measurement").values[-1, 0]), 6)
     ('um', 8.9)
     """
-    columns = [_array("command", command), _array("measurement", measurement)]
-    return promoted(
-        Record, import_table(path, columns if time is None else [*columns, _array("time", time)], rate, rows, hold, variable)
-    )
+    return _imported(path, _array, {"command": command, "measurement": measurement, "time": time}, rate, rows, hold, variable)
 
 
 def read_bag(path: str | Path, *, namespace: str | None = None, unit: str = "unknown") -> Record:
@@ -495,6 +491,17 @@ def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) ->
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
     return build({"signal": signal, **parameters}, 1.0 / rate, axes)
+
+
+def _imported(
+    path: str | Path,
+    column: Callable[[str, str | Sequence[str]], Column],
+    named: Mapping[str, str | Sequence[str] | None],
+    *how: Any,
+) -> Record:
+    """The record of a file; a column of times that is not named is left out."""
+    columns = [column(topic, given) for topic, given in named.items() if given is not None]
+    return promoted(Record, import_table(path, columns, *how))
 
 
 def _column(topic: str, given: str | Sequence[str]) -> Column:

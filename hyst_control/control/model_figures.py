@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
@@ -148,12 +150,15 @@ def _correlations(rest: Array, command: Array) -> tuple[list[Array], float]:
 
 
 def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Panel]:
-    """Open loop, sensitivities and step of a tuned feedback, of every axis."""
+    """Open loop with its margins, sensitivities and step of a tuned feedback, of every axis."""
     frequency = frequencies(tuning.sample_time)[:-1]
     z: Complex = np.exp(2j * np.pi * frequency * tuning.sample_time)
     plants = spread_responses(model, tuning.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
     loops = plants * controller_response(tuning.law, z)
     magnitude, phase = bode([Response(f"loop {axis}", frequency, loop) for axis, loop in zip(model.axes, loops, strict=True)], "1")
+    least = tuning.nominal
+    said = f"margins {least.gain_margin:.1f} dB, {least.phase_margin:.0f} deg, crossover {least.crossover:.3g} Hz"
+    magnitude = replace(magnitude, lines=(*magnitude.lines, Line(said, np.array([least.crossover]), np.ones(1), True, "o")))
     closed = [
         line
         for axis, loop in zip(model.axes, loops, strict=True)
@@ -168,4 +173,4 @@ def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Pan
     step = tuning.step(model, length)
     time: Array = np.arange(length, dtype=float) * tuning.sample_time
     steps = tuple(Line(f"step {axis}", time, step[:, index]) for index, axis in enumerate(model.axes))
-    return [magnitude, phase, Panel("frequency [Hz]", "magnitude", tuple(closed), "xy"), Panel("time [s]", "of the step", steps)]
+    return [magnitude, phase, Panel("frequency [Hz]", "magnitude", tuple(closed), "xy"), Panel("time [s]", "step response", steps)]

@@ -239,7 +239,9 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     """Phrase on the explanation that comes nearest, by the reduction that its effects are listed with; empty where none is named."""
     if not names:
         return ""
-    reduction = max((row["shrink_reidentified"] for row in report["effects"] if row.get("shrink_reidentified") is not None), default=None)
+    reduction = max(
+        (row["shrink_reidentified"] for row in report["effects"] if row.get("shrink_reidentified") is not None), default=None
+    )
     if reduction is None:  # an effect without a waveform takes nothing off
         return f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it"
     far = f"shrinks it by {100 * reduction:.0f} % with the coefficients fitted" if reduction > 0.0 else "does not shrink it"
