@@ -50,7 +50,7 @@ MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("m
 ADVICE = {
     Verdict.NO_GAP: "Nothing: the simulator explains the record within noise and tolerance.",
     Verdict.PARAMETERS: "Identify the model again from these records (hyst identify): its coefficients have changed.",
-    Verdict.EFFECT: "Look for its cause in the machine ({effects}), or simulate with the augmented model, and confirm it with a second record.",
+    Verdict.EFFECT: "Look for its cause ({effects}) in the machine, or simulate with the augmented model. Confirm it with a second record.",
     Verdict.AMBIGUOUS: "Record another signal: {effects} explain this record equally well.",
     Verdict.UNKNOWN: "Look at the residual and at where the gap lies: no effect of the catalogue explains it.",
 }
