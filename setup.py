@@ -51,6 +51,8 @@ setup(
         "parquet": ["pyarrow"],
         "tables": ["pyarrow", "openpyxl", "h5py", "npTDMS"],
         "pi": ["pipython"],
+        "epics": ["caproto"],
+        "bluesky": ["bluesky"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),

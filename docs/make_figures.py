@@ -86,14 +86,15 @@ def tour(folder: Path, to: Path) -> None:
 
 
 PICTURES = {
-    "gap_verdict.png": ("gap.html", "h1", ".wide table >> nth=0"),
+    "gap_verdict.png": ("gap.html", "h1", "ul"),
     "gap_signals.png": ("gap.html", "h2:has-text('Measured, simulated')", "figure.chart >> nth=0"),
-    "gap_loops.png": ("gap.html", "h2:has-text('Slow hysteresis')", "figure.chart >> nth=1"),
-    "gap_rivals.png": ("gap.html", "h2:has-text('Rejected rivals')", "h2:has-text('Rejected rivals') ~ .wide"),
-    "report_tracking.png": ("report.html", "h1", "figure.chart >> nth=0"),
-    "report_loops.png": ("report.html", "h2:has-text('Hysteresis at each')", "figure.chart >> nth=1"),
+    "gap_loops.png": ("gap.html", "h2:has-text('Slow hysteresis')", "details:has-text('Slow hysteresis loops') figure.chart"),
+    "gap_rivals.png": ("gap.html", "h2:has-text('Rejected rivals')", "details:has-text('Rejected rivals') .wide"),
+    "report_tracking.png": ("report.html", "h1", "figure.chart >> nth=1"),
+    "report_loops.png": ("report.html", "h2:has-text('Hysteresis at each')", "figure.chart >> nth=2"),
 }
 """By file: the page, and the first and last element in the picture. A file X_dark.png beside each is of the page in dark colors."""
+DRAWN = "[...document.querySelectorAll('figure.chart')].every(chart => chart.querySelector('.main-svg'))"
 SCHEMES = {"light": "", "dark": "_dark"}
 LIVE = {
     "reference_generator": {"signal": "sine", "frequency": 2.0, "amplitude": 2.0, "offset": 3.0, "duration": 1.0, "repeat": True},
@@ -119,6 +120,8 @@ def screenshots(folder: Path, to: Path) -> None:
                     view = browser.new_page(viewport={"width": 1000, "height": 800}, color_scheme=scheme)
                     view.goto((folder / page).resolve().as_uri())
                     view.wait_for_selector("body[data-drawn]", timeout=240_000)
+                    view.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+                    view.wait_for_function(DRAWN, timeout=240_000)
                     boxes = [view.locator(selector).first.bounding_box() for selector in (first, last)]
                     top, bottom = boxes[0]["y"] - 8, boxes[1]["y"] + boxes[1]["height"] + 8
                     clip = {"x": 0, "y": top, "width": 1000, "height": bottom - top}

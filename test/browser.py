@@ -20,7 +20,8 @@ ADDRESS_SPACE = 2**37
 """Bytes of address space, not of memory, that Chromium reserves at least."""
 
 LOOK = """() => {
-  const shown = element => { const box = element.getBoundingClientRect(); return box.width > 0 && box.height > 0; };
+  const unfolded = element => !element.closest("details:not([open]) > :not(summary)");
+  const shown = element => { const box = element.getBoundingClientRect(); return box.width > 0 && box.height > 0 && unfolded(element); };
   const meet = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1.5
     && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1.5;
   const overlaps = [];
@@ -37,19 +38,25 @@ LOOK = """() => {
       if (!rotated && meet(a.getBoundingClientRect(), b.getBoundingClientRect())) overlaps.push([a.textContent, b.textContent]);
     }));
   }
-  const empty = [...document.querySelectorAll("figure.chart")].flatMap((chart, number) => {
+  const empty = [...document.querySelectorAll("figure.chart")].filter(unfolded).flatMap((chart, number) => {
     const drawing = chart.querySelector(".js-plotly-plot");
     if (!drawing) return [`figure ${number}: not drawn`];
     const used = new Set(drawing._fullData.map(trace => trace.xaxis + trace.yaxis));
-    const lines = drawing.querySelectorAll(".js-line, .point path, path.point").length;
+    const lines = drawing.querySelectorAll(".js-line, .point path, path.point, .hm image").length;
     const bare = Object.keys(drawing._fullLayout._plots).filter(name => !used.has(name));
     return [...(lines ? [] : [`figure ${number}: no line and no bar`]), ...bare.map(name => `figure ${number}: axes ${name}`)];
   });
+  const bare = [...document.querySelectorAll("table")].filter(table => !table.querySelector("tbody td")).map(table =>
+    table.textContent.trim().slice(0, 40));
   const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth + 1;
   const bars = [...document.querySelectorAll(".modebar")].filter(bar => getComputedStyle(bar).opacity !== "0").length;
   return { figures: document.querySelectorAll("figure.chart .js-plotly-plot").length, overlaps, empty_axes: empty,
+           empty_tables: bare, height: document.documentElement.scrollHeight, text: document.body.innerText,
            too_wide: wide, toolbars: bars, ground: getComputedStyle(document.body).backgroundColor };
 }"""
+
+
+DRAWN = "[...document.querySelectorAll('figure.chart')].every(chart => chart.querySelector('.main-svg'))"
 
 
 @dataclass(frozen=True)
@@ -57,13 +64,17 @@ class Seen:
     """Findings of a browser that has loaded a page.
 
     figures: drawn ones. overlaps: pairs of texts or blocks that lie over each other. empty_axes: figures without a curve, axes without a
-    trace. too_wide: whether the page has to be scrolled sideways. toolbars: of figures, shown without being pointed at. ground: color of
-    the page's background. complaints: errors and warnings of its console.
+    trace. empty_tables: those without a row. height: px. text: that is seen. too_wide: whether the page has to be scrolled sideways.
+    toolbars: of figures, shown without being pointed at. ground: color of the page's background. complaints: errors and warnings of its
+    console.
     """
 
     figures: int
     overlaps: list[list[str]]
     empty_axes: list[str]
+    empty_tables: list[str]
+    height: int
+    text: str
     too_wide: bool
     toolbars: int
     ground: str
@@ -93,8 +104,10 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
-def look_at(browser: Any, path: Path, width: int, scheme: str = "light", picture: Path | None = None) -> Seen:
-    """Open a page, wait until its figures are drawn, and look at it; picture: a screenshot to write."""
+def look_at(
+    browser: Any, path: Path, width: int, scheme: str = "light", picture: Path | None = None, unfolded: bool = False
+) -> Seen:
+    """Open a page, wait until its figures are drawn, and look at it; picture: a screenshot to write; unfolded: with all its details."""
     page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     page.set_default_timeout(PATIENCE)
     complaints: list[str] = []
@@ -104,6 +117,9 @@ def look_at(browser: Any, path: Path, width: int, scheme: str = "light", picture
         page.goto(path.as_uri())
         if page.query_selector("#library"):
             page.wait_for_selector("body[data-drawn]")
+        if unfolded:
+            page.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+            page.wait_for_function(DRAWN)
         if picture is not None:
             page.screenshot(path=str(picture), full_page=True)
         return Seen(**page.evaluate(LOOK), complaints=complaints)

@@ -90,7 +90,7 @@ def browser() -> Iterator[Callable[..., browsers.Seen]]:
     if reason := browsers.missing():
         pytest.skip(reason)
     with browsers.chromium() as running:
-        yield lambda path, width, scheme="light": browsers.look_at(running, path, width, scheme)
+        yield lambda path, width, scheme="light", **how: browsers.look_at(running, path, width, scheme, **how)
 
 
 @pytest.fixture(scope="session")

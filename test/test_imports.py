@@ -14,6 +14,7 @@ ROS = {"rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces"}
 ROOMS = (  # from the top of the house down: a room imports from itself and from those below it
     "cli",
     "api",
+    "labs",
     "hardware",
     "nodes",
     "dashboard",

@@ -14,7 +14,7 @@ examples:
   hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
   hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
   hyst fleet diagnose manifest.csv --output study --pages --limit gap_rms=0.3
-  hyst fleet diagnose manifest.csv --output study --only onsets          thousands of records: which units changed, and in which night
+  hyst fleet diagnose manifest.csv --output study --only onsets          thousands of records: which units changed, and in which run
   hyst fleet population models --output population.yaml      for: hyst diagnose NEW --model population.yaml
 """
 

@@ -31,8 +31,10 @@ from matplotlib import pyplot
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
 MAX_POINTS = 700
 """Points of a curve on the page, about; the curves are smooth."""
-PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "reference")
-"""Every subject has one color in all figures."""
+PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "PI", "reference")
+"""Every subject has one color in all figures; what is asked for has that of what was measured."""
+SMALLEST = 1e-3
+"""um, of the errors that are drawn, on a logarithmic scale on which the controllers differ."""
 
 
 def write(
@@ -100,8 +102,9 @@ def _page(
         "NRMSE in % of the reference's range (HAMPI paper Eq. 26). The published figures are of another "
         "actuator, in hardware; the plant here is a simulation of one like it.",
     )
+    page.figure(_error_figure(table), 420)
     page.table(
-        ["frequency", *subjects, "HAPI, published", "HAMPI, published"],
+        ["frequency", *subjects, "HAPI", "HAMPI"],
         [
             [
                 case,
@@ -110,8 +113,16 @@ def _page(
             ]
             for case in cases
         ],
+        groups=[("", 1), ("simulated actuator", len(subjects)), ("published, another actuator", 2)],
     )
-    page.note("Left the displacement, in the middle its error, on the right the drive voltage that each controller asks for.")
+    page.note(
+        "PI is the same feedback without a feedforward, HAMPI the feedforward without feedback. No feedforward: the reference times the "
+        "model's mean gain."
+    )
+    page.note(
+        "Left the displacement, in the middle the size of its error on a logarithmic scale, on the right the drive voltage that each "
+        "controller asks for."
+    )
     page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960, 900)
     page.section(
         "Hysteresis at each frequency",
@@ -158,21 +169,44 @@ def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
     """Result of the demo in one sentence."""
     errors = {
         subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
-        for subject in ("no feedforward", "HAMPI", "HAMPI + PI")
+        for subject in ("no feedforward", "HAMPI", "PI", "HAMPI + PI")
     }
     ranges = {subject: f"{min(values):.2g} to {max(values):.2g} %" for subject, values in errors.items()}
     named = gap["verdict"] == "effect" and gap["effects"][0]["name"] == gap["withheld"]["name"]
     found = "was named" if named else f"was not named: the verdict is {gap['verdict'].replace('_', ' ')}"
     return (
         f"Without a model the stage misses its reference by {ranges['no feedforward']} of the range, with the identified model as "
-        f"feedforward by {ranges['HAMPI']}, with feedback besides by {ranges['HAMPI + PI']}; an effect that was put into the actuator "
-        f"afterwards {found}."
+        f"feedforward by {ranges['HAMPI']}, with feedback besides by {ranges['HAMPI + PI']}, and with that feedback alone by "
+        f"{ranges['PI']}; an effect that was put into the actuator afterwards {found}."
     )
 
 
 def _withheld(gap: Mapping[str, Any]) -> str:
     values = {name: {"value": value, "unit": "V/s"} for name, value in gap["withheld"].items() if name != "name"}
     return named({"name": gap["withheld"]["name"], "parameters": values})
+
+
+def _error_figure(table: Table) -> go.Figure:
+    """Tracking error of every controller over frequency, and the published ones, on a logarithmic scale."""
+    figure = go.Figure()
+    for published in (False, True):
+        found: dict[str, dict[str, float]] = {}
+        for row in table.rows:
+            value = row.published if published else row.value
+            if row.quantity == "nrmse" and value is not None:
+                found.setdefault(row.subject, {})[row.case] = value
+        for subject, values in found.items():
+            figure.add_scatter(
+                x=list(values),
+                y=list(values.values()),
+                name=f"{subject}, published" if published else subject,
+                mode="lines+markers",
+                line={"color": PALETTE.color(subject), "dash": "dot" if published else "solid"},
+                marker={"symbol": "circle-open" if published else "circle", "size": 8},
+            )
+    figure.update_yaxes(type="log", dtick=1, title_text="NRMSE [%]")
+    figure.update_xaxes(title_text="frequency")
+    return figure
 
 
 def _tracking_figure(
@@ -186,7 +220,7 @@ def _tracking_figure(
         subplot_titles=[
             f"{frequency:g} Hz: {what}"
             for frequency, _, _ in stretches
-            for what in ("displacement [um]", "error [um]", "drive [V]")
+            for what in ("displacement [um]", "|error| [um]", "drive [V]")
         ],
     )
     for index, (_, begin, end) in enumerate(stretches, start=1):
@@ -199,9 +233,11 @@ def _tracking_figure(
         )
         for name, signals in measured.items():
             look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.3}}
-            curves = (signals["measurement"][rows], signals["measurement"][rows] - reference[rows], signals["command"][rows])
+            error = np.maximum(np.abs(signals["measurement"][rows] - reference[rows]), SMALLEST)
+            curves = (signals["measurement"][rows], error, signals["command"][rows])
             for column, values in enumerate(curves, start=1):
                 figure.add_scatter(x=time, y=_single(values), showlegend=shown and column == 1, **look, row=index, col=column)
+    figure.update_yaxes(type="log", dtick=1, col=2)
     figure.update_xaxes(title_text="time [ms]", row=len(stretches))
     figure.update_annotations(font_size=13)
     return figure
@@ -263,10 +299,11 @@ def _draw_tracking(
         if not error:
             axis.plot(time, reference[begin:end], color=PALETTE.color("reference"), linestyle=":", label="reference")
         for name, signals in measured.items():
-            y = signals["measurement"][begin:end, 0] - (reference[begin:end, 0] if error else 0.0)
+            y = signals["measurement"][begin:end, 0]
+            y = np.maximum(np.abs(y - reference[begin:end, 0]), SMALLEST) if error else y
             axis.plot(time, y, color=PALETTE.color(name), linewidth=1.0, label=name)
-        axis.set(title=f"{frequency:g} Hz", xlabel="time [ms]")
-    axes[0][0].set_ylabel("error [um]" if error else "displacement [um]")
+        axis.set(title=f"{frequency:g} Hz", xlabel="time [ms]", yscale="log" if error else "linear")
+    axes[0][0].set_ylabel("|error| [um]" if error else "displacement [um]")
     axes[0][-1].legend(frameon=False, fontsize="small")
     _save(figure, path)
 

@@ -46,7 +46,14 @@ OFFSET, STROKE = 1.0, 4.0
 FREQUENCIES = (10.0, 50.0, 100.0, 150.0)
 CYCLES = {10.0: 3, 50.0: 5, 100.0: 6, 150.0: 8}
 SCORED_CYCLES = 2
-CONTROLLERS = ("no feedforward", "HAPI", "HAMPI", "HAMPI + PI")
+CONTROLLERS = {
+    "no feedforward": ("hampi", "none", False),
+    "HAPI": ("hapi", "hapi", False),
+    "HAMPI": ("hampi", "hampi", False),
+    "PI": ("hampi", "proportional", True),
+    "HAMPI + PI": ("hampi", "hampi", True),
+}
+"""Model, kind of its feedforward (proportional of gain 0: none at all), and whether there is feedback, by controller."""
 PUBLISHED = {"HAPI": (3.92, 3.86, 6.71, 8.75), "HAMPI": (1.50, 1.28, 1.61, 2.25)}
 """NRMSE in %, HAMPI paper Table 5."""
 SLEW_LIMIT = 2e6
@@ -181,11 +188,13 @@ def track(
     plant: str,
 ) -> Path:
     """Run one tracking experiment."""
-    family = {"no feedforward": "hampi", "HAPI": "hapi", "HAMPI": "hampi", "HAMPI + PI": "hampi"}[controller]
-    kind = "none" if controller == "no feedforward" else family
-    closed = controller == "HAMPI + PI"
+    family, kind, closed = CONTROLLERS[controller]
     model: Model = results[family].fit.model
-    preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING).preview
+    if kind == "proportional":
+        preview, feedforward = 0, {"kind": kind, "gain": [0.0], "offset": [0.0]}
+    else:
+        preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING).preview
+        feedforward = {"kind": kind, "model": str(models / f"{family}.yaml"), "limits": list(RATING)}
     feedback = {"lower": RATING[0], "upper": RATING[1], "slew_limit": SLEW_LIMIT, "feedback": closed}
     if closed:
         tuned = tune(model, sample_time=SAMPLE_TIME)
@@ -195,7 +204,7 @@ def track(
         reference,
         SAMPLE_TIME,
         {
-            "hampi_feedforward": {"kind": kind, "model": str(models / f"{family}.yaml"), "limits": list(RATING)},
+            "hampi_feedforward": feedforward,
             "pi_feedback": feedback,
             "plant": {"plant": plant, "seed": SEED + 1},
         },

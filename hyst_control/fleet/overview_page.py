@@ -25,6 +25,9 @@ DRAWN = 8
 """Changes and drifts that are drawn."""
 LISTED = 200
 """Rows of a table of the page; the JSON document has all."""
+VERDICT_COLORS = {"no_gap": "#5b8e3e", "parameters": "#2a6f97", "effect": "#c2542d", "ambiguous": "#b08a1e", "unknown": "#8a5aa8"}
+OTHER = "#8a93a1"
+"""Color of a cell, by verdict; of any other verdict."""
 SHOWN_UNITS = 8
 """Units that a common cause names."""
 
@@ -34,14 +37,14 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
     write_json(folder / "fleet.json", found.document())
     failed = [row for row in rows if row["status"] != DONE]
     summary = (
-        f"{len(rows)} records of {len(found.units)} units in {len(found.moments)} nights: {len(found.onsets)} changes, "
+        f"{len(rows)} records of {len(found.units)} units in {len(found.moments)} runs: {len(found.onsets)} changes, "
         f"{len(found.trends)} drifts, {len(found.causes)} common causes, {len(found.outliers)} units apart from the others, "
         f"{len(failed)} records that failed."
     )
     page = Page(f"Fleet: {found.kind}", summary)
     links = _Links(found, folder)
     if found.kind == "diagnose" and len(found.units):
-        page.section("Verdicts", "Every record, by unit and night. A click opens the record's own page, where it has one.")
+        page.section("Verdicts", "Every record, by unit and run. A click opens the record's own page, where it has one.")
         page.figure(_verdict_map(found, links), max(320, min(900, 120 + 6 * len(found.units))))
     if found.causes:
         page.section(
@@ -51,13 +54,12 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
         page.table(
             ("quantity", "in common", "units that changed", "of", "adjusted p"), [_cause_row(cause) for cause in found.causes]
         )
-    page.section(
+    _listed(
+        page,
         "Changes",
-        "Units whose quantity shifted, with the first night of the shift; of the units named here and below, 2 % at most are wrong on "
+        "Units whose quantity shifted, with the first run of the shift; of the units named here and below, 2 % at most are wrong on "
         "average.",
-    )
-    page.table(
-        ("unit", "quantity", "probability", "first night", "90 % of it within", "change"),
+        ("unit", "quantity", "probability", "first run", "90 % of it within", "change"),
         [
             (
                 links.to(onset.unit, onset.moment),
@@ -88,19 +90,31 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
             ("quantity", "covariate", "slope"),
             [(each.quantity, each.covariate, f"{each.slope:.4g} ± {each.slope_error:.2g}") for each in found.covariates[:LISTED]],
         )
-    page.section("Units apart from the others", "By the Mahalanobis distance of their means; the false discovery rate is 5 %.")
-    page.table(
+    _listed(
+        page,
+        "Units apart from the others",
+        "By the Mahalanobis distance of their means; the false discovery rate is 5 %.",
         ("unit", "distance", "adjusted p", "farthest quantity", "deviation"),
         [
             (each.unit, f"{each.distance:.1f}", f"{each.probability:.2g}", each.farthest, f"{each.deviation:+.1f} σ")
             for each in found.outliers[:LISTED]
         ],
     )
-    page.section("Records that failed")
-    page.table(
-        ("unit", "time", "bag", "reason"), [(row["unit"], row["time"], row["bag"], row["reason"]) for row in failed[:LISTED]]
+    _listed(
+        page,
+        "Records that failed",
+        "",
+        ("unit", "time", "bag", "reason"),
+        [(row["unit"], row["time"], row["bag"], row["reason"]) for row in failed[:LISTED]],
     )
     page.write(folder / "fleet.html")
+
+
+def _listed(page: Page, heading: str, text: str, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A section with a table, where there is a row."""
+    if rows:
+        page.section(heading, text)
+        page.table(headers, rows)
 
 
 class _Links:
@@ -148,7 +162,8 @@ def _trend_row(trend: Trend, links: _Links) -> tuple[str, ...]:
 def _verdict_map(found: Overview, links: _Links) -> go.Figure:
     names = sorted({str(verdict) for verdict in found.verdicts.ravel() if verdict})
     codes = np.array([[names.index(v) if v else np.nan for v in row] for row in found.verdicts], dtype=float)
-    bar = {"tickvals": list(range(len(names))), "ticktext": names}
+    bar = {"tickvals": list(range(len(names))), "ticktext": [name.replace("_", " ") for name in names]}
+    steps = [[(index + end) / len(names), VERDICT_COLORS.get(name, OTHER)] for index, name in enumerate(names) for end in (0, 1)]
     figure = go.Figure(
         go.Heatmap(
             z=codes,
@@ -158,10 +173,12 @@ def _verdict_map(found: Overview, links: _Links) -> go.Figure:
             colorbar=bar,
             zmin=-0.5,
             zmax=len(names) - 0.5,
-            colorscale="Viridis",
+            colorscale=steps,
+            xgap=1,
+            ygap=1,
         )
     )
-    figure.update_xaxes(title_text="night")
+    figure.update_xaxes(title_text="run")
     figure.update_yaxes(title_text="unit")
     return figure
 
@@ -180,7 +197,7 @@ def _course(found: Overview, unit: str, quantity: str, links: _Links) -> go.Figu
     figure.add_trace(
         go.Scatter(x=found.moments, y=own, customdata=links.of(unit), name=unit, mode="lines+markers", line={"color": COLORS[1]})
     )
-    figure.update_xaxes(title_text="night")
+    figure.update_xaxes(title_text="run")
     figure.update_yaxes(title_text=quantity)
     return figure
 

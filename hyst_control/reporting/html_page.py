@@ -94,9 +94,9 @@ class Page:
         """Begin a section: a heading, and a paragraph under it."""
         self._content.append({"kind": "section", "heading": heading, "text": text})
 
-    def table(self, headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table of texts."""
-        self._content.append({"kind": "table", "headers": headers, "rows": rows})
+    def table(self, headers: Sequence[str], rows: Sequence[Sequence[str]], groups: Sequence[tuple[str, int]] = ()) -> None:
+        """Add a table of texts; groups: a heading over so many columns each."""
+        self._content.append({"kind": "table", "headers": headers, "rows": rows, "groups": groups})
 
     def figure(self, figure: go.Figure, height: int = 420, min_width: int = 0) -> None:
         """Add a zoomable figure."""

@@ -15,9 +15,10 @@ from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.report.document import in_words, named, sentence
-from hyst_control.diagnose.report.page import envelope, taken_off, write_page
+from hyst_control.diagnose.report.page import actions, envelope, taken_off, write_page
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.reporting.provenance import provenance
 
@@ -153,9 +154,24 @@ def test_every_effect_has_a_phrase_of_told_parameters(name):
     assert named({"name": name}) == name.replace("_", " ")
 
 
-@pytest.mark.parametrize("width", [480, 1280])
+@pytest.mark.parametrize("width", [420, 1400])
+def test_a_folded_page_is_short_and_says_what_to_do(page, width, browser):
+    path, document = page
+    seen = browser(path, width)
+    assert seen.figures == 1 and seen.height <= 2500
+    assert sentence(document) in seen.text and all(action in seen.text for action in actions(document))
+    assert not seen.complaints and not seen.overlaps and not seen.empty_axes and not seen.too_wide
+
+
+@pytest.mark.parametrize("verdict", [verdict.value for verdict in Verdict])
+def test_every_verdict_has_its_advice(page, verdict):
+    told = actions({**page[1], "verdict": verdict})
+    assert told[0].endswith(".") and "{" not in told[0]
+
+
+@pytest.mark.parametrize("width", [420, 1400])
 def test_a_browser_shows_the_page_without_overlap(page, width, browser):
     path, _ = page
-    seen = browser(path, width)
-    assert seen.figures >= 6
+    seen = browser(path, width, unfolded=True)
+    assert seen.figures >= 6 and not seen.empty_tables
     assert not seen.complaints and not seen.overlaps and not seen.empty_axes and not seen.too_wide

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hyst_control.fleet.overview import overview
-from hyst_control.fleet.overview_page import write_overview
+from hyst_control.fleet.overview_page import _Links, _verdict_map, write_overview
 
 UNITS, NIGHTS = 200, 50
 
@@ -74,6 +74,39 @@ def test_a_page_of_ten_thousand_records_opens_in_three_seconds(tmp_path):
         (tmp_path / "page.png").write_bytes(page.screenshot())
     assert cells == UNITS and (tmp_path / "page.png").stat().st_size > 20_000
     assert 0.1 < spent["TaskDuration"] < 3.0
+
+
+def seen_page(folder, width):
+    if reason := browsers.missing():
+        pytest.skip(reason)
+    with browsers.chromium() as running:
+        return browsers.look_at(running, folder / "fleet.html", width)
+
+
+@pytest.mark.parametrize("width", [420, 1400])
+def test_a_browser_shows_the_page(width, tmp_path):
+    records, _ = rows(units=20, nights=15)
+    write_overview(overview("diagnose", records), records, tmp_path)
+    seen = seen_page(tmp_path, width)
+    assert seen.figures >= 2 and "Changes" in seen.text and "Records that failed" in seen.text
+    assert not seen.complaints and not seen.overlaps and not seen.empty_axes and not seen.empty_tables and not seen.too_wide
+    assert "15 runs" in seen.text and "night" not in seen.text
+
+
+def test_a_fleet_without_changes_has_no_empty_table(tmp_path):
+    records = [{**row, "verdict": "no_gap", "effects": [], "status": "done"} for row in rows(units=8, nights=11)[0]]
+    write_overview(overview("diagnose", records), records, tmp_path)
+    seen = seen_page(tmp_path, 800)
+    assert not seen.empty_tables and "Changes" not in seen.text and "0 changes" in seen.text
+
+
+def test_the_map_has_a_color_for_each_verdict_and_none_between(tmp_path):
+    records, _ = rows(units=20, nights=15)
+    figure = _verdict_map(found := overview("diagnose", records), _Links(found, tmp_path))
+    (map_,) = figure.data
+    assert list(map_.colorbar.ticktext) == ["effect", "no gap"] and (map_.zmin, map_.zmax) == (-0.5, 1.5)
+    (low, first), (end, same), (begin, second), (high, last) = map_.colorscale
+    assert (low, end, begin, high) == (0.0, 0.5, 0.5, 1.0) and first == same != second == last
 
 
 def test_models_over_nights():

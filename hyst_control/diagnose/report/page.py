@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The gap report as one self-contained HTML page: the verdict, where the gap lies, what it looks like, what explains it.
+"""The gap report as one self-contained HTML page: the verdict, the signals before and after, what to do; all else is folded.
 
 Three numbers are told apart everywhere on the page: a *share* is a part of the gap's energy (mean square) on the whole record, *shrink*
 is how much less energy beyond the noise floor is left on samples that did not fit, and a *probability* is that of an explanation.
@@ -27,6 +27,7 @@ from hyst_control.diagnose.report.document import sentence
 from hyst_control.diagnose.report.rejected_hypotheses import Rejected, rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.model_file import Model
 from hyst_control.reporting.html_page import BAND, Palette, figure_markup
 from hyst_control.reporting.html_page import write_page as write_template
@@ -46,6 +47,14 @@ LIKELY = 1.645
 """Standard deviations on either side that hold 90 %."""
 PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
 MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
+ADVICE = {
+    Verdict.NO_GAP: "Nothing: the simulator explains the record within noise and tolerance.",
+    Verdict.PARAMETERS: "Identify the model again from these records (hyst identify): its coefficients have changed.",
+    Verdict.EFFECT: "Look for its cause ({effects}) in the machine, or simulate with the augmented model. Confirm it with a second record.",
+    Verdict.AMBIGUOUS: "Record another signal: {effects} explain this record equally well.",
+    Verdict.UNKNOWN: "Look at the residual and at where the gap lies: no effect of the catalogue explains it.",
+}
+"""Advice by verdict."""
 WHERE = {
     "stage": "by place in the chain",
     "kind": "by kind of curve",
@@ -95,6 +104,7 @@ def write_page(
         rivals=[_rival_row(row) for row in rejected(diagnosis, MAX_REJECTED)],
         augmented=better is not None,
         signals=signals,
+        actions=actions(document),
         pieces_drawn=len(pieces),
         pieces=len(diagnosis.problem.pieces),
         waterfall=figure_markup(_waterfall(document), 400),
@@ -110,6 +120,19 @@ def write_page(
         replay=[(block["name"], block["text"]) for block in document["replay"]],
         notes=document["notes"],
     )
+
+
+def actions(document: Mapping[str, Any]) -> list[str]:
+    """Advice on a gap, a sentence each."""
+    effects = " and ".join(dict.fromkeys(effect["name"].replace("_", " ") for effect in document["effects"])) or "the cause"
+    found = [ADVICE[Verdict(document["verdict"])].format(effects=effects)]
+    following = document["next_experiment"]
+    if following:
+        found.append(
+            f"{following['excitation']} separates {' from '.join(following['separates'])} by {following['distance']:.1f} standard "
+            f"deviations{'; ' + following['note'] if following['note'] else ''}. Its configuration is below."
+        )
+    return found
 
 
 def traces_of(diagnosis: Diagnosis, better: Model | None) -> list[Traces]:

@@ -4,7 +4,8 @@
     place, text: place.firstElementChild.textContent, drawing: document.createElement("div")
   }));
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
-  const draw = isDark => Promise.all(charts.map(async ({ place, text, drawing }) => {
+  const folded = place => place.closest("details:not([open])");  // it has no width to be drawn in
+  const draw = (isDark, all = charts) => Promise.all(all.filter(({ place }) => !folded(place)).map(async ({ place, text, drawing }) => {
     // What is drawn in ink is light on a dark page.
     const { data, layout } = JSON.parse(isDark ? text.replaceAll("#1c2430", "#e6e8ec") : text);
     layout.font.color = isDark ? "#e6e8ec" : "#1c2430";
@@ -17,6 +18,7 @@
       const path = points[0].customdata;
       if (typeof path === "string" && /^[\w%.-][\w%./-]*$/.test(path)) location.assign(path);
     });
+    document.body.dataset.drawn = document.querySelectorAll("figure.chart .js-plotly-plot").length;
   }));
   try {
     const packed = Uint8Array.from(atob(document.getElementById("library").textContent), letter => letter.charCodeAt(0));
@@ -25,10 +27,12 @@
     library.textContent = await new Response(unpacked).text();
     document.head.append(library);
     await draw(dark.matches);
+    document.body.dataset.drawn ??= 0;
+    document.addEventListener("toggle", event =>
+      draw(dark.matches, charts.filter(({ place, drawing }) => !drawing.isConnected && event.target.contains(place))), true);
     dark.addEventListener("change", () => draw(dark.matches));
     window.addEventListener("beforeprint", () => draw(false));
     window.addEventListener("afterprint", () => draw(dark.matches));
-    document.body.dataset.drawn = charts.length;
   } catch (error) {
     for (const { place } of charts) {
       place.style.height = "auto";
