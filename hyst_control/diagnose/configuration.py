@@ -93,7 +93,6 @@ class Thresholds:
     repeats: float = _setting("samples", "repeated samples from which the record has held samples")
     stuck: int = _setting("stretches", "stretches on one value from which the sensor does not follow: none comes back by chance")
     repeated_share: float = _setting("1", "the same, as a share of the samples")
-    repeated_share_on_lattice: float = _setting("1", "the same on a lattice, where neighbors coincide more often")
     lattice_noise: float = _setting("noise rms", "rounding error from which a lattice is a quantization")
     beyond_clean: float = _setting(
         "1", "times as much as in clean records from which repeats, a lattice or a rough command are new"

@@ -286,6 +286,17 @@ def test_a_remainder_that_follows_the_command_is_predictable_and_noise_is_not():
     assert 0.4 < predictable_share([command], [follows / follows.std() + random.standard_normal(command.shape)], 10) < 0.6
 
 
+def test_what_comes_back_with_every_period_follows_the_command_whatever_a_regression_finds():
+    """A pattern without any relation to the command's features, in noise of its size: half of the energy comes back."""
+    random, periods, rows = np.random.default_rng(2), 8, 500
+    command = np.tile(np.sin(2.0 * np.pi * np.arange(rows) / rows), periods)[:, None]
+    pattern, noise = np.tile(random.standard_normal(rows), periods)[:, None], random.standard_normal((periods * rows, 1))
+    assert predictable_share([command], [pattern], 10) > 0.98
+    assert predictable_share([command], [pattern + noise], 10) == pytest.approx(0.5, abs=0.05)
+    assert predictable_share([command], [np.cumsum(noise, axis=0)], 10) < 0.3
+    assert predictable_share([np.cumsum(noise, axis=0)], [pattern], 10) < 0.05  # a command without a period
+
+
 def test_a_carried_error_loses_its_noise_and_keeps_what_follows_the_command():
     """The best linear filter of a known spectrum: what the error loses of its lines is a part of the noise in their bins."""
     time, noise = np.arange(10000) * 1e-3, np.random.default_rng(4).standard_normal((10000, 1))

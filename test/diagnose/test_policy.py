@@ -35,7 +35,8 @@ def test_every_reason_is_in_the_manual():
 
 
 def test_every_reason_has_a_row():
-    assert {reason for row in TABLE for reason in row.reasons} == set(Reason)
+    of_rules = set(Reason) - {Reason.SOMETHING_ELSE}  # which only the other core says
+    assert {reason for row in TABLE for reason in row.reasons} == of_rules
     assert {row.verdict for row in TABLE} == set(Verdict)
 
 

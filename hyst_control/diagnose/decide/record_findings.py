@@ -29,9 +29,8 @@ def detected(record: Sequence[RecordEvidence], checks: Collection[RecordCheck], 
     """Repeated samples, value grids and commands that were not received as recorded, which the fits have to know of."""
     found = []
     for axis, seen in enumerate(record):
-        least = thresholds.repeated_share_on_lattice if seen.step else thresholds.repeated_share
         new = seen.repeated - seen.usual_repeated
-        repeats = new * seen.repeats_counted > thresholds.repeats and seen.repeated > least
+        repeats = new * seen.repeats_counted > thresholds.repeats and seen.repeated > thresholds.repeated_share
         repeats &= seen.repeated > thresholds.beyond_clean * seen.usual_repeated
         if RecordCheck.REPEATED_VALUES in checks and repeats:
             found.append(held_samples(seen, axis))

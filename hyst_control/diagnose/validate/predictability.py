@@ -4,7 +4,8 @@
 
 A residual has two parts. One varies from run to run although the command is the same; no model can explain it. The other follows the
 command; the model lacks an effect. To separate them, the residual is regressed on features of the command's past. The regression is
-fitted on some blocks of the record and judged on the others.
+fitted on some blocks of the record and judged on the others. What comes back with every period of a command follows it as well, whatever
+a regression finds.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.effects.learned_residual import LearnedResidual
+from hyst_control.records.repeated_periods import period_of
+from hyst_control.records.session_zero import without_zero
 
 RIDGE = 1e-6
 """Ridge of the regression, as a share of the features' energy."""
@@ -51,11 +54,26 @@ class Predictability:
 
 
 def predictable_share(commands: Sequence[Array], residuals: Sequence[Array], blocks: int) -> float:
-    """Compute the share of a residual's energy that features of the command predict on blocks not used for the fit."""
+    """Compute the share of a residual's energy that features of the command predict on other blocks, or that its periods share."""
     target = np.concatenate(residuals)
     left = _held_out(np.concatenate(_designs(commands, 1.0)), target, blocks)
     total = float(np.sum((target - target.mean(axis=0)) ** 2))
-    return float(np.clip(1.0 - np.sum(left**2) / total, 0.0, 1.0)) if total > 0 else 0.0
+    return max(float(np.clip(1.0 - np.sum(left**2) / total, 0.0, 1.0)), recurring_share(commands, residuals)) if total > 0 else 0.0
+
+
+def recurring_share(commands: Sequence[Array], residuals: Sequence[Array]) -> float:
+    """Share of a residual's energy that comes back after a period of the command; 0 where a command has none."""
+    product = energy = 0.0
+    for command, rows in zip(commands, residuals, strict=True):
+        period = period_of(command)
+        if period is None or (count := len(rows) // period) < 2:
+            return 0.0
+        whole = rows[: count * period]
+        # What is slower than a period is alike from one to the next, and does not come back.
+        periods = np.stack([without_zero(one)[0] for one in np.split(whole, count)])
+        product += float(np.sum(periods[1:] * periods[:-1])) * count / (count - 1)
+        energy += float(np.sum((whole - whole.mean(axis=0)) ** 2))
+    return float(np.clip(product / max(energy, 1e-300), 0.0, 1.0))
 
 
 def predictability(problem: Problem, residual: Annotated[Array, "M A"], bands: Sequence[float], blocks: int) -> Predictability:
@@ -77,8 +95,10 @@ def predictability(problem: Problem, residual: Annotated[Array, "M A"], bands: S
         for name, (labels, at) in groups.items()
     }
     before, after = _excess(residual, noise), _excess(left, noise)
+    pieces = np.split(residual, np.cumsum([len(rows) for rows in counted])[:-1])
+    recurs = recurring_share([u[rows] for u, rows in zip(commands, counted, strict=True)], pieces) * float(np.sum(residual**2))
     return Predictability(
-        _ratio(before, after),
+        max(_ratio(before, after), min(recurs / max(before, 1e-300), 1.0)),
         _parts(_by_band(problem, residual, left, [len(rows) for rows in counted], bands), before),
         _parts(split["level"], before),
         _parts(split["branch"], before),
