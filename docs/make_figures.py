@@ -25,6 +25,7 @@ import numpy as np
 from PIL import Image
 
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.motion_frequency import motion_frequency
 
 FIGURES = Path(__file__).parent / "figures"
 NODES = (("reference_generator", 0.0), ("feedforward", 3.1), ("pi_feedback", 6.2), ("plant", 9.3))
@@ -71,8 +72,10 @@ def tour(folder: Path, to: Path) -> None:
     """Loops of the excitation, and the last two periods of the tracking before its way out."""
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
-    loops.plot(excited.values["command"][::3], excited.values["measurement"][::3], lw=0.4)
-    loops.set(xlabel="command (V)", ylabel="measurement (um)", title="excitation")
+    command, position = (excited.values[topic][::3, 0] for topic in ("command", "measurement"))
+    points = loops.scatter(command, position, s=0.3, c=motion_frequency(command, 3 * excited.sample_time), norm="log", cmap="viridis")
+    figure.colorbar(points, ax=loops, label="frequency [Hz]")
+    loops.set(xlabel="voltage [V]", ylabel="position [um]", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
     reference, measurement = (tracked.values[topic][7200:8000, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
@@ -80,7 +83,7 @@ def tour(folder: Path, to: Path) -> None:
     tracking.plot(time, reference, lw=2, label="reference")
     tracking.plot(time, measurement, "--", lw=1, label="measurement")
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")
-    tracking.set(xlabel="time (ms)", ylabel="um", title="tracking, 50 Hz")
+    tracking.set(xlabel="time [ms]", ylabel="position [um]", title="tracking, 50 Hz")
     tracking.legend(loc="center right", fontsize=7)
     save(figure, to / "tour.png")
 
