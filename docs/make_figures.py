@@ -73,7 +73,9 @@ def tour(folder: Path, to: Path) -> None:
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
     command, position = (excited.values[topic][::3, 0] for topic in ("command", "measurement"))
-    points = loops.scatter(command, position, s=0.3, c=motion_frequency(command, 3 * excited.sample_time), norm="log", cmap="viridis")
+    points = loops.scatter(
+        command, position, s=0.3, c=motion_frequency(command, 3 * excited.sample_time), norm="log", cmap="viridis"
+    )
     figure.colorbar(points, ax=loops, label="frequency [Hz]")
     loops.set(xlabel="voltage [V]", ylabel="position [um]", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
