@@ -22,6 +22,7 @@ import matplotlib
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.collections import LineCollection
 from PIL import Image
 
 from hyst_control.records.bags.bag_reader import read_bag
@@ -72,11 +73,13 @@ def tour(folder: Path, to: Path) -> None:
     """Loops of the excitation, and the last two periods of the tracking before its way out."""
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
-    command, position = (excited.values[topic][::3, 0] for topic in ("command", "measurement"))
-    points = loops.scatter(
-        command, position, s=0.3, c=motion_frequency(command, 3 * excited.sample_time), norm="log", cmap="viridis"
-    )
-    figure.colorbar(points, ax=loops, label="frequency [Hz]")
+    command, position = (excited.values[topic][:, 0] for topic in ("command", "measurement"))
+    points = np.column_stack([command, position])[:, None]
+    frequency = motion_frequency(command, excited.sample_time)
+    curve = LineCollection(np.concatenate([points[:-1], points[1:]], axis=1), array=frequency, norm="log", cmap="viridis", lw=0.5)
+    loops.add_collection(curve)
+    loops.autoscale_view()
+    figure.colorbar(curve, ax=loops, label="frequency [Hz]")
     loops.set(xlabel="voltage [V]", ylabel="position [um]", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
     reference, measurement = (tracked.values[topic][7200:8000, 0] for topic in ("reference", "measurement"))
