@@ -22,9 +22,11 @@ import matplotlib
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.collections import LineCollection
 from PIL import Image
 
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.motion_frequency import motion_frequency
 
 FIGURES = Path(__file__).parent / "figures"
 NODES = (("reference_generator", 0.0), ("feedforward", 3.1), ("pi_feedback", 6.2), ("plant", 9.3))
@@ -71,8 +73,14 @@ def tour(folder: Path, to: Path) -> None:
     """Loops of the excitation, and the last two periods of the tracking before its way out."""
     [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
-    loops.plot(excited.values["command"][::3], excited.values["measurement"][::3], lw=0.4)
-    loops.set(xlabel="command (V)", ylabel="measurement (um)", title="excitation")
+    command, position = (excited.values[topic][:, 0] for topic in ("command", "measurement"))
+    points = np.column_stack([command, position])[:, None]
+    frequency = motion_frequency(command, excited.sample_time)
+    curve = LineCollection(np.concatenate([points[:-1], points[1:]], axis=1), array=frequency, norm="log", cmap="viridis", lw=0.5)
+    loops.add_collection(curve)
+    loops.autoscale_view()
+    figure.colorbar(curve, ax=loops, label="frequency [Hz]")
+    loops.set(xlabel="voltage [V]", ylabel="position [um]", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
     reference, measurement = (tracked.values[topic][7200:8000, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
@@ -80,7 +88,7 @@ def tour(folder: Path, to: Path) -> None:
     tracking.plot(time, reference, lw=2, label="reference")
     tracking.plot(time, measurement, "--", lw=1, label="measurement")
     tracking.plot(time, 10 * (reference - measurement), lw=0.8, label="10 × error")
-    tracking.set(xlabel="time (ms)", ylabel="um", title="tracking, 50 Hz")
+    tracking.set(xlabel="time [ms]", ylabel="position [um]", title="tracking, 50 Hz")
     tracking.legend(loc="center right", fontsize=7)
     save(figure, to / "tour.png")
 

@@ -314,7 +314,7 @@ class Inverse(Shown):
     compensator: Compensator | None = None
 
     def summary(self) -> str:
-        """The inverted model, its commands, and the way of inverting."""
+        """Model, rate, limits and method of the inverse."""
         limits = self.model.valid["command"] if self.limits is None and "command" in self.model.valid else self.limits
         lines = [f"inverse of {self.model.name} at {1.0 / self.sample_time:g} Hz"]
         if limits is not None:
