@@ -318,7 +318,9 @@ class Inverse(Shown):
         limits = self.model.valid["command"] if self.limits is None and "command" in self.model.valid else self.limits
         lines = [f"inverse of {self.model.name} at {1.0 / self.sample_time:g} Hz"]
         if limits is not None:
-            lines.append(f"  commands {_range(np.transpose(np.asarray(limits, dtype=float)) if limits is self.limits else limits)} V")
+            lines.append(
+                f"  commands {_range(np.transpose(np.asarray(limits, dtype=float)) if limits is self.limits else limits)} V"
+            )
         how = f"looks {self.compensator.preview} samples ahead" if self.compensator else "iterates over the whole reference"
         return "\n".join([*lines, f"  {how}"])
 

@@ -55,7 +55,7 @@ def write(
     _draw_loops(folder / "figures" / "loops.svg", loops)
     _draw_tracking(folder / "figures" / "tracking.svg", data.sample_time, reference, measured, stretches, error=False)
     _draw_tracking(folder / "figures" / "error.svg", data.sample_time, reference, measured, stretches, error=True)
-    _page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
+    report_page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
 
 
 def _loops(data: Dataset, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
@@ -77,7 +77,7 @@ def _loops(data: Dataset, fits: Mapping[str, Fit]) -> dict[float, dict[str, tupl
     return loops
 
 
-def _page(
+def report_page(
     loops: Mapping[float, Mapping[str, tuple[Array, Array]]],
     sample_time: float,
     fits: Mapping[str, Fit],
@@ -88,6 +88,7 @@ def _page(
     gap: Mapping[str, Any],
     origins: Sequence[Origin],
 ) -> Page:
+    """The page of a demo's results."""
     page = Page("Feedforward of a piezo stage with hysteresis", _verdict(table, gap), origins)
     page.note(
         "A truth actuator, a simulation that shares no code with the models, was excited, recorded, identified and made to track a 4 um "

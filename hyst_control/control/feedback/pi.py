@@ -334,7 +334,7 @@ def _run(
             total = 0.0
             for n in range(memory.shape[0]):
                 total += moved[n]
-            if not (np.isfinite(wanted) and np.isfinite(integral) and np.isfinite(total)):
+            if not (np.isfinite(wanted) and np.isfinite(integral + total)):
                 overflowed += 1
                 state[3, axis] = 1.0
                 feedback[k, axis] = 0.0

@@ -66,7 +66,7 @@ for (int i = 0; i < AXES; i++) {
     if (limits) {
         integral += (limited - wanted) * p->share;
     }
-    if (!isfinite(wanted) || !isfinite(integral)@TOTAL@) {
+    if (!isfinite(wanted) || !isfinite(@TOTAL@)) {
         s->overflowed[i] = R(1.0);
         feedback[i] = R(0.0);
         if (isnan(s->command[i])) {
@@ -92,7 +92,7 @@ PLAIN = {
     "ROLLED": "isfinite(error) ? error : R(0.0)",
     "ERROR": "real error = reference[i] - measurement[i];",
     "CORRECTION": "const real correction = (p->kp * error) + integral;",
-    "TOTAL": "",
+    "TOTAL": "integral",
     "MOVED": "",
 }
 """Parts of the texts without filters."""
@@ -136,7 +136,7 @@ FILTERED = {
         total = total + moved[n];
     }
     const real correction = (real)together;""",
-    "TOTAL": " || !isfinite(total)",
+    "TOTAL": "(double)integral + total",
     "MOVED": """
         for (int n = 0; n < (2 * FILTERS); n++) {
             s->memory[n][i] = moved[n];

@@ -197,7 +197,6 @@ def _member(member: Member, around: Surroundings) -> list[object]:
     return [member.name, member.axis, member.place, round(member.frequency), member.fixed, member.separate_sizes, parameters]
 
 
-
 def _cache_file(key: str) -> Path | None:
     folder = user_cache_path("hyst_control") / "null"
     try:
