@@ -51,6 +51,7 @@ setup(
         "parquet": ["pyarrow"],
         "tables": ["pyarrow", "openpyxl", "h5py", "npTDMS"],
         "pi": ["pipython"],
+        "mujoco": ["mujoco"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
