@@ -53,6 +53,7 @@ setup(
         "pi": ["pipython"],
         "epics": ["caproto"],
         "bluesky": ["bluesky"],
+        "mujoco": ["mujoco"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tempfile
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,9 @@ from hyst_control.api.model import Model
 from hyst_control.api.record import Record
 from hyst_control.api.shown import Shown, drawn, pandas, promoted
 from hyst_control.base import progress
-from hyst_control.diagnose.workflow import GapResult, diagnose_records
+from hyst_control.base.errors import InputError
+from hyst_control.chain.external_simulator import Simulate
+from hyst_control.diagnose.workflow import GapResult, diagnose_records, diagnose_simulator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +48,7 @@ class Gap(GapResult, Shown):
 
     @property
     def verdict(self) -> str:
-        """no_gap, effects, ambiguous, parameters or unknown."""
+        """no_gap, effect, ambiguous, parameters or unknown."""
         return str(self.document["verdict"])
 
     @property
@@ -87,9 +89,10 @@ class Gap(GapResult, Shown):
 
 def diagnose(
     records: Record | Sequence[Record],
-    model: model_file.Model | None = None,
+    model: model_file.Model | Simulate | None = None,
     baseline: Sequence[Record] = (),
     *,
+    parameters: Mapping[str, Sequence[Any]] | None = None,
     without: Sequence[str] = (),
     warm_up: float = 0.0,
     seed: int = 0,
@@ -102,9 +105,12 @@ def diagnose(
     records
         Records of today.
     model
-        The model; None: the clean record of the same command in `baseline` is the prediction.
+        The model, or a function ``simulate(command, sample_time, **parameters)`` that returns the measurement; None: the clean record
+        of the same command in `baseline` is the prediction.
     baseline
         Clean records of the same stage: what the model leaves on them is its own error.
+    parameters
+        Of such a function, by name: value, standard deviation, and the unit if it has one.
     without
         Effects that are left out.
     warm_up
@@ -122,14 +128,27 @@ def diagnose(
     Raises
     ------
     InputError
-        Model and records differ in axes or units, or an effect does not exist.
+        Model and records differ in axes or units, an effect does not exist, or the function fails.
 
     Examples
     --------
     >>> hc.diagnose(record, model, warm_up=0.1).verdict
     'no_gap'
+    >>> def simulate(command, sample_time, gain):  # a sample is taken before its command acts
+    ...     return gain * np.append(command[0], command[:-1])
+    >>> steps = np.repeat([0.0, 30.0, 10.0, 50.0, 20.0, 0.0], 50)
+    >>> noise = 0.01 * np.random.default_rng(0).standard_normal(300)
+    >>> machine = hc.from_arrays(steps, simulate(steps, 1e-3, 0.09) + noise, rate=1000)
+    >>> hc.diagnose(machine, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False).verdict
+    'parameters'
     """
     given = [records] if isinstance(records, Record) else list(records)
+    settings: dict[str, Any] = {"without": without, "warm_up": warm_up, "seed": seed, "progress": verbose}
     with progress.shown(verbose):
-        found = diagnose_records(given, model, list(baseline), without=without, warm_up=warm_up, seed=seed, progress=verbose)
+        if isinstance(model, model_file.Model) or model is None:
+            if parameters is not None:
+                raise InputError("parameters: are those of a function: a model has its own")
+            found = diagnose_records(given, model, list(baseline), **settings)
+        else:
+            found = diagnose_simulator(given, model, parameters or {}, list(baseline), **settings)
     return promoted(Gap, found)

@@ -9,6 +9,7 @@ example:
   hyst diagnose record --model hampi.yaml --json gap.json --report gap.html --augmented better.yaml
   hyst diagnose today --model hampi.yaml --baseline yesterday
   hyst diagnose today --baseline yesterday        # the same command: what has changed since?
+  hyst diagnose record --simulator joint:simulate --parameters prior.yaml
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import argparse
 NAME = "diagnose"
 HELP = "explain the gap between a model and recorded bags"
 JSON = "gap report"
-READS = ("bags", "model", "baseline", "on")
+READS = ("bags", "model", "parameters", "baseline", "on")
 WRITES = ("report", "augmented")
 
 
@@ -27,6 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
     parser.add_argument(
         "--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command"
+    )
+    parser.add_argument(
+        "--simulator",
+        metavar="MODULE:FUNCTION",
+        help="Python function in place of the model file: simulate(command, sample_time, **parameters) returns the measurement",
+    )
+    parser.add_argument(
+        "--parameters", metavar="PRIOR.yaml", help="its parameters, a line each: name: [value, standard deviation, unit]"
     )
     parser.add_argument(
         "--baseline",
@@ -94,6 +103,8 @@ def run(arguments: argparse.Namespace) -> int:
         baseline=arguments.baseline,
         learned_residual=arguments.learned_residual,
         core=arguments.core,
+        simulator=arguments.simulator,
+        parameters=arguments.parameters,
     )
     progress.end()
     print(text)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_json
 from hyst_control.base.progress import step
+from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
@@ -22,6 +23,7 @@ from hyst_control.diagnose.report.invalid_records import invalid_report, write_i
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
 from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose
+from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_files import bags_in
@@ -90,6 +92,8 @@ def diagnose_bags(
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
     core: str = RULES,
+    simulator: str | None = None,
+    parameters: str | Path | None = None,
 ) -> str:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
@@ -100,14 +104,22 @@ def diagnose_bags(
     for name in without:
         if name not in EFFECTS:
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
+    if simulator is None and parameters is not None:
+        raise InputError(f"--parameters {parameters}: are those of a simulator: give --simulator module:function")
+    if simulator is not None and (other := model or augmented) is not None:
+        raise InputError(f"{other}: a Python function is no model file: leave it out, or leave out --simulator")
+    records = [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(bags)]
     nominal = None if model is None else load_model(model)
+    if simulator is not None:
+        prior = {} if parameters is None else read_parameters(parameters)
+        nominal = simulator_model(named_simulator(simulator), prior, records)
     gap = diagnose_records(
-        [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(bags)],
+        records,
         nominal,
         [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(baseline)],
         seed=seed,
         without=without,
-        cache=cache,
+        cache=cache and simulator is None,  # the threshold is kept for a model file, whose content is known
         augmented=augmented,
         progress=progress,
         warm_up=warm_up,
@@ -124,7 +136,7 @@ def diagnose_bags(
     if report is not None:
         files: list[tuple[str, Sequence[str | Path]]] = [
             ("record", bags),
-            ("model", [] if model is None else [model]),
+            ("model", [path for path in (model, parameters) if path is not None]),
             ("clean records", baseline),
             ("augmented model", written),
             ("report as JSON", [] if json is None else [json]),
@@ -153,6 +165,17 @@ def diagnose_records(
         except InputError as error:
             raise InputError(f"--on {coming[0]}: {error}") from None
     return GapResult(document, in_words(document), diagnosis, better)
+
+
+def diagnose_simulator(
+    records: Sequence[Record],
+    simulate: Simulate,
+    parameters: Mapping[str, Sequence[Any]],
+    baseline: Sequence[Record] = (),
+    **settings: Any,
+) -> GapResult:
+    """Diagnose records with a Python function as the model; thresholds are not kept, since its code may change."""
+    return diagnose_records(records, simulator_model(simulate, parameters, records), baseline, **{**settings, "cache": False})
 
 
 def diagnosed(

@@ -1,0 +1,134 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A stage around a simulator that is a Python function of the whole command: what a diagnosis puts around other people's simulators.
+
+    simulate(command, sample_time, **parameters) -> measurement
+
+command[k] holds from tick k to tick k + 1, and measurement[k] is the sample at tick k, before command[k] acts; of a record with hold
+`foh` command and measurement are samples at the same instants. Arrays are (N,) for one axis and (N, A) for several. The stage is no part
+of the vocabulary of model files: a file that is read must not run functions by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
+from hyst_control.chain.parameter import Coordinate
+from hyst_control.chain.stage import Filter, Sampling, Stage
+
+Simulate: TypeAlias = Callable[..., Any]
+
+
+def title_of(simulate: Simulate) -> str:
+    """Name of a simulator for people."""
+    return getattr(simulate, "__qualname__", type(simulate).__qualname__)
+
+
+@dataclass(frozen=True)
+class ExternalSimulator(Stage):
+    """A Python function from command to measurement, as the plant; effects go before and behind it."""
+
+    name: ClassVar[str] = "external_simulator"
+    simulate: Simulate
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    units: tuple[str, ...]
+
+    @property
+    def is_hysteresis(self) -> bool:
+        return True  # whatever memory the plant has is inside: drive and sensor are on its two sides
+
+    @property
+    def mixes_axes(self) -> bool:
+        return True  # nobody can tell, and it is called with all axes
+
+    def parameters(self) -> dict[str, Any]:
+        raise InputError(f"simulator {title_of(self.simulate)}: a Python function is no model file: keep function and parameters")
+
+    def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
+        rows = zip(self.names, self.values, self.units, strict=True)
+        return {(name, None): Coordinate(value, abs(value), unit, name) for name, value, unit in rows}
+
+    def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> Stage:
+        known = zip(self.names, self.values, strict=True)
+        return replace(self, values=tuple(values.get((name, None), value) for name, value in known))
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return ExternalFilter(self, sampling)
+
+    def run(self, command: Array, sample_time: float) -> Array:
+        """Measurement (N, A) of a command (N, A)."""
+        where, axes = f"simulator {title_of(self.simulate)}", command.shape[1]
+        parameters = dict(zip(self.names, self.values, strict=True))
+        try:
+            given = self.simulate(command[:, 0].copy() if axes == 1 else command.copy(), sample_time, **parameters)
+            output = np.array(given, dtype=float)
+        except Exception as error:  # of any kind: it is foreign code
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            called = ", ".join(["command", f"{sample_time:g}", *(f"{name}={value:g}" for name, value in parameters.items())])
+            raise InputError(f"{where}: {reason}: mend it, and try {title_of(self.simulate)}({called})") from None
+        if output.shape not in (command.shape, (len(command),) if axes == 1 else command.shape):
+            raise InputError(
+                f"{where}: gives values of shape {output.shape} for a command of {len(command)} samples and {axes} axes: "
+                "return one row per sample"
+            )
+        if not np.isfinite(output).all():
+            row = int(np.argmin(np.isfinite(output.reshape(len(command), axes)).all(axis=1)))
+            told = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+            raise InputError(f"{where}: is not finite at sample {row} with {told or 'no parameters'}: check its dynamics")
+        return output.reshape(command.shape)
+
+
+class ExternalFilter(Filter):
+    """The function called with the whole command so far: the same for every way of cutting it, as long as the function is causal."""
+
+    hold = "foh"
+
+    def __init__(self, stage: ExternalSimulator, sampling: Sampling) -> None:
+        self.stage, self.sampling = stage, sampling
+        self.command = np.empty((0, sampling.axes))
+
+    def settle(self, value: Array) -> Array:
+        begin = np.asarray(value, dtype=float)[None]
+        self.command = begin if self.sampling.first_tick else begin[:0]
+        return self.stage.run(np.repeat(begin, 2, axis=0), self.sampling.sample_time)[0]
+
+    def process(self, block: Array) -> Array:
+        self.command = np.concatenate([self.command, block])
+        return self.stage.run(self._held(), self.sampling.sample_time)[-len(block) :] if len(block) else block.copy()
+
+    def _held(self) -> Array:
+        """Command at every tick: what is continuous is held at the means between its ticks."""
+        if not self.sampling.first_tick:
+            return self.command
+        if self.sampling.hold == "zoh":
+            return np.concatenate([self.command[1:], self.command[-1:]])
+        return np.concatenate([0.5 * (self.command[1:] + self.command[:-1]), self.command[-1:]])
+
+
+def external_simulator(simulate: Simulate, parameters: Mapping[str, Sequence[Any]]) -> tuple[ExternalSimulator, tuple[float, ...]]:
+    """The stage of a simulator, and the standard deviations of its parameters, given as name: (value, deviation[, unit])."""
+    if not callable(simulate):
+        raise InputError(f"simulator: {simulate!r} cannot be called: give a function of command, sample_time and parameters")
+    if not isinstance(parameters, Mapping):
+        raise InputError('parameters: must be a mapping, such as {"stiffness": (1.2, 0.1, "N/um")}')
+    values, deviations, units = [], [], []
+    for name, given in parameters.items():
+        try:
+            value, deviation, *rest = given
+            numbers = float(value), float(deviation)
+            fits = isinstance(name, str) and len(rest) <= 1 and np.isfinite(numbers).all() and numbers[1] >= 0.0
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            raise InputError(f'parameters: {name}: {given!r}, must be value and standard deviation, such as (1.2, 0.1, "N/um")')
+        values.append(numbers[0])
+        deviations.append(numbers[1])
+        units.append(str(rest[0]) if rest else "")
+    return ExternalSimulator(simulate, tuple(parameters), tuple(values), tuple(units)), tuple(deviations)

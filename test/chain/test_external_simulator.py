@@ -1,0 +1,158 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A Python function as a stage: clock and holds, blocks, and what is said of a function that fails."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import hyst_control as hc
+from hyst_control.base.errors import InputError
+from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
+from hyst_control.chain.external_simulator import external_simulator
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
+from hyst_control.model_file import Model, model_to_document, simulate
+
+COMMAND = 20.0 * np.random.default_rng(0).normal(size=60)
+STEP = 1e-3
+
+
+def lag(command, sample_time, tau=5e-3, gain=2.0):
+    """First-order lag of a held command, from rest at 0, by its exact recursion."""
+    measurement = np.zeros(command.shape)
+    for k in range(len(command) - 1):
+        measurement[k + 1] = measurement[k] + (1 - np.exp(-sample_time / tau)) * (gain * command[k] - measurement[k])
+    return measurement
+
+
+def lag_of_samples(command, sample_time, tau=5e-3, gain=2.0):
+    """The same of a command that runs straight between samples, by 1000 steps of Euler between them."""
+    at, rows = 0.0, [0.0]
+    for before, now in zip(command[:-1], command[1:]):
+        for share in (np.arange(1000) + 0.5) / 1000:
+            at += sample_time / 1000 / tau * (gain * (before + share * (now - before)) - at)
+        rows.append(at)
+    return np.array(rows)
+
+
+def model_of(stages, axes=1, hold="zoh"):
+    return Model("plant", tuple("xyz"[:axes]), {"command": "V", "measurement": "um"}, STEP, Chain(tuple(stages)), hold)
+
+
+def begun_at_rest(axes=1):
+    rows = np.column_stack([COMMAND, -0.5 * COMMAND][:axes])
+    rows[0] = 0.0
+    return rows
+
+
+@pytest.mark.parametrize(("hold", "function"), [("zoh", lag), ("foh", lag_of_samples)])
+def test_it_is_the_stage_with_the_same_equation(hold, function):
+    stage, _ = external_simulator(function, {"tau": (8e-3, 1e-4, "s")})
+    own = model_of([TransferFunction([2.0], [8e-3, 1.0])], hold=hold)
+    expected = simulate(own, begun_at_rest())
+    np.testing.assert_allclose(simulate(model_of([stage], hold=hold), begun_at_rest()), expected, atol=2e-3)
+
+
+def test_a_continuous_signal_before_it_is_held_at_its_means():
+    stage, _ = external_simulator(lag, {})
+    slow = TransferFunction([1.0], [2e-2, 1.0])
+    expected = simulate(model_of([slow, TransferFunction([2.0], [5e-3, 1.0])]), begun_at_rest())
+    found = simulate(model_of([slow, Gain(1.0), stage]), begun_at_rest())
+    assert np.max(np.abs(found - expected)) < 5e-3 * np.ptp(expected)
+
+
+@given(st.lists(st.integers(0, 60), max_size=4), st.sampled_from(["zoh", "foh"]), st.sampled_from([0, 1]))
+def test_blocks_are_cut_anywhere(cuts, hold, ahead):
+    stage, _ = external_simulator(lag, {})
+    rows = begun_at_rest(2)
+    results = []
+    for edges in ([], sorted(cuts)):
+        running = stage.filter(Sampling(STEP, 2, hold, ahead))
+        running.settle(rows[0])
+        results.append(np.concatenate([running.process(part) for part in np.split(rows, edges)]))
+    np.testing.assert_array_equal(*results)
+
+
+def test_its_parameters_are_coordinates_of_the_chain():
+    stage, deviations = external_simulator(lag, {"tau": (8e-3, 1e-4, "s"), "gain": (0.0, 0.5)})
+    assert deviations == (1e-4, 0.5)
+    known = chain_coordinates((stage,), ["x"])
+    assert [(name, each.value, each.unit) for name, each in known.items()] == [
+        ("external_simulator.tau", 8e-3, "s"),
+        ("external_simulator.gain", 0.0, ""),
+    ]
+    (moved,) = with_coordinates((stage,), {"external_simulator.gain": 0.3}, ["x"])
+    assert moved.values == (8e-3, 0.3)
+
+
+def failing(command, sample_time, gain=1.0):
+    raise RuntimeError("the solver\nstopped")
+
+
+def infinite(command, sample_time, gain=1.0):
+    return np.where(np.arange(len(command)) == 7, np.inf, command)
+
+
+SEEDLESS = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        (failing, r"simulator failing: RuntimeError: the solver stopped: mend it, and try failing\(command, 0.001, gain=1\)"),
+        (infinite, "simulator infinite: is not finite at sample 7 with gain = 1: check its dynamics"),
+        (lambda command, sample_time, gain: command[1:], r"gives values of shape \(59,\) for a command of 60 samples and 1 axes"),
+        (lambda command, sample_time: command, "unexpected keyword argument 'gain'"),
+        (lambda command, sample_time, gain: "no", "ValueError: could not convert string"),
+        (lambda command, sample_time, gain: SEEDLESS.normal(size=len(command)), "a second call gives other values"),
+        (3, "simulator: 3 cannot be called"),
+    ],
+)
+def test_what_fails_is_said_in_one_line(function, said):
+    with pytest.raises(InputError, match=said) as raised:
+        simulator_model(function, {"gain": (1.0, 0.1)}, [record()])
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("given_", [(1.0,), (1.0, -0.1), 1.0, (1.0, 0.1, "V", 3), ("one", 0.1), (np.nan, 1.0), (1.0, np.inf)])
+def test_a_parameter_without_value_and_deviation_is_refused(given_):
+    with pytest.raises(InputError, match=r"parameters: gain: .*must be value and standard deviation"):
+        external_simulator(lag, {"gain": given_})
+
+
+def record():
+    return hc.from_arrays(COMMAND, COMMAND, rate=1.0 / STEP)
+
+
+def test_it_is_no_model_file():
+    with pytest.raises(InputError, match="simulator lag: a Python function is no model file"):
+        model_to_document(simulator_model(lag, {}, [record()]))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("math", "module:function"),
+        ("math:nothing", "has no attribute 'nothing'"),
+        ("no_such:f", "No module"),
+        ("math:pi", "no function"),
+    ],
+)
+def test_a_name_that_is_no_function_is_refused(name, said):
+    with pytest.raises(InputError, match=said):
+        named_simulator(name)
+
+
+def test_a_file_of_parameters_is_a_mapping(tmp_path):
+    path = tmp_path / "prior.yaml"
+    path.write_text("stiffness: [1.2, 0.1, N/um]\n")
+    assert read_parameters(path) == {"stiffness": [1.2, 0.1, "N/um"]}
+    path.write_text("- 3\n")
+    with pytest.raises(InputError, match="must be a mapping"):
+        read_parameters(path)

@@ -1,0 +1,48 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulators of other people beside machines with an effect that these lack: the verdict names it, with its size."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import pytest
+
+import hyst_control as hc
+from hyst_control.cli import main
+
+CASES = {
+    "linear_system": ("saturation", "upper", 30.0, 1.0),
+    "network": ("sensor_lowpass", "cutoff", 15.0, 1.0),
+    "mujoco_joint": ("backlash", "half_width", 20.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_withheld_effect_is_named(name):
+    if name == "mujoco_joint":
+        pytest.importorskip("mujoco")
+    example, (effect, parameter, size, within) = import_module(f"simulators.{name}"), CASES[name]
+    gap = hc.diagnose(example.measured(), example.simulate, parameters=example.PARAMETERS, verbose=False)
+    print(gap)
+    found = {each["name"]: each["parameters"] for each in gap.document["effects"]}
+    assert gap.verdict == "effect" and list(found) == [effect]
+    assert abs(found[effect][parameter]["value"] - size) < within
+
+
+def test_the_command_takes_a_function_by_name(tmp_path, monkeypatch, capsys):
+    from simulators.linear_system import measured
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    measured().save("record")
+    (tmp_path / "prior.yaml").write_text("frequency: [80.0, 1.0, Hz]\n")
+    (tmp_path / "stage_of_mine.py").write_text("def simulate(command, sample_time, frequency):\n    return 1 / 0\n")
+    arguments = ["diagnose", "record", "--simulator", "stage_of_mine:simulate", "--parameters", "prior.yaml"]
+    assert main(arguments) == 2
+    assert "simulator simulate: ZeroDivisionError: division by zero" in capsys.readouterr().err
+    assert main([*arguments, "--augmented", "better.yaml"]) == 2
+    assert "better.yaml: a Python function is no model file" in capsys.readouterr().err
+    assert main(["diagnose", "record", "--parameters", "prior.yaml"]) == 2
+    assert "--parameters prior.yaml: are those of a simulator" in capsys.readouterr().err
