@@ -64,6 +64,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
@@ -94,6 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         baseline=arguments.baseline,
         learned_residual=arguments.learned_residual,
         core=arguments.core,
+        shift=arguments.shift,
     )
     progress.end()
     print(text)

@@ -90,6 +90,7 @@ def diagnose_bags(
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
     core: str = RULES,
+    shift: float = 0.0,
 ) -> str:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
@@ -102,7 +103,7 @@ def diagnose_bags(
             raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     nominal = None if model is None else load_model(model)
     gap = diagnose_records(
-        [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(bags)],
+        [read_bag(bag, namespace, unit, columns=columns).shifted(shift) for bag in bags_in(bags)],
         nominal,
         [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(baseline)],
         seed=seed,
@@ -144,9 +145,11 @@ def diagnose_records(
 ) -> GapResult:
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
-    if model is not None and (refused := invalid_report(records, model)) is not None:
+    notes: list[str] = []
+    if model is not None and (refused := invalid_report(records, model, notes)) is not None:
         return GapResult(*refused)
     document, diagnosis, better = diagnosed(records, model, baseline=baseline, **settings)
+    document["notes"] = [*notes, *document["notes"]]
     if coming is not None:
         try:
             document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}

