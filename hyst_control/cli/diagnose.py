@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     from hyst_control.base import progress
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    text = diagnose_bags(
+    gap = diagnose_bags(
         arguments.bags,
         arguments.model,
         json=arguments.json,
@@ -104,5 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
         shift=arguments.shift,
     )
     progress.end()
-    print(text)
+    if gap.diagnosis is None:
+        print(gap.words, file=sys.stderr)
+        return 2
+    print(gap.words)
     return 0

@@ -91,7 +91,7 @@ def diagnose_bags(
     learned_residual: bool = False,
     core: str = RULES,
     shift: float = 0.0,
-) -> str:
+) -> GapResult:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
         if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
@@ -132,7 +132,7 @@ def diagnose_bags(
         ]
         names = [("seed", str(seed)), *([] if nominal is None else [("model's name", nominal.name)])]
         gap.write_page(report, provenance(files, names))
-    return gap.words
+    return gap
 
 
 def diagnose_records(

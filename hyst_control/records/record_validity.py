@@ -28,9 +28,11 @@ from hyst_control.records.reference_model import (
     condensed,
     continued,
     hysteretic_reference,
+    independent_sines,
     linear_reference,
     reference,
     shift_curve,
+    surely_better,
 )
 
 SHORTEST_RECORD = 1024
@@ -42,11 +44,11 @@ LONGEST_RECORD = 2**20
 SOUND = 1e-4
 """Share of a measurement's power that a causal model leaves of a record which is not asked further."""
 
-CLEAR, CLEAR_LEAD, CLEAR_EXCHANGE = 2.5, 4.0, 1.25
+CLEAR, CLEAR_LEAD, CLEAR_EXCHANGE = 2.0, 4.0, 1.5
 """Ratio of the powers that a model leaves of a record, and of the record read backwards, shifted, and exchanged, from which it is that.
 
-Of the sound records of all plants and measurements at hand the ratios are 1.3, 1.5, and 0.4 where the measurement is the cleaner of the
-two: only then does an exchange count by less than `CLEAR_LEAD`. Slow loops are exchanged by any ratio, but at other times, too.
+Of sound records of many sines the ratios stay below 1; a model is never its machine, so a verdict needs more than that. Where the
+measurement is not the cleaner of the two, noise alone makes an exchange look better, up to `CLEAR_LEAD`.
 """
 
 ANOTHER_TIME = 0.382
@@ -57,14 +59,21 @@ OTHER_TIMES, LINEAR_FOLLOWS = (0.236, ANOTHER_TIME, 0.618), 0.5
 FOLLOWS = 0.2
 """Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
 
+MIN_SINES, MANY_SINES = 9.0, 70.0
+"""Sines in a command from which a record tells one causal model from another, since with fewer the poles of a model fit any phases; and
+from which there are more than coefficients, so that a model may leave a good part of the power."""
+
 FAR_LESS = 0.05
-"""Ratio of what an arrangement leaves to what it leaves at another time, where that is little, too: sines of one frequency fit."""
+"""Ratio of what an arrangement of few sines leaves to what it leaves at another time."""
 
 HALF = 0.5
 """Share of a measurement's power that initial states alone must leave of a sound record, and that an arrangement may leave at most."""
 
 EXPLAINED = 0.3
 """Share of a measurement's power that is coherent with the commands, from which it follows them."""
+
+FITS = 0.03
+"""Share of a measurement's power that a model of the record read backwards or exchanged leaves at most."""
 
 MODELED = 0.02
 """Share of a measurement's power that a model leaves up to which standing still is the machine's, not the sensor's."""
@@ -75,14 +84,18 @@ SATURATION_MATTERS = 1e-3
 CLIPPED_SHARES = (0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 """Shares of the command's range at which that is tried."""
 
-OUTER, MIN_OUTER, FLAT = 0.9, 20, 0.35
-"""Share of the range beyond which the measurement's slope is looked at, rows there, and the share of the whole slope that is flat."""
+OUTER, MIN_OUTER, SPREAD, FLAT = 0.9, 20, 0.015, 0.35
+"""Share of the range beyond which the measurement's slope is looked at, rows there and how far they spread, and the share of the whole
+slope that is flat."""
 
 LATE = 10.0
 """Ratio of the powers that a model leaves without and with a delay from which the delay is reported."""
 
-SMALL_LEAD = 2
-"""Rows of a lead that is always tried."""
+SMALL_LEAD, MAX_SMALL_LEAD = 2, 8
+"""Rows of a lead that is always tried, and up to which it is doubled."""
+
+SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
+"""Sections of a record in which a lead is sought that grows, the rows of one, how many must show it, and by how many sines each."""
 
 MAX_PAIRED = 4
 """Axes up to which every order is tried, and commands up to which an axis may be driven by all of them."""
@@ -163,7 +176,7 @@ class Finding:
 
 
 NAMES = {
-    "dead_sensor": ("the measurement stands still while the command moves", "check the sensor and its cable"),
+    "dead_sensor": ("the measurement does not move while the command does", "check the sensor and its cable"),
     "noise_alone": (
         "the measurement is noise that no command explains",
         "check that the stage is driven and the sensor looks at it",
@@ -305,6 +318,14 @@ class _Condensed:
         rows, measured, together = condensed(command, both)
         return cls(rows, measured[:, :width], None if trial.simulated is None else measured[:, width:], together)
 
+    def fastest(self, trial: Trial) -> _Condensed:
+        """As many rows of the trial as they are, where its commands move fastest."""
+        count = len(self.command)
+        power = np.concatenate([[0.0], np.cumsum(np.sum(np.diff(trial.command, axis=0) ** 2, axis=1))])
+        begin = int(np.argmax(power[count - 1 :] - power[: len(power) - count + 1]))
+        rows = slice(begin, begin + count)
+        return _Condensed(trial.command[rows], trial.measurement[rows], None, 1)
+
     def inputs(self, index: int) -> Array:
         """Commands that may drive an axis."""
         return self.command if self.command.shape[1] <= MAX_PAIRED else self.command[:, [index]]
@@ -316,20 +337,30 @@ def _direction(trial: Trial, left: _Condensed, index: int) -> list[Finding]:
     ahead = reference(command, measured)
     if left.simulated is not None and _misfit(left.simulated[:, index], measured) < min(max(2.0 * ahead.unexplained, SOUND), HALF):
         return []
-    if ahead.unexplained < SOUND and ahead.without_command > HALF:
+    # A lead of a few samples shows where the command is fastest, in rows that nothing was averaged to.
+    fast = left if left.together == 1 else left.fastest(trial)
+    quick = ahead if fast is left else reference(fast.inputs(index), fast.measurement[:, index])
+    if all(each.unexplained < SOUND and each.without_command > HALF for each in (ahead, quick)):
         return []
     notes: list[Finding] = []
     whole = held_samples(trial.command[:, index]) == 1 and rails(trial.command[:, index], trial.measurement[:, index]) is None
-    if ahead.unexplained >= SOUND and whole and not (_in_no_order(trial.command[:, index]) and _coherent(trial, index) < EXPLAINED):
-        shifted, lead, shift = _shifted(command, measured, ahead)
-        if (found := _alternative(trial, left, index, shifted[0], lead, shift)) is not None:
-            return [found]
-        seconds = shifted[1] * trial.sample_time * left.together
-        if shifted[1] > SMALL_LEAD and shifted[0].unexplained * LATE < ahead.unexplained:
-            remedy = f"if the machine has no such delay, pass --shift {-seconds:.3g}"
-            notes.append(Finding("late_measurement", trial.name, trial.axes[index], seconds, 0.0, f"by {_time(seconds)}", remedy))
-        ahead = shifted[0]
-        notes += _clipped(trial, index, command, measured, ahead)
+    if whole and not (_in_no_order(trial.command[:, index]) and _coherent(trial, index) < EXPLAINED):
+        informative = independent_sines(left.command[:, index]) >= MIN_SINES
+        if informative and (shifts := _growing_lead(trial, index)):
+            return shifts
+        rows, (own, lead, shifts) = left, _shifted(trial, left, index, ahead)
+        if shifts:
+            ahead = own
+        elif fast is not left and (tried := _shifted(trial, fast, index, quick))[2]:
+            rows, (own, lead, shifts) = fast, tried
+        share, found = _alternative(trial, rows, index, own)
+        if any(each.name not in NOTES for each in shifts):
+            # An inverse, and time that runs backwards, are explained by a lead of a few samples, too.
+            instead = _cleaner(trial, index) if any(each.name == "swapped_signals" for each in found) else share < lead
+            return found if found and instead else shifts
+        if found:
+            return found
+        notes = [*shifts, *_clipped(trial, index, command, measured, ahead)]
     return [*_incoherence(trial, index, ahead, command, measured), *notes]
 
 
@@ -344,17 +375,21 @@ def _clipped(trial: Trial, index: int, command: Array, measured: Array, ahead: R
     tried = {}
     for upper in (True, False):
         outer = values > lower + OUTER * span if upper else values < lower + (1.0 - OUTER) * span
-        if outer.sum() < MIN_OUTER or abs(_slope(values[outer], measured[outer])) > FLAT * abs(slope):
+        if (
+            outer.sum() < MIN_OUTER
+            or np.std(values[outer]) < SPREAD * span
+            or abs(_slope(values[outer], measured[outer])) > FLAT * abs(slope)
+        ):
             continue
         for share in CLIPPED_SHARES:
             level = lower + (share if upper else 1.0 - share) * span
             changed = command.copy()
             changed[:, own] = np.minimum(values, level) if upper else np.maximum(values, level)
-            tried[level] = continued(changed, measured, ahead).unexplained
+            tried[level] = continued(changed, measured, ahead)
     if not tried:
         return
-    level = min(tried, key=lambda each: tried[each])
-    if tried[level] * CLEAR_LEAD < ahead.unexplained:
+    level = min(tried, key=lambda each: tried[each].unexplained)
+    if surely_better(tried[level], ahead, CLEAR_LEAD):
         side = "above" if level > lower + 0.5 * span else "below"
         yield Finding("clipped_command", trial.name, trial.axes[index], level, 0.0, f"{side} about {level:.3g} V")
 
@@ -364,47 +399,38 @@ def _slope(command: Array, measured: Array) -> float:
     return float(about @ measured) / max(float(about @ about), 1e-300)
 
 
-def _alternative(trial: Trial, left: _Condensed, index: int, ahead: Reference, lead: Reference, shift: int) -> Finding | None:
-    """The record read backwards, exchanged or shifted, where a model explains that clearly better."""
+def _alternative(trial: Trial, left: _Condensed, index: int, ahead: Reference) -> tuple[float, list[Finding]]:
+    """The record read backwards or exchanged, where a model explains that clearly better, and what that leaves."""
     command, measured = left.inputs(index), left.measurement[:, index]
-    both = left.measurement if _independent(left.command) else measured[:, None]
-    other = _Condensed.of(replace(trial, command=np.ascontiguousarray(trial.command[::-1])))
-    opposite, beside = other.inputs(index), other.measurement[:, index]
-    cleaner = _cleaner(trial, index)
-    end = len(measured) + shift
-    ways = {
-        "early_measurement": ((command[-shift:], measured[:end]), CLEAR_LEAD),
-        "reversed_time": ((command[::-1], measured[::-1]), CLEAR),
-        "reversed_command": ((opposite, beside), CLEAR),
-        "swapped_signals": ((both, left.command[:, index]), CLEAR_EXCHANGE if cleaner else CLEAR_LEAD),
-    }
-    tried = {name: lead if name == "early_measurement" else hysteretic_reference(*way) for name, (way, _) in ways.items()}
-    tried["reversed_command"] = min(tried["reversed_command"], hysteretic_reference(opposite[::-1], beside[::-1]), key=_left)
-    clear = {
-        name: fit.unexplained
-        for name, fit in tried.items()
-        if fit.unexplained * ways[name][1] < ahead.unexplained and fit.unexplained < HALF
-    }
-    if ahead.unexplained < SATURATION_MATTERS:  # slow motion of little memory: an inverse of play operators is play operators, too
-        clear.pop("swapped_signals", None)
-    clear = {name: share for name, share in clear.items() if _of_this_time(share, *ways[name][0])}
-    if {"swapped_signals", "early_measurement"} <= set(clear):  # an inverse is explained by a lead of few samples, too
-        del clear["early_measurement" if cleaner else "swapped_signals"]
+    sines = independent_sines(left.command[:, index])
+    ways = [("reversed_time", command[::-1], measured[::-1], CLEAR)]
+    if ahead.unexplained > SATURATION_MATTERS:
+        other = _Condensed.of(replace(trial, command=np.ascontiguousarray(trial.command[::-1])))
+        opposite, beside = other.inputs(index), other.measurement[:, index]
+        # Either of the two may be the one that was turned around.
+        ways += [("reversed_command", opposite, beside, CLEAR), ("reversed_command", opposite[::-1], beside[::-1], CLEAR)]
+    if ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES:  # of slow motion the inverse of play operators is such, too
+        both = left.measurement if _independent(left.command) else measured[:, None]
+        limit = CLEAR_EXCHANGE if _cleaner(trial, index) else CLEAR_LEAD
+        ways.append(("swapped_signals", both, left.command[:, index], limit))
+    clear: list[tuple[float, str, float]] = []
+    for name, inputs, wanted, limit in ways:
+        fit = hysteretic_reference(inputs, wanted)
+        if fit.unexplained > (HALF if sines > MANY_SINES else FITS) or not surely_better(fit, ahead, limit):
+            continue
+        if sines >= MIN_SINES or _of_this_time(fit, inputs, wanted):
+            clear.append((fit.unexplained, name, limit))
     if not clear:
-        return None
-    name = min(clear, key=lambda each: clear[each])
-    ratio = ahead.unexplained / max(tried[name].unexplained, 1e-300)
-    if name != "early_measurement":
-        return Finding(name, trial.name, trial.axes[index], ratio, ways[name][1])
-    seconds = -shift * trial.sample_time * left.together
-    remedy = f"check that both recordings start together, or pass --shift {seconds:.3g}"
-    return Finding(name, trial.name, trial.axes[index], seconds, 0.0, f"by {_time(seconds)}", remedy)
+        return np.inf, []
+    share, name, limit = min(clear)
+    return share, [Finding(name, trial.name, trial.axes[index], ahead.unexplained / max(share, 1e-300), limit)]
 
 
-def _of_this_time(share: float, inputs: Array, wanted: Array) -> bool:
-    """Whether an arrangement leaves clearly less than its inputs (N, A) of other times: slow or periodic ones fit anything."""
-    others = min(hysteretic_reference(_of_another_time(inputs, shift), wanted).unexplained for shift in OTHER_TIMES)
-    return share < (HALF if others > EXPLAINED else FAR_LESS) * others
+def _of_this_time(fit: Reference, inputs: Array, wanted: Array) -> bool:
+    """Whether an arrangement leaves far less than its inputs (N, A) of other times do, which a few sines do not."""
+    shift = int(OTHER_TIMES[0] * len(wanted))
+    others = (inputs[shift:], wanted[:-shift]), (inputs[:-shift], wanted[shift:])
+    return fit.unexplained < FAR_LESS * min(hysteretic_reference(*other).unexplained for other in others)
 
 
 def _independent(command: Array) -> bool:
@@ -418,39 +444,81 @@ def _of_another_time(rows: Array, shift: float = ANOTHER_TIME) -> Array:
     return np.roll(rows, int(shift * len(rows)), axis=0)
 
 
-def _left(fit: Reference) -> float:
-    return fit.unexplained
-
-
 def _time(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 10.0 else f"{seconds:.3g} s"
 
 
-def _shifted(command: Array, measured: Array, ahead: Reference) -> tuple[tuple[Reference, int], Reference, int]:
-    """The best model of a delay and the delay in rows, and the best one of a lead and the lead in rows, below 0."""
-    reach = len(measured) // 8
-    curve = shift_curve(command, measured, ahead.poles, reach)
-    static = shift_curve(command, measured, ahead.poles[:0], reach)
+def _shifted(trial: Trial, rows: _Condensed, index: int, own: Reference) -> tuple[Reference, float, list[Finding]]:
+    """The model of the rows as they are, with its delay; what a lead leaves, and what is told of a delay or a lead."""
+    command, measured = rows.inputs(index), rows.measurement[:, index]
+    reach, informative = len(measured) // 8, independent_sines(rows.command[:, index]) >= MIN_SINES
+    curves = [shift_curve(command, measured, poles, reach) for poles in (own.poles, own.poles[:0])]
 
-    def fitted(shift: int) -> Reference:
-        end = len(measured) - abs(shift)
-        first, second = max(-shift, 0), max(shift, 0)
-        return continued(command[first : first + end], measured[second : second + end], ahead)
+    def finding(name: str, shift: int, text: str) -> list[Finding]:
+        seconds = rows.together * trial.sample_time * shift
+        remedy = f"{text} --shift {-seconds:.3g}"
+        return [Finding(name, trial.name, trial.axes[index], abs(seconds), 0.0, f"by {_time(abs(seconds))}", remedy)]
 
-    late = 0
-    for each in {int(np.argmin(left[reach:])) for left in (curve, static) if left[reach:].min() < 0.5 * left[reach]}:
-        delayed = fitted(each)
-        ahead, late = (delayed, each) if delayed.unexplained < ahead.unexplained else (ahead, late)
-    early = {-SMALL_LEAD}
-    if curve[:reach].min() < 0.5 * curve[reach:].min():
-        early.add(int(np.argmin(curve[:reach])) - reach)
-    found = {shift: fitted(shift) for shift in early}
-    shift = min(found, key=lambda each: found[each].unexplained)
-    if found[shift].unexplained < ahead.unexplained:
-        ahead = min(
-            ahead, continued(command, measured, found[shift]), continued(command[:-1], measured[1:], found[shift]), key=_left
+    delays = {int(np.argmin(curve[reach:])) for curve in curves if curve[reach:].min() < 0.5 * curve[reach]}
+    later = {each: _continued_at(each, command, measured, own) for each in delays}
+    best = min(later, key=lambda each: later[each].unexplained, default=0)
+    inside = SMALL_LEAD < best < reach - SMALL_LEAD  # a periodic command is explained by every period of delay
+    if informative and inside and surely_better(later[best], own, LATE):
+        return later[best], np.inf, finding("late_measurement", best, "if the machine has no such delay, pass")
+    own = min([own, *later.values()], key=lambda fit: fit.unexplained)
+    if not informative:
+        return own, np.inf, []
+    early = {-SMALL_LEAD} | {
+        int(np.argmin(curve[:reach])) - reach for curve in curves if curve[:reach].min() < 0.5 * curve[reach:].min()
+    }
+    leads = {each: _continued_at(each, command, measured, own) for each in early}
+    shift = -2 * SMALL_LEAD
+    while shift >= -MAX_SMALL_LEAD and leads[shift // 2].unexplained < 0.5 * own.unexplained:
+        leads[shift] = _continued_at(shift, command, measured, leads[shift // 2])
+        shift *= 2
+    best = min(leads, key=lambda each: leads[each].unexplained)
+    if leads[best].unexplained < own.unexplained:
+        own = min(own, continued(command, measured, leads[best]), key=lambda fit: fit.unexplained)
+    if leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
+        return (
+            own,
+            leads[best].unexplained,
+            finding("early_measurement", best, "check that both recordings start together, or pass"),
         )
-    return (ahead, late), found[shift], shift
+    return own, np.inf, []
+
+
+def _growing_lead(trial: Trial, index: int) -> list[Finding]:
+    """A lead that is not the same everywhere in a record, as where rows of the measurement were lost and closed up."""
+    command, measured = trial.command, trial.measurement[:, index]
+    if command.shape[1] > MAX_PAIRED:
+        command = command[:, [index]]
+    count = min(len(measured) // SECTIONS, MAX_SECTION)
+    reach, static = count // 8, np.zeros(0, complex)
+    intervals = []
+    for begin in np.linspace(0, len(measured) - count, SECTIONS).astype(int):
+        rows = slice(begin, begin + count)
+        if independent_sines(trial.command[rows, index]) < MIN_SECTION_SINES:
+            continue
+        curve = shift_curve(command[rows], measured[rows], static, reach)
+        if curve.min() < MODELED:
+            possible = np.flatnonzero(curve <= 1.25 * max(curve.min(), 0.01 * SOUND)) - reach
+            if np.ptp(possible) <= reach // 8:
+                intervals.append((int(possible[0]), int(possible[-1])))
+    if len(intervals) < MIN_SECTIONS or np.any(np.diff(np.mean(intervals, axis=1)) >= 0.0):
+        return []
+    earliest = intervals[-1][1]
+    if earliest >= -SMALL_LEAD or intervals[0][0] - earliest <= SMALL_LEAD:
+        return []
+    lead = -earliest * trial.sample_time
+    detail = f"(the measurement leads the command by a time that grows to {_time(lead)})"
+    return [Finding("lost_rows", trial.name, trial.axes[index], lead, 0.0, detail)]
+
+
+def _continued_at(shift: int, command: Array, measured: Array, begun: Reference) -> Reference:
+    """A model of a measurement that is taken `shift` rows later."""
+    end = len(measured) - abs(shift)
+    return continued(command[max(-shift, 0) :][:end], measured[max(shift, 0) :][:end], begun)
 
 
 def _incoherence(trial: Trial, index: int, ahead: Reference, command: Array, measured: Array) -> list[Finding]:
@@ -458,14 +526,15 @@ def _incoherence(trial: Trial, index: int, ahead: Reference, command: Array, mea
     explained = _coherent(trial, index)
     if explained >= EXPLAINED:
         return []
-    if ahead.unexplained < FOLLOWS * hysteretic_reference(_of_another_time(command), measured).unexplained:
+    others = [hysteretic_reference(_of_another_time(command, shift), measured).unexplained for shift in OTHER_TIMES]
+    if ahead.unexplained < FOLLOWS * min(others):
         return []
     # A machine whose memory is as long as the record: play operators of any slow command then explain it between held-out blocks, and
     # only linear models show whose command it was.
     own = linear_reference(command, measured)
-    others = (_of_another_time(command, shift) for shift in OTHER_TIMES)
+    commands = (_of_another_time(command, shift) for shift in OTHER_TIMES)
     # A hum is explained by any command once a pole stands at its frequency: the other times begin with the same poles, too.
-    fits = (fit for other in others for fit in (linear_reference(other, measured), continued(other, measured, own)))
+    fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
     if own.unexplained < LINEAR_FOLLOWS * min(fit.unexplained for fit in fits):
         return []
     return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED)]

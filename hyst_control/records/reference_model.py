@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 Poles = NDArray[np.complex128]
@@ -34,6 +33,10 @@ THRESHOLDS = (0.01, 0.03, 0.07, 0.14, 0.22, 0.32)
 """Thresholds of the play operators, as shares of the command's range."""
 BLOCKS, HELD_OUT = 40, 5
 """Blocks of a record, and every how many-th is held out."""
+SURE, FLOOR = 2.0, 1e-2
+"""Student's t from which a mean over held-out blocks is no chance, and the share of the mean that a block counts at least."""
+LINES_OF_A_SINE = 3.0
+"""Lines that a sine has in a spectrum with Hann's window."""
 MIN_DECAY = 3.0
 """By how many factors of e an oscillation decays over the record, at least: one that goes on for ever needs no command."""
 RIDGE = 1e-10
@@ -44,15 +47,34 @@ RIDGE = 1e-10
 class Reference:
     """A fitted reference model.
 
-    unexplained: share of the measurement's power on held-out rows; without_command: the same of the model's constant, line and initial
-    states alone; predicted (N,), measurement unit; poles: of the filters; hysteresis: whether there are play operators.
+    unexplained: share of the measurement's power on held-out rows; by_block: that in each held-out block; without_command: the same of the
+    model's constant, line and initial states alone; predicted (N,), measurement unit; poles: of the filters; hysteresis: whether there
+    are play operators.
     """
 
     unexplained: float
+    by_block: Array
     without_command: float
     predicted: Array
     poles: Poles
     hysteresis: bool
+
+
+def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
+    """Whether a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
+    if one.unexplained * ratio >= other.unexplained:
+        return False
+    gain = np.log(other.by_block + FLOOR * other.unexplained) - np.log(one.by_block + FLOOR * one.unexplained)
+    return bool(np.mean(gain) > SURE * np.std(gain, ddof=1) / np.sqrt(len(gain)))
+
+
+def independent_sines(command: Array) -> float:
+    """How many sines a command (N,) is made of but for a hundredth of its power: what a record can tell of a model."""
+    place = np.linspace(0.0, 1.0, len(command))
+    motion = command - command[0] - place * (command[-1] - command[0])
+    power = np.sort(np.abs(np.fft.rfft((motion - motion.mean()) * np.hanning(len(motion)))) ** 2)[::-1]
+    lines = int(np.searchsorted(np.cumsum(power), 0.99 * power.sum())) + 1
+    return lines / LINES_OF_A_SINE
 
 
 def condensed(command: Array, measurement: Array) -> tuple[Array, Array, int]:
@@ -117,9 +139,8 @@ def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Ar
     count = len(measured) - 2 * reach
     rows = slice(reach, reach + count)
     inputs = _inputs(command, THRESHOLDS[1::2])
-    columns = np.column_stack(
-        [*(column[rows] for column in _columns(inputs, poles)), np.ones(count), np.linspace(-1.0, 1.0, count)]
-    )
+    lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    columns = np.concatenate([_columns(inputs, poles)[:, rows], lines]).T
     left, sizes, _ = np.linalg.svd(columns / (np.sqrt(np.sum(columns**2, axis=0)) + 1e-150), full_matrices=False)
     values = measured - measured.mean()
     length = 2 ** int(np.ceil(np.log2(len(values) + count)))
@@ -147,40 +168,41 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
     best: tuple[float, Array, Array, Poles] = np.inf, values, values, initial_poles(count)
     poles = best[3] if poles is None else poles
     for _ in range(ITERATIONS):
-        filtered = _columns(inputs, poles)
-        free = _free_columns(poles, count)
+        filtered, free = _columns(inputs, poles), _free_columns(poles, count)
         model = len(filtered) + len(free)
         # The measurement, too, passes the filters: its weights tell where their poles should be.
-        columns = np.column_stack([*filtered, *free, *_columns([values], poles)[1:]])
-        sizes = np.sqrt(np.sum(columns**2, axis=0)) + 1e-150
-        columns /= sizes
-        rows = columns * used[:, None]
-        normal, product = columns.T @ rows, rows.T @ values
+        columns = np.concatenate([filtered, free, _columns(values[None], poles)[1:]])
+        sizes = np.sqrt(np.einsum("kn,kn->k", columns, columns)) + 1e-150
+        columns /= sizes[:, None]
+        rows = columns * used
+        normal, product = rows @ columns.T, rows @ values
         normal[np.diag_indices_from(normal)] += RIDGE
         coefficients = np.linalg.solve(normal[:model, :model], product[:model])
-        predicted = columns[:, :model] @ coefficients
+        predicted = coefficients @ columns[:model]
         left = float(np.mean(used * (values - predicted) ** 2))
         done = left > CONVERGED * best[0]
         if left < best[0]:
             within = slice(len(filtered), model)
-            alone = columns[:, within] @ np.linalg.solve(normal[within, within], product[within])
+            alone = np.linalg.solve(normal[within, within], product[within]) @ columns[within]
             best = left, predicted, alone, poles
         if done:
             break
         poles = _relocated(poles, np.linalg.solve(normal, product)[model:] / sizes[model:], count)
     _, predicted, alone, poles = best
     unexplained, without_command = (float(np.mean((values - made)[held_out] ** 2)) for made in (predicted, alone))
-    return Reference(unexplained, without_command, measured[0] + predicted * size, poles, bool(thresholds))
+    number = np.arange(count) * BLOCKS // count // HELD_OUT
+    by_block = np.bincount(number[held_out], (values - predicted)[held_out] ** 2) / np.bincount(number[held_out])
+    return Reference(unexplained, by_block, without_command, measured[0] + predicted * size, poles, bool(thresholds))
 
 
-def _inputs(command: Array, thresholds: Sequence[float]) -> list[Array]:
-    """Every command (N, A) about its first value, at which the filters are settled, and play operators of it; of deviation 1."""
+def _inputs(command: Array, thresholds: Sequence[float]) -> Array:
+    """Every command (N, A) about its first value, at which the filters are settled, and play operators of it; of deviation 1 (K, N)."""
     found = []
     for values in command.T:
         span = float(np.ptp(values))
         for each in (values, *(_play(values, share * span) for share in thresholds)):
             found.append((each - each[0]) / max(float(np.std(each)), 1e-300))
-    return found
+    return np.array(found)
 
 
 @njit(cache=True)
@@ -194,27 +216,42 @@ def _play(values: Array, threshold: float) -> Array:
     return found
 
 
-def _columns(inputs: Sequence[Array], poles: Poles) -> list[Array]:
-    """Inputs (N,), each followed by what a filter of each pole makes of the values before; of a pair the real and the imaginary part."""
-    found: list[Array] = []
-    for values in inputs:
-        found.append(values)
-        for pole in poles:
-            if pole.imag:
-                both = lfilter([0.0, _gain(pole)], [1.0, -pole], values.astype(complex))
-                found += [both.real, both.imag]
-            else:
-                found.append(np.asarray(lfilter([0.0, _gain(pole)], [1.0, -pole.real], values)))
-    return found
+def _columns(inputs: Array, poles: Poles) -> Array:
+    """Inputs (K, N), each followed by what a filter of each pole makes of the values before; of a pair the real and the imaginary part."""
+    return _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), np.array([_gain(pole) for pole in poles]))
 
 
-def _free_columns(poles: Poles, count: int) -> list[Array]:
-    """What the filters' states at the start add, a constant and a straight line."""
-    found = [np.ones(count), np.linspace(-1.0, 1.0, count)]
+@njit(cache=True)
+def _filter_bank(inputs: Array, poles: Poles, gains: Array) -> Array:
+    width = 1
     for pole in poles:
-        start = pole ** np.arange(count)
-        found += [start.real, start.imag] if pole.imag else [start.real]
+        width += 2 if pole.imag else 1
+    found = np.empty((len(inputs) * width, inputs.shape[1]))
+    at = 0
+    for values in inputs:
+        found[at] = values
+        at += 1
+        for pole, gain in zip(poles, gains):
+            state = 0j
+            if pole.imag:
+                for row in range(len(values)):
+                    found[at, row], found[at + 1, row] = state.real, state.imag
+                    state = pole * state + gain * values[row]
+                at += 2
+            else:
+                for row in range(len(values)):
+                    found[at, row] = state.real
+                    state = complex(pole.real * state.real + gain * values[row])
+                at += 1
     return found
+
+
+def _free_columns(poles: Poles, count: int) -> Array:
+    """What the filters' states at the start add, a constant and a straight line."""
+    impulse = np.zeros((1, count))
+    impulse[0, 0] = 1.0
+    lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    return np.concatenate([lines, _columns(impulse, poles)[1:]])
 
 
 def _gain(pole: complex) -> float:

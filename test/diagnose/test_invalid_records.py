@@ -51,11 +51,11 @@ def test_the_report_names_the_reason_and_fits_nothing(name, sound, tmp_path, mon
     monkeypatch.setattr(workflow, "diagnosed", None)
     write_bag(tmp_path / "bag", record(model, *map(np.ascontiguousarray, SPOILT[name](command, measurement))))
     out, page = tmp_path / "gap.json", tmp_path / "gap.html"
-    assert main(["diagnose", str(tmp_path / "bag"), "--model", str(MODEL), "--json", str(out), "--report", str(page)]) == 0
+    assert main(["diagnose", str(tmp_path / "bag"), "--model", str(MODEL), "--json", str(out), "--report", str(page)]) == 2
     document = json.loads(out.read_text())
     assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
     assert document["effects"] == [] and document["invalid_records"][0]["name"] == name
-    assert "is no measurement of its command" in capsys.readouterr().out and name.replace("_", " ") in page.read_text()
+    assert "is no measurement of its command" in capsys.readouterr().err and name.replace("_", " ") in page.read_text()
 
 
 def test_the_report_has_the_gap_of_the_record(sound):
@@ -98,7 +98,7 @@ def test_measured_records_are_refused_by_both_commands(name, spoil, measured_dat
     monkeypatch.setattr(workflow, "diagnosed", None)
     monkeypatch.setattr(identification, "identify", None)
     words = ["diagnose", str(tmp_path / "spoilt"), "--model", str(tmp_path / "gain.yaml"), "--json", str(tmp_path / "gap.json")]
-    assert main(words) == 0
+    assert main(words) == 2
     document = json.loads((tmp_path / "gap.json").read_text())
     assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
     assert invalid_report([record(model, u, y)], model, []) is None

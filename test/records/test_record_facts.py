@@ -55,6 +55,23 @@ def test_a_measurement_that_is_early_is_told_in_milliseconds():
     assert "ms" in finding.text() and "--shift 0.0" in finding.text()
 
 
+def test_rows_lost_of_the_measurement_are_a_lead_that_grows():
+    time = STEP * np.arange(30000)
+    command = 50.0 + 40.0 * np.sin(2 * np.pi * 0.3 * time) + 8.0 * np.sin(2 * np.pi * (2.0 + 1.5 * time) * time)
+    measured = answer(command) + 2e-3 * np.random.default_rng(0).standard_normal(len(time))
+    lost = np.sort(np.random.default_rng(1).choice(len(time), 60, replace=False))
+    assert names(command, measured) == [set(), set()]
+    assert names(command[:-60], np.delete(measured, lost)) == [set(), {"lost_rows"}]
+
+
+@pytest.mark.parametrize("frequencies", [(2.0, 7.1, 13.3), (1.0, 1.9, 31.0)])
+def test_three_sines_tell_no_direction(frequencies):
+    command = 50.0 + sum(10.0 * np.sin(2 * np.pi * each * TIME) for each in frequencies)
+    measured = answer(command, lag=0.05) + NOISE
+    for sense in (1, -1):
+        assert names(command[::sense], measured[::sense])[0] == set()
+
+
 def test_the_shift_that_is_told_mends_the_record():
     signals = {
         "command": Signal(TIME[:-30], COMMAND[:-30, None], ("x",), "V"),
