@@ -73,6 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
@@ -85,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     from hyst_control.base import progress
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    text = diagnose_bags(
+    gap = diagnose_bags(
         arguments.bags,
         arguments.model,
         json=arguments.json,
@@ -105,7 +112,11 @@ def run(arguments: argparse.Namespace) -> int:
         core=arguments.core,
         simulator=arguments.simulator,
         parameters=arguments.parameters,
+        shift=arguments.shift,
     )
     progress.end()
-    print(text)
+    if gap.diagnosis is None:
+        print(gap.words, file=sys.stderr)
+        return 2
+    print(gap.words)
     return 0

@@ -46,6 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",
     )
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
@@ -103,6 +110,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         allow_gaps=arguments.allow_gaps,
         force=arguments.force,
         strict=arguments.strict,
+        shift=arguments.shift,
         namespace=arguments.namespace,
         unit=arguments.unit,
         columns=arguments.columns,

@@ -65,6 +65,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("zoh", "foh"),
         help="command between samples: zoh, held by a DAC (default, but for a bag that states it); foh, a sampled smooth source",
     )
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
     parser.add_argument("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
 
 
@@ -91,29 +98,27 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         raise InputError(f"--resample: must be a rate in Hz, got {arguments.resample:g}")
     columns = None if arguments.columns is None else parse_columns(arguments.columns)
     if columns is None:
-        return written(arguments.output, [read_bag(arguments.file)])
+        return written(arguments.output, [read_bag(arguments.file).shifted(arguments.shift)])
     if is_bag:
         record = read_fields(Path(arguments.file), columns, arguments.hold, arguments.resample, arguments.allow_gaps)
-        return written(arguments.output, [record])
+        return written(arguments.output, [record.shifted(arguments.shift)])
     try:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
         raise InputError(f"--rows: must be first:end in whole numbers, got {arguments.rows!r}") from None
-    return written(
-        arguments.output,
-        import_records(
-            arguments.file,
-            columns,
-            arguments.rate,
-            rows,
-            arguments.hold or "zoh",
-            arguments.variable,
-            arguments.skip,
-            arguments.resample,
-            arguments.allow_gaps,
-        ),
+    records = import_records(
+        arguments.file,
+        columns,
+        arguments.rate,
+        rows,
+        arguments.hold or "zoh",
+        arguments.variable,
+        arguments.skip,
+        arguments.resample,
+        arguments.allow_gaps,
     )
+    return written(arguments.output, [record.shifted(arguments.shift) for record in records])
 
 
 def written(output: str, records: Sequence[Record]) -> CommandResult:

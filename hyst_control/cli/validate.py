@@ -44,6 +44,18 @@ def add_hold_and_start(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `validate` and `compare` share."""
     add_hold_and_start(parser)
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="exit status 3 where a record is no measurement of its command, or the model does not describe it",
+    )
     parser.add_argument("--namespace", help="namespace of the topics")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
     parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
@@ -63,4 +75,6 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         arguments.namespace,
         arguments.unit,
         arguments.columns,
+        shift=arguments.shift,
+        strict=arguments.strict,
     )

@@ -94,7 +94,8 @@ def diagnose_bags(
     core: str = RULES,
     simulator: str | None = None,
     parameters: str | Path | None = None,
-) -> str:
+    shift: float = 0.0,
+) -> GapResult:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
         if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
@@ -108,7 +109,7 @@ def diagnose_bags(
         raise InputError(f"--parameters {parameters}: are those of a simulator: give --simulator module:function")
     if simulator is not None and (other := model or augmented) is not None:
         raise InputError(f"{other}: a Python function is no model file: leave it out, or leave out --simulator")
-    records = [read_bag(bag, namespace, unit, columns=columns) for bag in bags_in(bags)]
+    records = [read_bag(bag, namespace, unit, columns=columns).shifted(shift) for bag in bags_in(bags)]
     nominal = None if model is None else load_model(model)
     if simulator is not None:
         prior = {} if parameters is None else read_parameters(parameters)
@@ -143,7 +144,7 @@ def diagnose_bags(
         ]
         names = [("seed", str(seed)), *([] if nominal is None else [("model's name", nominal.name)])]
         gap.write_page(report, provenance(files, names))
-    return gap.words
+    return gap
 
 
 def diagnose_records(
@@ -156,9 +157,11 @@ def diagnose_records(
 ) -> GapResult:
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
-    if model is not None and (refused := invalid_report(records, model)) is not None:
+    notes: list[str] = []
+    if model is not None and (refused := invalid_report(records, model, notes)) is not None:
         return GapResult(*refused)
     document, diagnosis, better = diagnosed(records, model, baseline=baseline, **settings)
+    document["notes"] = [*notes, *document["notes"]]
     if coming is not None:
         try:
             document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}

@@ -17,16 +17,20 @@ from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
-from hyst_control.identify.workflow import TOPICS, datasets_of
+from hyst_control.identify.trial_beside_model import trial_beside
+from hyst_control.identify.workflow import LONGEST_JUDGED, TOPICS, datasets_of
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record
+from hyst_control.records.record_validity import examined
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
 from hyst_control.reporting.tables import Table
 
+NOT_DESCRIBED = 20.0
+"""Error in % of the range, without session effects, from which a model does not describe a record."""
 MAX_MOTIONS = 24
 """Motions between rests that are told one by one: a sum of sines has hundreds."""
 
@@ -52,13 +56,20 @@ def validate_bags(
     namespace: str | None = None,
     unit: str = "unknown",
     columns: str | None = None,
+    shift: float = 0.0,
+    strict: bool = False,
 ) -> Table:
     """Score every model on every record."""
     loaded = {_name(path, models): load_model(path) for path in models}
     table = Table(source)
     for bag in bags_in(bags):
         progress.step(f"read {bag}")
-        table.rows += validate_record(loaded, read_bag(bag, namespace, unit, columns=columns), source, hold, start).rows
+        record = read_bag(bag, namespace, unit, columns=columns).shifted(shift)
+        found = validate_record(loaded, record, source, hold, start)
+        table.rows += found.rows
+        table.notes += found.notes
+    table.notes = list(dict.fromkeys(table.notes))
+    table.exit_status = 3 if strict and table.notes else 0
     return table
 
 
@@ -72,7 +83,30 @@ def validate_record(
             progress.step(f"{name} on {data.name}")
             check_pair(name, model, data)
             add_rows(table, name, model, data)
+            table.notes += _remarks(table, name, model, data)
     return table
+
+
+def _remarks(table: Table, name: str, model: Model, data: Dataset) -> list[str]:
+    """What is wrong with a record, or with a model of it, in sentences."""
+    looked_at = data.rows(0, LONGEST_JUDGED)
+    trial = trial_beside(model, data.name, looked_at.command, looked_at.measurement, data.sample_time, data.hold)
+    found = [each.text() for findings in examined([trial]) for each in findings]
+    for axis, label in enumerate(data.axes):
+        where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
+        span = float(data.range[axis]) or 1.0
+        error, zero = (table.value(where, name, quantity) for quantity in ("nrmse_own_zero", "zero"))
+        if error > NOT_DESCRIBED:
+            found.append(
+                f"{where}: {name} does not describe this record: without session effects the error is {error:.4g} % of the measured range; "
+                "check units, sample rate and columns, or identify a model from this machine"
+            )
+        if abs(zero) > span:
+            found.append(
+                f"{where}: the sensor offset is {zero:.4g} {data.unit}, {abs(zero) / span:.3g} times the measured range: the sensor's zero "
+                "differs from the model's, or the unit is another"
+            )
+    return found
 
 
 def compared_stretches(record: Record, hold: str | None = None, start: str = "auto") -> list[Dataset]:

@@ -37,7 +37,7 @@ from hyst_control.model_file import USUAL_UNITS, Model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Aligned, Record
-from hyst_control.records.record_validity import Trial, check_records, refuse_invalid
+from hyst_control.records.record_validity import Trial, examined, refuse_invalid
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.tables.units import refusal_of_unit
 
@@ -135,6 +135,7 @@ def identify_bags(
     columns: str | None = None,
     figure: str | Path | None = None,
     strict: bool = False,
+    shift: float = 0.0,
     **options: object,
 ) -> Result:
     """Identify a model from bags and write it. No model is written that explains less of the records than a constant and a gain."""
@@ -151,7 +152,7 @@ def identify_bags(
     records = []
     for bag in bags_in(bags):
         progress.step(f"read {bag}")
-        records.append(read_bag(bag, namespace, unit, columns=columns))
+        records.append(read_bag(bag, namespace, unit, columns=columns).shifted(shift))
     fit = identify_records(records, family, method=method, hold=hold, start=start, allow_gaps=allow_gaps, force=force, **given)
     fit = replace(fit, report={**fit.report, "bags": [str(bag) for bag in bags]})
     keep = force or fit.report["verdict"] != NOTHING
@@ -186,12 +187,14 @@ def identify_records(
         notes += record.notes
         datasets += datasets_of(record, hold, start, allow_gaps, notes)
     looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
-    trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes) for each in looked_at]
-    if not force:
-        refuse_invalid(trials)
-    found = check_records(trials) if force else []
+    trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes, unit=each.unit) for each in looked_at]
+    found, remarks = examined(trials) if force else ([], refuse_invalid(trials))
+    notes += [each.text() for each in remarks]
     begun = [with_beginning(data) for data in datasets]
-    fit = identified(begun, family, method, **options)
+    try:
+        fit = identified(begun, family, method, **options)
+    except InputError as error:
+        raise InputError("; ".join([str(error), *(each.text() for each in remarks)])) from None
     errors = residuals_of(fit, begun)
     shares = explained_shares(begun, errors)
     poor = [] if useless(shares) else poorly_explained(begun, errors)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -70,13 +69,6 @@ class Spectra:
         made = np.einsum("fab,fab->b", response.conj(), self.cross).real
         return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
 
-    @property
-    def shares(self) -> Array:
-        """Share (A, A) [command, measurement] of a measurement's power that one command alone could make."""
-        own = np.einsum("faa->fa", self.auto).real
-        made = (np.abs(self.cross) ** 2 / np.maximum(own, 1e-300)[:, :, None]).sum(axis=0)
-        return np.asarray(made / np.maximum(self.power.sum(axis=0), 1e-300), dtype=np.float64)
-
     @cached_property
     def independent(self) -> Mask:
         """Frequencies (F,) at which no command is a sum of others."""
@@ -113,37 +105,6 @@ class Spectra:
             direct = np.abs(cross[apart]) ** 2 / np.maximum(own[apart] * power[apart], 1e-300)
             made[apart] = np.where(direct > INDEPENDENT, explained, 0.0)
         return cross, np.asarray(made, dtype=np.float64)
-
-    def determinant(self, axes: Sequence[int]) -> list[tuple[Complex, Mask]]:
-        """Determinant (F,) of the responses of all axes to independent commands, and a mask (F,) of where it is known.
-
-        Of commands that are not independent, and of a single one: the response of every one of `axes` to its own command.
-        """
-        every = range(self.auto.shape[1])
-        known = np.all([self.response(index)[1] for index in every], axis=0) & self.independent
-        if len(every) == 1 or known.sum() < FEWEST_LINES:
-            return [self.response(index) for index in axes]
-        found = np.zeros(len(known), complex)
-        found[known] = np.linalg.det(self.transfer[known])
-        return [(found, known)]
-
-    def lag(self, index: int) -> float:
-        """Mean angle (deg) by which the measurement of axis `index` lags its command, negative where it leads.
-
-        Weighted with the coherent power, over the frequencies below the first at which it is turned by more than a right angle; a
-        plant whose gain is negative is turned around first.
-        """
-        own = self.auto[:, index, index].real
-        cross, made = self.path(index)
-        counted = (made > COHERENT) & (own > EXCITED * own.max(initial=0.0))
-        turned = cross * (1.0 if cross[np.flatnonzero(counted)[:2]].real.sum() >= 0 else -1.0)
-        beyond = np.flatnonzero(counted & (turned.real < 0))
-        used = slice(1, max(int(beyond[0]) if len(beyond) else len(cross), 2))
-        weights = (np.abs(cross) * counted)[used]
-        if not weights.sum():
-            return 0.0
-        sine = -float((turned.imag * counted)[used].sum() / weights.sum())
-        return float(np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0))))
 
     def response(self, index: int) -> tuple[Complex, Mask]:
         """Frequency response (F,) of axis `index` to its command, and a mask (F,) of the frequencies at which it is known."""

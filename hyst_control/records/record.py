@@ -227,6 +227,21 @@ class Record:
             raise InputError(f"{self.source}: has no samples from {first:g} to {last:g} s: choose other times")
         return replace(self, signals=parts)
 
+    def shifted(self, seconds: float) -> Record:
+        """The record with its measurement taken later by some seconds, in whole samples; a note tells by how many."""
+        if seconds == 0.0:
+            return self
+        signal = self.signal("measurement")
+        step = self.sample_time(("command", "measurement"))
+        ticks = round(seconds / step)
+        if abs(ticks) >= len(signal.time) - 1:
+            raise InputError(
+                f"--shift {seconds:g}: the record {self.source} is only {len(signal.time) * step:g} s long: give a shorter time"
+            )
+        moved = replace(signal, time=signal.time + ticks * step)
+        note = f"{self.source}: the measurement is shifted by {1e3 * ticks * step:.6g} ms ({ticks} samples)"
+        return replace(self, signals={**self.signals, "measurement": moved}, notes=(*self.notes, note))
+
     def check(self, topics: Sequence[str]) -> None:
         """Raise `InputError` when a value of these topics is not finite or out of range, naming its time and how many there are."""
         for topic in topics:

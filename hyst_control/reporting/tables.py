@@ -67,12 +67,15 @@ class Table:
         Description of the machine, where the figures depend on it.
     notes
         Sentences on the limits of the figures.
+    exit_status
+        Exit status of the command that prints it.
     """
 
     source: str
     rows: list[Row] = field(default_factory=list)
     machine: str = ""
     notes: list[str] = field(default_factory=list)
+    exit_status: int = 0
 
     def add(
         self,

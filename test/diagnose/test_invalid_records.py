@@ -51,30 +51,30 @@ def test_the_report_names_the_reason_and_fits_nothing(name, sound, tmp_path, mon
     monkeypatch.setattr(workflow, "diagnosed", None)
     write_bag(tmp_path / "bag", record(model, *map(np.ascontiguousarray, SPOILT[name](command, measurement))))
     out, page = tmp_path / "gap.json", tmp_path / "gap.html"
-    assert main(["diagnose", str(tmp_path / "bag"), "--model", str(MODEL), "--json", str(out), "--report", str(page)]) == 0
+    assert main(["diagnose", str(tmp_path / "bag"), "--model", str(MODEL), "--json", str(out), "--report", str(page)]) == 2
     document = json.loads(out.read_text())
     assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
     assert document["effects"] == [] and document["invalid_records"][0]["name"] == name
-    assert "is no measurement of its command" in capsys.readouterr().out and name.replace("_", " ") in page.read_text()
+    assert "is no measurement of its command" in capsys.readouterr().err and name.replace("_", " ") in page.read_text()
 
 
 def test_the_report_has_the_gap_of_the_record(sound):
     """The gap is that of the model's simulation, whatever the record is."""
     model, command, measurement = sound
-    document, _ = invalid_report([record(model, command, -measurement)], model)
+    document, _ = invalid_report([record(model, command, -measurement)], model, [])
     assert document["gap"]["rms"] == pytest.approx(np.sqrt(np.mean((-measurement - simulate(model, command)) ** 2)), rel=1e-9)
     assert document["gap"]["nrmse"] == pytest.approx(100.0 * document["gap"]["rms"] / np.ptp(measurement), rel=1e-9)
 
 
 def test_a_sound_record_is_diagnosed(sound):
     model, command, measurement = sound
-    assert invalid_report([record(model, command, measurement)], model) is None
+    assert invalid_report([record(model, command, measurement)], model, []) is None
 
 
 def test_records_that_cannot_be_read_are_left_to_the_diagnosis(sound):
     model, command, measurement = sound
-    assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model) is None
-    assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml"))) is None
+    assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model, []) is None
+    assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml")), []) is None
 
 
 @pytest.mark.parametrize(
@@ -98,10 +98,10 @@ def test_measured_records_are_refused_by_both_commands(name, spoil, measured_dat
     monkeypatch.setattr(workflow, "diagnosed", None)
     monkeypatch.setattr(identification, "identify", None)
     words = ["diagnose", str(tmp_path / "spoilt"), "--model", str(tmp_path / "gain.yaml"), "--json", str(tmp_path / "gap.json")]
-    assert main(words) == 0
+    assert main(words) == 2
     document = json.loads((tmp_path / "gap.json").read_text())
     assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
-    assert invalid_report([record(model, u, y)], model) is None
+    assert invalid_report([record(model, u, y)], model, []) is None
     capsys.readouterr()
     words = [
         "identify",
@@ -114,4 +114,5 @@ def test_measured_records_are_refused_by_both_commands(name, spoil, measured_dat
     ]
     assert main(words) == 2 and not (tmp_path / "m.yaml").exists()
     line = capsys.readouterr().err
-    assert line.count("\n") == 1 and NAMES[name][0] in line
+    # Without a model the inverse of play operators is as good: that one is refused beside the sound record.
+    assert line.count("\n") == 1 and (NAMES[name][0] in line or name == "swapped_signals")

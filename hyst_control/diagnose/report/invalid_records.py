@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from hyst_control.base.errors import InputError
-from hyst_control.model_file import Model, simulate
+from hyst_control.identify.trial_beside_model import trial_beside
+from hyst_control.model_file import Model
 from hyst_control.records.record import Record
-from hyst_control.records.record_validity import Finding, Trial, check_records
+from hyst_control.records.record_validity import Finding, Trial, examined
 from hyst_control.reporting.provenance import Origin
 
 INVALID_RECORD = "invalid_record"
@@ -21,10 +22,11 @@ INVALID_RECORD = "invalid_record"
 TOPICS = ("command", "measurement")
 
 
-def invalid_report(records: Sequence[Record], model: Model) -> tuple[dict[str, Any], str] | None:
-    """Report on records that show something else than the plant's answer to the command."""
+def invalid_report(records: Sequence[Record], model: Model, notes: list[str]) -> tuple[dict[str, Any], str] | None:
+    """Report on records that show something else than the plant's answer to the command; other findings are added to `notes`."""
     trials = trials_of(records, model)
-    found = check_records(trials)
+    found, remarks = examined(trials)
+    notes += [each.text() for each in remarks]
     if not found:
         return None
     return _document(trials, model, found), "\n".join(
@@ -41,12 +43,8 @@ def trials_of(records: Sequence[Record], model: Model) -> list[Trial]:
                 command, measurement = part.values["command"], part.values["measurement"]
                 if not command.shape[1] == measurement.shape[1] == len(model.axes):
                     return []
-                with np.errstate(all="ignore"):
-                    simulated = simulate(model, command, part.sample_time, record.hold)
                 name = record.source + (f"[{index}]" if index else "")
-                finite = bool(np.isfinite(simulated).all())
-                axes = tuple(model.axes)
-                trials.append(Trial(name, command, measurement, part.sample_time, axes, simulated if finite else None))
+                trials.append(trial_beside(model, name, command, measurement, part.sample_time, record.hold))
         except InputError:
             return []
     return trials

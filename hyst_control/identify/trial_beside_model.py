@@ -1,0 +1,53 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A record as it is checked beside a model: what the model makes of it, its modes and its delay."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.base.errors import InputError
+from hyst_control.chain.stage import Array
+from hyst_control.model_file import Model, model_to_document, simulate
+from hyst_control.records.record_against_model import Simulation
+from hyst_control.records.record_validity import Trial
+
+LIGHT = 0.3
+"""Damping up to which a pair of poles is a mode."""
+
+
+def trial_beside(model: Model, name: str, command: Array, measurement: Array, sample_time: float, hold: str | None) -> Trial:
+    """A record of command and measurement (N, A) with what a model makes of its command."""
+    simulate_at = simulation(model, hold)
+    simulated = simulate_at(command, sample_time)
+    shown = simulated if np.isfinite(simulated).all() else None
+    unit = model.units["measurement"]
+    return Trial(name, command, measurement, sample_time, tuple(model.axes), shown, unit, simulate_at, *modes_and_delay(model))
+
+
+def simulation(model: Model, hold: str | None) -> Simulation:
+    """A model at any command and sample time; not a number where it does not run."""
+
+    def simulated(command: Array, sample_time: float) -> Array:
+        try:
+            with np.errstate(all="ignore"):
+                return simulate(model, command, sample_time, hold)
+        except InputError:
+            return np.full_like(command, np.nan)
+
+    return simulated
+
+
+def modes_and_delay(model: Model) -> tuple[tuple[float, ...], float]:
+    """Frequencies (Hz) of a model's lightly damped modes, and its delay in s, the largest of the axes'."""
+    modes: list[float] = []
+    delay = 0.0
+    for stage in model_to_document(model)["chain"]:
+        if stage["stage"] == "delay":
+            delay += float(np.max(stage["tau"]))
+        if stage["stage"] == "transfer_function" and not stage.get("coupled"):
+            den = stage["den"]
+            for coefficients in den if np.ndim(den[0]) else [den]:
+                poles = np.roots(coefficients)
+                modes += [float(abs(pole)) / (2.0 * np.pi) for pole in poles if pole.imag > 0 and -pole.real < LIGHT * abs(pole)]
+    return tuple(sorted(modes)), delay

@@ -1,0 +1,101 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A record beside a given model: another unit, sign, sample rate, time shift or order of columns that the model explains clearly better.
+
+The model is simulated on the record as it is, and on the record as it may have been meant. A hypothesis holds only where it leaves a small
+part of what the record as it is leaves, so that what a machine does beyond its model is left to the diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Simulation = Callable[[Array, float], Array]
+"""Measurements (N, A) that a model makes of commands (N, A) at a sample time in s."""
+
+LONGEST = 2**16
+"""Rows, from the beginning, that are simulated."""
+EXPLAINED = 1e-4
+"""Share of a measurement's power that a model leaves of a record which is not asked further."""
+CLEAR = 8.0
+"""Ratio of what the model leaves of the record as it is and as it may be meant."""
+POOR, LESS_POOR = 0.02, 0.1
+"""Shares that a hypothesis may leave, and an exchange, which a model with a gain alone shows, too."""
+FACTORS = (0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0)
+"""Ratios of the true sample time to the stated one, and of the true unit of a command."""
+UNITS = (1e-6, 1e-3, 1e3, 1e6)
+MIN_SHIFT = 3
+"""Rows of a shift that counts."""
+MAX_AXES = 4
+
+
+def misfit(expected: Array, measured: Array) -> float:
+    """Share of a measurement's power that is not as expected, both (N,) or (N, A), without constants and straight lines."""
+    wanted, left = _without_line(measured), _without_line(measured - expected)
+    return float(np.sum(left**2)) / max(float(np.sum(wanted**2)), 1e-300)
+
+
+def _without_line(rows: Array) -> Array:
+    place = np.linspace(-1.0, 1.0, len(rows))
+    centered = rows - rows.mean(axis=0)
+    return np.asarray(centered - np.multiply.outer(place, place @ centered / (place @ place)), dtype=np.float64)
+
+
+def best_order(expected: Array, measured: Array) -> tuple[int, ...] | None:
+    """Order of the measured axes (N, A) that fits the expected ones clearly better than the given one; None where none does."""
+    count = expected.shape[1]
+    if not 2 <= count <= MAX_AXES:
+        return None
+    left = np.array([[misfit(expected[:, one], measured[:, other]) for other in range(count)] for one in range(count)])
+    orders = {order: float(np.mean([left[k, order[k]] for k in range(count)])) for order in permutations(range(count))}
+    best = min(orders, key=lambda order: orders[order])
+    own = orders[tuple(range(count))]
+    return best if own > EXPLAINED and orders[best] * CLEAR < own and orders[best] < 0.5 else None
+
+
+def meant(command: Array, measured: Array, sample_time: float, simulate: Simulation) -> tuple[str, float] | None:
+    """The name of what explains a record (N, A) clearly better, and its factor; None where nothing does.
+
+    Names: scaled_command, wrong_rate (true over stated sample rate), swapped_signals, reversed_time.
+    """
+    command, measured = command[:LONGEST], measured[:LONGEST]
+    own = misfit(simulate(command, sample_time), measured)
+    if own < EXPLAINED:
+        return None
+    tried = {("scaled_command", factor): misfit(simulate(factor * command, sample_time), measured) for factor in UNITS}
+    tried |= {("wrong_rate", 1.0 / factor): misfit(simulate(command, factor * sample_time), measured) for factor in FACTORS}
+    tried["swapped_signals", 1.0] = misfit(simulate(measured, sample_time), command)
+    tried["reversed_time", 1.0] = misfit(simulate(command[::-1], sample_time)[::-1], measured)
+    tried = {key: left for key, left in tried.items() if np.isfinite(left)}
+    best = min(tried, key=lambda key: tried[key], default=None)
+    if best is None or tried[best] * CLEAR >= own:
+        return None
+    return best if tried[best] < (LESS_POOR if best[0] == "swapped_signals" else POOR) else None
+
+
+def time_shift(expected: Array, measured: Array) -> int:
+    """Rows by which a measurement (N,) is later than expected, where that explains it clearly better; else 0."""
+    expected, measured = expected[:LONGEST], measured[:LONGEST]
+    reach = len(measured) // 8
+    shift = _best_shift(expected, measured, reach)
+    own, left = misfit(expected, measured), _shifted_misfit(expected, measured, shift)
+    return shift if abs(shift) >= MIN_SHIFT and own > EXPLAINED and left * CLEAR < own else 0
+
+
+def _best_shift(expected: Array, measured: Array, reach: int) -> int:
+    """Rows from -reach to reach by which an expectation (N,) has to be later to correlate best with the measurement (N,)."""
+    length = 2 ** int(np.ceil(np.log2(2 * len(measured))))
+    one, other = _without_line(expected), _without_line(measured)
+    product = np.fft.irfft(np.fft.rfft(other, length) * np.fft.rfft(one, length).conj(), length)
+    shifts = np.r_[-reach : reach + 1]
+    return int(shifts[int(np.argmax(product[shifts]))])
+
+
+def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
+    count = len(measured) - abs(shift)
+    return misfit(expected[max(-shift, 0) :][:count], measured[max(shift, 0) :][:count])

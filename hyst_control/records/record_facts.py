@@ -1,0 +1,136 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Facts about a record that need no model: rails of a converter, a held or copied command, lost rows, implausible ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST = 2**20
+"""Samples, from the beginning, that are looked at."""
+MIN_RAIL = 0.005
+"""Share of the samples at the extreme value from which it is the end of a range."""
+MOVES_ON = 0.01
+"""Share of its range by which a command goes on while the measurement stands at the end of its range."""
+MIN_HELD, MAX_HELD = 2, 64
+"""Samples over which a command that was logged too rarely is held."""
+REGULAR = 0.98
+"""Share of a held command's changes that lie on one grid."""
+MIN_CHANGES = 100
+COPY = 1e-4
+"""Share of a copy's power that is not proportional to the command, at most; of that, another sample of the command leaves `EXACT` times."""
+EXACT = 1.5
+MIN_GAPS = 5
+"""Simultaneous jumps of command and measurement that are gaps."""
+JUMP = 8.0
+"""Size of a jump relative to the median second difference of its neighborhood."""
+LARGEST_RANGE = {"V": 5e3, "um": 5e3, "mrad": 1e3}
+"""Ranges of command (V) and measurement from which they are implausible for a piezo stage."""
+LARGEST_GAIN = {"um": 3e3, "mrad": 1e3}
+"""um or mrad per V from which a gain is implausible: a thousand times that of the stages at hand."""
+SMALLER_UNIT = {"V": "mV", "um": "nm", "mrad": "urad"}
+
+
+def rails(command: Array, measured: Array) -> tuple[float, float] | None:
+    """Value at which a measurement (N,) stands again and again while the command goes on beyond, and its share of the samples."""
+    command, measured = command[:LONGEST], measured[:LONGEST]
+    span = float(np.ptp(command))
+    found = []
+    for extreme, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
+        at = measured == extreme
+        share = float(at.mean())
+        if not MIN_RAIL <= share < 0.5 or span == 0.0:
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(np.int8), [0]])))
+        begins, ends = edges[::2], edges[1::2]
+        direction = np.sign(np.corrcoef(command, measured)[0, 1]) * sign
+        beyond = [
+            float(np.max(direction * (command[begin:end] - command[begin])))
+            for begin, end in zip(begins, ends, strict=True)
+            if end - begin >= 3
+        ]
+        if sum(step > MOVES_ON * span for step in beyond) >= min(2, len(beyond)) and beyond and max(beyond) > MOVES_ON * span:
+            found.append((extreme, share))
+    return max(found, key=lambda rail: rail[1], default=None)
+
+
+def held_samples(command: Array) -> int:
+    """Samples over which a smooth command (N,) is held, 1 where it is not: what was logged at a lower rate than the measurement."""
+    changes = np.flatnonzero(np.diff(command[:LONGEST])) + 1
+    if len(changes) < MIN_CHANGES:
+        return 1
+    gaps = np.diff(changes)
+    held = int(np.bincount(np.minimum(gaps, MAX_HELD + 1)).argmax())
+    if not MIN_HELD <= held <= MAX_HELD:
+        return 1
+    phase = int(np.bincount(changes % held).argmax())
+    if np.mean(changes % held == phase) < REGULAR:
+        return 1
+    levels = command[phase:LONGEST:held]
+    # A staircase of random levels is not held too long: its levels are no samples of a smooth command.
+    smooth = np.median(np.abs(np.diff(levels, 2))) < np.median(np.abs(np.diff(levels)))
+    return held if smooth else 1
+
+
+def interpolated(command: Array) -> Array:
+    """A command (N,) whose held samples are joined by straight lines; any other as it is."""
+    held = held_samples(command)
+    if held == 1:
+        return command
+    changes = np.flatnonzero(np.diff(command)) + 1
+    phase = int(np.bincount(changes % held).argmax())
+    rows = np.arange(phase, len(command), held)
+    return np.asarray(np.interp(np.arange(len(command)), rows, command[rows]), dtype=np.float64)
+
+
+def copied_gain(command: Array, measured: Array) -> float | None:
+    """Factor of a measurement (N,) that is the command times a factor, of the same sample, and nothing else; None where it is not."""
+    command, measured = command[1:LONGEST], measured[1:LONGEST]
+
+    def left(values: Array, wanted: Array) -> tuple[float, float]:
+        u, y = values - values.mean(), wanted - wanted.mean()
+        power = float(u @ u)
+        gain = float(u @ y) / power if power else 0.0
+        return float(np.sum((y - gain * u) ** 2)) / max(float(y @ y), 1e-300), gain
+
+    same, gain = left(command, measured)
+    before, after = left(command[:-1], measured[1:])[0], left(command[1:], measured[:-1])[0]
+    if same < COPY and before > EXACT * same and after > EXACT * same:
+        return gain
+    return None
+
+
+def simultaneous_gaps(command: Array, measured: Array) -> int:
+    """Rows between which a smooth command and its measurement (N,) jump together, as where rows of both were lost and closed up.
+
+    A plant answers a step of its command in a later sample, and a step begins and ends with another slope.
+    """
+    jumps = []
+    for values in (command[:LONGEST], measured[:LONGEST]):
+        steps = np.diff(values)
+        # Beside a gap both slopes are those of the motion: the step between them is several of it.
+        around = 0.25 * (steps[:-4] + steps[1:-3] + steps[3:-1] + steps[4:])
+        own = steps[2:-2] - around
+        rough = np.sort(np.abs(np.stack([own[shift : len(own) - 12 + shift] for shift in (0, 1, 2, 4, 8, 10, 11, 12)])), axis=0)[4]
+        rows = np.zeros(len(own), bool)
+        rows[6 : len(own) - 6] = np.abs(own[6 : len(own) - 6]) > JUMP * rough + 1e-6 * np.ptp(values)
+        rows &= own * around > 0.0
+        jumps.append(rows)
+    both = jumps[0] & jumps[1]
+    chance = float(jumps[0].mean() * jumps[1].mean() * len(both))
+    count = int(both.sum())
+    return count if count >= max(MIN_GAPS, 5.0 * chance) else 0
+
+
+def implausible(command: Array, measured: Array, unit: str) -> tuple[str, str] | None:
+    """What is implausible of the ranges of a command and a measurement (N,), and the unit that may be meant."""
+    spans = {"V": float(np.ptp(command)), unit: float(np.ptp(measured))}
+    for symbol, what in (("V", "command"), (unit, "measurement")):
+        if spans[symbol] > LARGEST_RANGE.get(symbol, np.inf):
+            return f"the {what} spans {spans[symbol]:.4g} {symbol}", SMALLER_UNIT[symbol]
+    if spans["V"] > 0 and spans[unit] / spans["V"] > LARGEST_GAIN.get(unit, np.inf):
+        return f"the gain is {spans[unit] / spans['V']:.4g} {unit}/V", SMALLER_UNIT[unit]
+    return None

@@ -1,0 +1,279 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reference models of a record: how much of a measurement some stable, causal model of moderate order makes of the commands.
+
+A model is a bank of first-order filters with common poles, real or in conjugate pairs, behind the commands and behind play operators of
+them; a constant and a straight line are free. The poles are relocated as in vector fitting (Gustavsen and Semlyen, IEEE Trans. Power
+Delivery 14, 1999), in the time domain. It holds lags, modes, integrators, delays of a few samples and hysteresis. What it explains is
+counted on rows that were held out, so that a record can be compared with itself read backwards, exchanged or shifted in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Poles = NDArray[np.complex128]
+
+MAX_ROWS = 8192
+"""Rows that a model of one command is fitted to, half of them with several: of a longer record neighbors are averaged."""
+KEPT_POWER = 0.9
+"""Share of a command's power that averaging over neighbors must keep."""
+PAIRS = 4
+"""Pairs of poles to begin with, spread over the frequencies of the record."""
+ITERATIONS = 5
+CONVERGED = 0.9
+"""Ratio of what successive iterations leave from which there is no further one."""
+THRESHOLDS = (0.01, 0.03, 0.07, 0.14, 0.22, 0.32)
+"""Thresholds of the play operators, as shares of the command's range."""
+BLOCKS, HELD_OUT = 40, 5
+"""Blocks of a record, and every how many-th is held out."""
+SURE, FLOOR = 2.0, 1e-2
+"""Student's t from which a mean over held-out blocks is no chance, and the share of the mean that a block counts at least."""
+LINES_OF_A_SINE = 3.0
+"""Lines that a sine has in a spectrum with Hann's window."""
+MIN_DECAY = 3.0
+"""By how many factors of e an oscillation decays over the record, at least: one that goes on for ever needs no command."""
+RIDGE = 1e-10
+"""Regularization of the normal equations, relative to their diagonal."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A fitted reference model.
+
+    unexplained: share of the measurement's power on held-out rows; by_block: that in each held-out block; without_command: the same of the
+    model's constant, line and initial states alone; predicted (N,), measurement unit; poles: of the filters; hysteresis: whether there
+    are play operators.
+    """
+
+    unexplained: float
+    by_block: Array
+    without_command: float
+    predicted: Array
+    poles: Poles
+    hysteresis: bool
+
+
+def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
+    """Whether a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
+    if one.unexplained * ratio >= other.unexplained:
+        return False
+    gain = np.log(other.by_block + FLOOR * other.unexplained) - np.log(one.by_block + FLOOR * one.unexplained)
+    return bool(np.mean(gain) > SURE * np.std(gain, ddof=1) / np.sqrt(len(gain)))
+
+
+def independent_sines(command: Array) -> float:
+    """How many sines a command (N,) is made of but for a hundredth of its power: what a record can tell of a model."""
+    place = np.linspace(0.0, 1.0, len(command))
+    motion = command - command[0] - place * (command[-1] - command[0])
+    power = np.sort(np.abs(np.fft.rfft((motion - motion.mean()) * np.hanning(len(motion)))) ** 2)[::-1]
+    lines = int(np.searchsorted(np.cumsum(power), 0.99 * power.sum())) + 1
+    return lines / LINES_OF_A_SINE
+
+
+def condensed(command: Array, measurement: Array) -> tuple[Array, Array, int]:
+    """At most about `MAX_ROWS` rows of a record that hold its command's motion, and how many neighbors are averaged in each of them."""
+    most = MAX_ROWS if command.shape[1] == 1 else MAX_ROWS // 2
+    together = -(-len(command) // most)
+    while together > 1 and not _power_is_kept(command, together):
+        together //= 2
+    length = most * together
+    begins = np.unique(np.linspace(0, max(len(command) - length, 0), 16).astype(int))
+    moved = [float(np.sum(np.ptp(command[begin : begin + length : together], axis=0) ** 2)) for begin in begins]
+    window = slice(int(begins[int(np.argmax(moved))]), None)
+    rows = slice(window.start, window.start + length)
+    return averaged(command[rows], together), averaged(measurement[rows], together), together
+
+
+def averaged(rows: Array, together: int) -> Array:
+    """Every `together`-th of the means, twice over, of twice as many neighboring rows (N, A)."""
+    if together == 1:
+        return rows
+    # Plain means fold what is faster than the new rate, and a plant's lag of a part of a new row is causal only for what is slower.
+    for _ in range(2):
+        sums = np.cumsum(np.concatenate([np.zeros((1, rows.shape[1])), rows - rows[0]]), axis=0)
+        rows = rows[0] + (sums[2 * together :] - sums[: -2 * together]) / (2 * together)
+    return np.ascontiguousarray(rows[::together])
+
+
+def _power_is_kept(command: Array, together: int) -> bool:
+    whole, left = np.var(command, axis=0), np.var(averaged(command, together), axis=0)
+    return bool(np.all(left >= KEPT_POWER * whole))
+
+
+def reference(command: Array, measured: Array) -> Reference:
+    """The better of a linear model and one with hysteresis of one measured axis (N,), from commands (N, A)."""
+    return min(linear_reference(command, measured), hysteretic_reference(command, measured), key=lambda fit: fit.unexplained)
+
+
+def hysteretic_reference(command: Array, measured: Array) -> Reference:
+    """The model with hysteresis of one measured axis (N,), from commands (N, A)."""
+    return _fit(command, measured, _thresholds(command), None)
+
+
+def continued(command: Array, measured: Array, begun: Reference) -> Reference:
+    """A model of the structure of another one, whose poles it begins with."""
+    return _fit(command, measured, _thresholds(command) if begun.hysteresis else (), begun.poles)
+
+
+def linear_reference(command: Array, measured: Array) -> Reference:
+    """The linear model of one measured axis (N,), from commands (N, A)."""
+    return _fit(command, measured, (), None)
+
+
+def _thresholds(command: Array) -> tuple[float, ...]:
+    return THRESHOLDS if command.shape[1] == 1 else THRESHOLDS[1::2]
+
+
+def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Array:
+    """Unexplained shares (2 reach + 1,) where the measurement (N,) is taken -reach ... reach rows later, by a model of fixed poles.
+
+    The model's columns stay the same for all shifts: what they explain is a correlation with each of an orthonormal set of them.
+    """
+    count = len(measured) - 2 * reach
+    rows = slice(reach, reach + count)
+    inputs = _inputs(command, THRESHOLDS[1::2])
+    lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    columns = np.concatenate([_columns(inputs, poles)[:, rows], lines]).T
+    left, sizes, _ = np.linalg.svd(columns / (np.sqrt(np.sum(columns**2, axis=0)) + 1e-150), full_matrices=False)
+    values = measured - measured.mean()
+    length = 2 ** int(np.ceil(np.log2(len(values) + count)))
+    spectrum = np.fft.rfft(values, length)
+    explained = np.zeros(2 * reach + 1)
+    for column in left[:, sizes > 1e-6 * sizes[0]].T:
+        explained += np.fft.irfft(spectrum * np.fft.rfft(column, length).conj(), length)[: 2 * reach + 1] ** 2
+    sums = np.concatenate([[0.0], np.cumsum(values**2)])
+    return np.asarray(1.0 - explained / np.maximum(sums[count:] - sums[: 2 * reach + 1], 1e-300), dtype=np.float64)
+
+
+def initial_poles(count: int) -> Poles:
+    """Poles of moderately damped oscillations from a few periods in `count` rows to a third of the sample rate."""
+    angle = np.geomspace(4.0 * np.pi / count, 2.0, PAIRS)
+    return np.asarray(np.exp((1j - 0.3) * angle), dtype=np.complex128)
+
+
+def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Poles | None) -> Reference:
+    """The model with the poles, of all iterations, that fit best on the rows that are not held out."""
+    count, size = len(measured), max(float(np.std(measured)), 1e-300)
+    values = (measured - measured[0]) / size
+    inputs = _inputs(command, thresholds)
+    held_out = np.arange(count) * BLOCKS // count % HELD_OUT == HELD_OUT // 2
+    used = np.where(held_out, 0.0, 1.0)
+    best: tuple[float, Array, Array, Poles] = np.inf, values, values, initial_poles(count)
+    poles = best[3] if poles is None else poles
+    for _ in range(ITERATIONS):
+        filtered, free = _columns(inputs, poles), _free_columns(poles, count)
+        model = len(filtered) + len(free)
+        # The measurement, too, passes the filters: its weights tell where their poles should be.
+        columns = np.concatenate([filtered, free, _columns(values[None], poles)[1:]])
+        sizes = np.sqrt(np.einsum("kn,kn->k", columns, columns)) + 1e-150
+        columns /= sizes[:, None]
+        rows = columns * used
+        normal, product = rows @ columns.T, rows @ values
+        normal[np.diag_indices_from(normal)] += RIDGE
+        coefficients = np.linalg.solve(normal[:model, :model], product[:model])
+        predicted = coefficients @ columns[:model]
+        left = float(np.mean(used * (values - predicted) ** 2))
+        done = left > CONVERGED * best[0]
+        if left < best[0]:
+            within = slice(len(filtered), model)
+            alone = np.linalg.solve(normal[within, within], product[within]) @ columns[within]
+            best = left, predicted, alone, poles
+        if done:
+            break
+        poles = _relocated(poles, np.linalg.solve(normal, product)[model:] / sizes[model:], count)
+    _, predicted, alone, poles = best
+    unexplained, without_command = (float(np.mean((values - made)[held_out] ** 2)) for made in (predicted, alone))
+    number = np.arange(count) * BLOCKS // count // HELD_OUT
+    by_block = np.bincount(number[held_out], (values - predicted)[held_out] ** 2) / np.bincount(number[held_out])
+    return Reference(unexplained, by_block, without_command, measured[0] + predicted * size, poles, bool(thresholds))
+
+
+def _inputs(command: Array, thresholds: Sequence[float]) -> Array:
+    """Every command (N, A) about its first value, at which the filters are settled, and play operators of it; of deviation 1 (K, N)."""
+    found = []
+    for values in command.T:
+        span = float(np.ptp(values))
+        for each in (values, *(_play(values, share * span) for share in thresholds)):
+            found.append((each - each[0]) / max(float(np.std(each)), 1e-300))
+    return np.array(found)
+
+
+@njit(cache=True)
+def _play(values: Array, threshold: float) -> Array:
+    """A play operator that begins at the first value."""
+    found = np.empty(len(values))
+    state = values[0]
+    for row in range(len(values)):
+        state = min(max(state, values[row] - threshold), values[row] + threshold)
+        found[row] = state
+    return found
+
+
+def _columns(inputs: Array, poles: Poles) -> Array:
+    """Inputs (K, N), each followed by what a filter of each pole makes of the values before; of a pair the real and the imaginary part."""
+    return _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), np.array([_gain(pole) for pole in poles]))
+
+
+@njit(cache=True)
+def _filter_bank(inputs: Array, poles: Poles, gains: Array) -> Array:
+    width = 1
+    for pole in poles:
+        width += 2 if pole.imag else 1
+    found = np.empty((len(inputs) * width, inputs.shape[1]))
+    at = 0
+    for values in inputs:
+        found[at] = values
+        at += 1
+        for pole, gain in zip(poles, gains):
+            state = 0j
+            if pole.imag:
+                for row in range(len(values)):
+                    found[at, row], found[at + 1, row] = state.real, state.imag
+                    state = pole * state + gain * values[row]
+                at += 2
+            else:
+                for row in range(len(values)):
+                    found[at, row] = state.real
+                    state = complex(pole.real * state.real + gain * values[row])
+                at += 1
+    return found
+
+
+def _free_columns(poles: Poles, count: int) -> Array:
+    """What the filters' states at the start add, a constant and a straight line."""
+    impulse = np.zeros((1, count))
+    impulse[0, 0] = 1.0
+    lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    return np.concatenate([lines, _columns(impulse, poles)[1:]])
+
+
+def _gain(pole: complex) -> float:
+    return max(1.0 - abs(pole), 1e-4)
+
+
+def _relocated(poles: Poles, weights: Array, count: int) -> Poles:
+    """Zeros of the weight with which the measurement enters, mirrored into the unit circle: the poles of the next iteration."""
+    each = iter(weights.tolist())
+    every: list[complex] = []
+    residues: list[complex] = []
+    for pole in poles:
+        if pole.imag:
+            residue = 0.5 * _gain(pole) * complex(next(each), -next(each))
+            every += [pole, pole.conjugate()]
+            residues += [residue, residue.conjugate()]
+        else:
+            every.append(complex(pole.real))
+            residues.append(complex(_gain(pole) * next(each)))
+    # The measurement enters with a plus sign here: 1 - sum of residue / (z - pole).
+    zeros = np.linalg.eigvals(np.diag(every) + np.outer(np.ones(len(every)), residues))
+    zeros = np.where(np.abs(zeros) > 1.0, zeros / np.maximum(np.abs(zeros), 1e-300) ** 2, zeros)
+    oscillating = zeros[zeros.imag > 1e-9]
+    oscillating = oscillating * np.minimum(1.0, np.exp(-MIN_DECAY / count) / np.maximum(np.abs(oscillating), 1e-300))
+    return np.concatenate([oscillating, zeros[np.abs(zeros.imag) <= 1e-9].real])

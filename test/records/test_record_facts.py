@@ -1,0 +1,126 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Facts of a record that need no model, shifts in time, and what a given model tells of rate and unit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from hyst_control.records.record import Record, Signal
+from hyst_control.records.record_facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
+from hyst_control.records.record_validity import Trial, check_records, examined
+
+STEP = 1e-3
+TIME = STEP * np.arange(6000)
+COMMAND = 50.0 + 40.0 * np.sin(2 * np.pi * 0.5 * TIME) + 8.0 * np.sin(2 * np.pi * (2.0 + 1.5 * TIME) * TIME)
+
+
+def answer(command, step=STEP, lag=4e-3):
+    """A gain of 0.1 um/V and a lag, sampled before the command of the row acts."""
+    pole = np.exp(-step / lag)
+    start = command[:1]
+    return 0.1 * (start[0] + lfilter([0.0, 1.0 - pole], [1.0, -pole], command - start[0]))
+
+
+NOISE = 2e-3 * np.random.default_rng(0).standard_normal(len(TIME))
+MEASURED = answer(COMMAND) + NOISE
+
+
+def trial(command, measured, **other):
+    return Trial("made", command[:, None], measured[:, None], STEP, ("x",), **other)
+
+
+def names(command, measured, **other):
+    return [{each.name for each in found} for found in examined([trial(command, measured, **other)])]
+
+
+def test_a_sound_record_has_no_findings():
+    assert names(COMMAND, MEASURED) == [set(), set()]
+
+
+def test_facts_of_a_record_are_notes():
+    assert names(COMMAND, np.minimum(MEASURED, 8.5))[1] >= {"at_range_end"}
+    assert names(COMMAND, 0.1 * COMMAND + NOISE) == [set(), {"copied_command"}]
+    assert "held_command" in names(np.repeat(COMMAND[::5], 5), MEASURED)[1]
+    assert "implausible_range" in names(1e3 * COMMAND, MEASURED)[1]
+    assert names(COMMAND[200:], MEASURED[:-200])[1] == {"late_measurement"}
+
+
+def test_a_measurement_that_is_early_is_told_in_milliseconds():
+    [finding] = check_records([trial(COMMAND[:-30], MEASURED[30:])])
+    # The lag of 4 ms hides a part of it.
+    assert finding.name == "early_measurement" and 0.02 < finding.value < 0.032
+    assert "ms" in finding.text() and "--shift 0.0" in finding.text()
+
+
+def test_rows_lost_of_the_measurement_are_a_lead_that_grows():
+    time = STEP * np.arange(30000)
+    command = 50.0 + 40.0 * np.sin(2 * np.pi * 0.3 * time) + 8.0 * np.sin(2 * np.pi * (2.0 + 1.5 * time) * time)
+    measured = answer(command) + 2e-3 * np.random.default_rng(0).standard_normal(len(time))
+    lost = np.sort(np.random.default_rng(1).choice(len(time), 60, replace=False))
+    assert names(command, measured) == [set(), set()]
+    assert names(command[:-60], np.delete(measured, lost)) == [set(), {"lost_rows"}]
+
+
+@pytest.mark.parametrize("frequencies", [(2.0, 7.1, 13.3), (1.0, 1.9, 31.0)])
+def test_three_sines_tell_no_direction(frequencies):
+    command = 50.0 + sum(10.0 * np.sin(2 * np.pi * each * TIME) for each in frequencies)
+    measured = answer(command, lag=0.05) + NOISE
+    for sense in (1, -1):
+        assert names(command[::sense], measured[::sense])[0] == set()
+
+
+def test_the_shift_that_is_told_mends_the_record():
+    signals = {
+        "command": Signal(TIME[:-30], COMMAND[:-30, None], ("x",), "V"),
+        "measurement": Signal(TIME[:-30], MEASURED[30:, None], ("x",), "um"),
+    }
+    [part] = Record(signals, "made").shifted(0.03).aligned(("command", "measurement"))
+    np.testing.assert_array_equal(part.values["command"][:, 0], COMMAND[30:-30])
+    np.testing.assert_array_equal(part.values["measurement"][:, 0], MEASURED[30:-30])
+
+
+def test_rate_and_unit_beside_a_model():
+    def simulate(command, step):
+        return answer(command[:, 0], step, 0.05)[:, None]
+
+    measured = answer(COMMAND, lag=0.05) + NOISE
+
+    def found(command, stated=STEP):
+        beside = simulate(command[:, None], stated)
+        return {
+            each.name
+            for each in check_records([Trial("made", command[:, None], measured[:, None], stated, ("x",), beside, "um", simulate)])
+        }
+
+    assert found(COMMAND) == set()
+    assert found(COMMAND, 0.1 * STEP) == found(COMMAND, 2.0 * STEP) == {"wrong_rate"}
+    assert found(1e3 * COMMAND) == {"scaled_command"}
+
+
+def test_rails_are_told_from_plateaus_that_belong_to_the_command():
+    assert rails(COMMAND, MEASURED) is None
+    stairs = np.repeat(np.random.default_rng(1).uniform(0, 100, 60), 100)
+    assert rails(stairs, np.round(answer(stairs), 4)) is None
+    value, share = rails(COMMAND, np.minimum(MEASURED, 8.5))
+    assert value == 8.5 and share == pytest.approx(np.mean(MEASURED >= 8.5))
+
+
+def test_a_staircase_is_no_held_command_and_a_plant_no_copy():
+    assert held_samples(np.repeat(np.random.default_rng(1).uniform(0, 100, 600), 10)) == 1
+    assert held_samples(np.repeat(COMMAND[::10], 10)) == 10
+    assert copied_gain(COMMAND, MEASURED) is None
+    assert copied_gain(COMMAND, 0.1 * COMMAND + NOISE) == pytest.approx(0.1, rel=1e-3)
+
+
+def test_gaps_of_both_signals_are_counted():
+    rows = np.delete(np.arange(len(TIME)), (np.arange(300, 5500, 400)[:, None] + np.arange(20)).ravel())
+    assert simultaneous_gaps(COMMAND, MEASURED) == 0
+    assert 5 <= simultaneous_gaps(COMMAND[rows], MEASURED[rows]) <= 14
+
+
+def test_implausible_ranges_name_the_smaller_unit():
+    assert implausible(COMMAND, MEASURED, "um") is None
+    assert implausible(COMMAND, 1e3 * MEASURED, "um")[1] == "nm"
