@@ -22,7 +22,8 @@ def simulate(command: Array, sample_time: float, gain: float, frequency: float, 
     omega = 2 * np.pi * frequency
     plant = signal.lti([gain * omega**2], [1.0, 2 * damping * omega, omega**2])
     num, den, _ = signal.cont2discrete((plant.num, plant.den), sample_time)
-    return signal.lfilter(num.ravel(), den, command)
+    answer: Array = signal.lfilter(num.ravel(), den, command)
+    return answer
 
 
 def measured(seed: int = 0) -> hc.Record:

@@ -45,7 +45,7 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
 
 def _check_repeatable(stage: ExternalSimulator, command: Any, sample_time: float) -> None:
     """Refuse a function whose second call gives something else: derivatives by differences would be noise."""
-    if not np.array_equal(*(stage.run(command, sample_time) for _ in range(2))):
+    if not np.array_equal(stage.run(command, sample_time), stage.run(command, sample_time)):
         raise InputError(
             f"simulator {title_of(stage.simulate)}: a second call gives other values: begin each call from the same state, and seed "
             "its random numbers"
