@@ -50,7 +50,6 @@ def test_the_axis_that_prevails(decisions, verdict, reasons, remainder):
         (PLAIN, ()),
         (replace(PLAIN, repeated=0.003), (C.REPEATED_VALUES,)),
         (replace(PLAIN, repeated=0.003, repeats_counted=1000), ()),
-        (replace(PLAIN, repeated=0.003, step=0.01), ()),
         (replace(PLAIN, repeated=0.02, step=0.01), (C.REPEATED_VALUES,)),
         (replace(PLAIN, step=1.0), (C.VALUE_LATTICE,)),
         (replace(PLAIN, step=1.0, step_modelled=True), ()),
