@@ -40,7 +40,7 @@ class Hypothesis:
     coefficients: int  # Number of its first columns, which are coefficients and session effects
     parameters: int  # Number of the next ones, which are parameters of effects
     modulations: int  # Number of the next ones; the others are features
-    change: Array  # By octave, energy of what its effects change
+    change: Array  # By octave, energy of what its effects, or coefficients alone, change
     reduction: float  # Rms that it takes off what the coefficients leave, in units of noise and discrepancy
 
 
@@ -79,10 +79,13 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
             columns = _effect_columns(linearized, one)
         except InputError:
             continue  # next to these values the chain cannot be simulated
-        # The change is that of the effects alone; their part along the coefficients is taken back to first order.
+        # The change is that of the effects alone, or of coefficients beyond their tolerance, to first order in these.
         change = np.zeros(len(linearized.measured))
         if one.candidate is not None:
             change = linearized.measured - linearized.nominal - linearized.columns @ one.solution.z - one.solution.residual
+        elif one.inflated:
+            alone = np.where(linearized.scatter.companions > 0.0, 0.0, one.tolerances * one.solution.z)
+            change = linearized.columns @ alone
         modulations = np.zeros((len(change), 0))
         if one.candidate is not None and is_bounded(change):
             plain = problem.in_noise(change)

@@ -71,7 +71,7 @@ class Priors:
     values: float = 8.0  # Independent values of an octave in which a model's error is larger than the noise
     flicker_powers: tuple[float, ...] = (0.8, 1.0, 1.3)  # Powers of the frequency
     flicker_sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # Its power at the top in that of the white noise
-    temperature: float = 1.0  # Factor of the log evidences
+    temperature: float = 0.5  # Factor of the log evidences: by log loss on cases of tuning seeds
     level: float = 0.9  # Probability of the set of explanations that is named
     combined: float = 1e-6  # Probability of something else from which combinations of effects are tried
     parents: int = 2  # Explanations that a further effect is added to
@@ -91,6 +91,7 @@ class Weighed:
     kind: Kind
     names: tuple[str, ...]  # Effects; of something else those that it is like
     log_weight: float  # Log evidence and log prior, nats
+    log_prior: float
     hypothesis: Hypothesis  # The fit that leads among its realizations
     end: LogEvidence  # Where that fit ends
     flicker: bool = False  # True beside 1/f noise
@@ -105,9 +106,10 @@ def weigh(fits: Fits, priors: Priors) -> tuple[Weighed, ...]:
     none = [one for one in plain if one.kind is Kind.NOTHING]
     found = [*plain, *(more for one in none + effects[: priors.leading] for more in _further(one, fits, octaves, priors))]
     found = list(_by_name(found))
-    total = logsumexp([priors.temperature * one.log_weight for one in found])
-    found = [replace(one, probability=float(np.exp(priors.temperature * one.log_weight - total))) for one in found]
-    return tuple(sorted(found, key=lambda one: -one.log_weight))
+    tempered = [priors.temperature * (one.log_weight - one.log_prior) + one.log_prior for one in found]
+    shares = np.exp(np.array(tempered) - logsumexp(tempered))
+    found = [replace(one, probability=float(share)) for one, share in zip(found, shares, strict=True)]
+    return tuple(sorted(found, key=lambda one: -one.probability))
 
 
 def weighted_octaves(fits: Fits, priors: Priors) -> Octaves:
@@ -137,27 +139,30 @@ def _plain(hypothesis: Hypothesis, fits: Fits, octaves: Octaves, priors: Priors)
     kind = Kind.PARAMETERS if hypothesis.coefficients_alone else Kind.EFFECTS if hypothesis.names else Kind.NOTHING
     stage = priors.stage if hypothesis.names else ((0.0, 1.0),)
     value, end = _mixed(_fit(hypothesis), octaves, _by_share(stage, hypothesis.change, octaves, priors))
-    return Weighed(kind, hypothesis.names, value + _log_prior(hypothesis, fits, priors), hypothesis, end)
+    prior = _log_prior(hypothesis, fits, priors)
+    return Weighed(kind, hypothesis.names, value + prior - np.log(hypothesis.realizations), prior, hypothesis, end)
 
 
 def _further(one: Weighed, fits: Fits, octaves: Octaves, priors: Priors) -> Iterator[Weighed]:
     """A hypothesis beside 1/f noise, and something else that is like it, or like nothing."""
     hypothesis = one.hypothesis
-    prior, fit = _log_prior(hypothesis, fits, priors), _fit(hypothesis)
+    own, fit = float(np.log(hypothesis.realizations)), _fit(hypothesis)
     # Of several axes nobody knows whose noise it is; and beside rounding errors white noise, which tells 1/f noise, is not seen.
-    if octaves.per_axis == len(octaves.own) and np.max(fits.noise) > 0.5:
+    if octaves.per_axis == len(octaves.own) and np.max(fits.noise[octaves.sizes > 0.0]) > 0.5:
         grid = [(power, top) for power in priors.flicker_powers for top in priors.flicker_sizes]
         each = [(one.end.variance + flicker_variance(fits, *at), one.end.freedom, 1.0 / len(grid)) for at in grid]
         value, end = _mixed(fit, octaves, each)
-        yield Weighed(Kind.EFFECTS, (*one.names, FLICKER), value + prior + np.log(priors.flicker), hypothesis, end, True)
+        prior = one.log_prior + float(np.log(priors.flicker))
+        yield Weighed(Kind.EFFECTS, (*one.names, FLICKER), value + prior - own, prior, hypothesis, end, True)
     if one.names:
         either = tuple((share, 0.5 * weight) for share, weight in priors.stage + priors.other)
         shares = _by_share(either, hypothesis.change, octaves, priors)
         value, end = _mixed(_fit(hypothesis, priors.modulation), octaves, shares)
-        value += prior + np.log(priors.else_odds)
+        prior = one.log_prior + float(np.log(priors.else_odds))
     else:
         value, end = _unlike(hypothesis, fits, octaves, priors)
-    yield Weighed(Kind.SOMETHING_ELSE, one.names, value, hypothesis, end)
+        prior = float(np.log(priors.unlike))
+    yield Weighed(Kind.SOMETHING_ELSE, one.names, value + prior - own, prior, hypothesis, end)
 
 
 def _unlike(hypothesis: Hypothesis, fits: Fits, octaves: Octaves, priors: Priors) -> tuple[float, LogEvidence]:
@@ -165,8 +170,7 @@ def _unlike(hypothesis: Hypothesis, fits: Fits, octaves: Octaves, priors: Priors
     sizes = (0.0, *priors.features)
     each = [_mixed(_fit(hypothesis, 0.0, size), octaves, _by_share(priors.motion, fits.motion, octaves, priors)) for size in sizes]
     values = [value for value, _ in each]
-    total = float(logsumexp(values)) - np.log(len(sizes)) + np.log(priors.unlike)
-    return total, each[int(np.argmax(values))][1]
+    return float(logsumexp(values)) - float(np.log(len(sizes))), each[int(np.argmax(values))][1]
 
 
 def _by_share(shares: Weights, energy: Array, octaves: Octaves, priors: Priors) -> Iterator[tuple[Array, Array, float]]:
@@ -193,14 +197,13 @@ def flicker_variance(fits: Fits, power: float, top: float) -> Array:
 
 
 def _log_prior(hypothesis: Hypothesis, fits: Fits, priors: Priors) -> float:
-    """Log prior probability of a hypothesis, of an effect's realizations each the same part."""
+    """Log prior probability of a hypothesis, all realizations of its effects together."""
     if hypothesis.coefficients_alone:
         return float(np.log(priors.parameters))
     if not hypothesis.names:
         return float(np.log(priors.nothing))
     number = len(hypothesis.names)
-    every = np.log(priors.single) + (number - 1) * np.log(priors.further) - number * np.log(fits.effects)
-    return float(every - np.log(hypothesis.realizations))
+    return float(np.log(priors.single) + (number - 1) * np.log(priors.further) - number * np.log(fits.effects))
 
 
 def _by_name(found: Sequence[Weighed]) -> Iterator[Weighed]:
