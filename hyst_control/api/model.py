@@ -315,12 +315,11 @@ class Inverse(Shown):
 
     def summary(self) -> str:
         """Model, rate, limits and method of the inverse."""
-        limits = self.model.valid["command"] if self.limits is None and "command" in self.model.valid else self.limits
         lines = [f"inverse of {self.model.name} at {1.0 / self.sample_time:g} Hz"]
-        if limits is not None:
-            lines.append(
-                f"  commands {_range(np.transpose(np.asarray(limits, dtype=float)) if limits is self.limits else limits)} V"
-            )
+        if self.limits is not None:
+            lines.append(f"  commands {_range(np.transpose(np.asarray(self.limits)))} V")
+        elif "command" in self.model.valid:
+            lines.append(f"  commands {_range(self.model.valid['command'])} V")
         how = f"looks {self.compensator.preview} samples ahead" if self.compensator else "iterates over the whole reference"
         return "\n".join([*lines, f"  {how}"])
 
