@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulator that is a scipy.signal.lti, beside a record of the same axis whose amplifier saturates.
 
-hyst diagnose BAG --simulator simulators.linear_system:simulate --parameters prior.yaml
+From the folder `examples`: hyst diagnose BAG --simulator simulators.linear_system:simulate --parameters prior.yaml
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ def simulate(command: Array, sample_time: float, gain: float, frequency: float, 
     omega = 2 * np.pi * frequency
     plant = signal.lti([gain * omega**2], [1.0, 2 * damping * omega, omega**2])
     num, den, _ = signal.cont2discrete((plant.num, plant.den), sample_time)
-    answer: Array = signal.lfilter(num.ravel(), den, command)
-    return answer
+    measurement: Array = signal.lfilter(num.ravel(), den, command)
+    return measurement
 
 
 def measured(seed: int = 0) -> hc.Record:

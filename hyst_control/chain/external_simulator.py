@@ -97,8 +97,8 @@ class ExternalFilter(Filter):
     def settle(self, value: Array) -> Array:
         begin = np.asarray(value, dtype=float)[None]
         self.command = begin if self.sampling.first_tick else begin[:0]
-        rest: Array = self.stage.run(np.repeat(begin, 2, axis=0), self.sampling.sample_time)[0]
-        return rest
+        settled: Array = self.stage.run(np.repeat(begin, 2, axis=0), self.sampling.sample_time)[0]
+        return settled
 
     def process(self, block: Array) -> Array:
         self.command = np.concatenate([self.command, block])

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.chain import Chain
@@ -43,7 +44,7 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
     )
 
 
-def _check_repeatable(stage: ExternalSimulator, command: Any, sample_time: float) -> None:
+def _check_repeatable(stage: ExternalSimulator, command: Array, sample_time: float) -> None:
     """Refuse a function whose second call gives something else: derivatives by differences would be noise."""
     if not np.array_equal(stage.run(command, sample_time), stage.run(command, sample_time)):
         raise InputError(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
+import numpy as np
 import pytest
 
 import hyst_control as hc
@@ -24,11 +25,16 @@ def test_the_withheld_effect_is_named(name):
     if name == "mujoco_joint":
         pytest.importorskip("mujoco")
     example, (effect, parameter, size, within) = import_module(f"simulators.{name}"), CASES[name]
-    gap = hc.diagnose(example.measured(), example.simulate, parameters=example.PARAMETERS, verbose=False)
+    record = example.measured()
+    gap = hc.diagnose(record, example.simulate, parameters=example.PARAMETERS, verbose=False)
     print(gap)
     found = {each["name"]: each["parameters"] for each in gap.document["effects"]}
     assert gap.verdict == "effect" and list(found) == [effect]
     assert abs(found[effect][parameter]["value"] - size) < within
+    command, measurement = (record.signal(topic).values for topic in ("command", "measurement"))
+    nominal = example.simulate(command[:, 0], 1.0 / example.RATE, **{key: value[0] for key, value in example.PARAMETERS.items()})
+    better = gap.model.simulate(command, example.RATE).signal("measurement").values
+    assert np.std(measurement - better) < 0.4 * np.std(measurement[:, 0] - nominal)
 
 
 def test_the_command_takes_a_function_by_name(tmp_path, monkeypatch, capsys):
