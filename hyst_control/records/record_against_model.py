@@ -12,9 +12,9 @@ from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from hyst_control.base.arrays import Array
+
 Simulation = Callable[[Array, float], Array]
 """Measurements (N, A) that a model makes of commands (N, A) at a sample time in s."""
 

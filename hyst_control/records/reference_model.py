@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Poles = NDArray[np.complex128]
+from hyst_control.base.arrays import Array, Complex
+
+Poles = Complex
 
 MAX_ROWS = 8192
 """Rows that a model of one command is fitted to, half of them with several: of a longer record neighbors are averaged."""
