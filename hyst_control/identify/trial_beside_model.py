@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.stage import Array
-from hyst_control.model_file import Model, model_to_document, simulate
+from hyst_control.chain.linear.linear_stages import Delay, LinearStage
+from hyst_control.model_file import Model, simulate
 from hyst_control.records.record_against_model import Simulation
 from hyst_control.records.record_validity import Trial
 
@@ -40,14 +41,8 @@ def simulation(model: Model, hold: str | None) -> Simulation:
 
 def modes_and_delay(model: Model) -> tuple[tuple[float, ...], float]:
     """Frequencies (Hz) of a model's lightly damped modes, and its delay in s, the largest of the axes'."""
-    modes: list[float] = []
-    delay = 0.0
-    for stage in model_to_document(model)["chain"]:
-        if stage["stage"] == "delay":
-            delay += float(np.max(stage["tau"]))
-        if stage["stage"] == "transfer_function" and not stage.get("coupled"):
-            den = stage["den"]
-            for coefficients in den if np.ndim(den[0]) else [den]:
-                poles = np.roots(coefficients)
-                modes += [float(abs(pole)) / (2.0 * np.pi) for pole in poles if pole.imag > 0 and -pole.real < LIGHT * abs(pole)]
+    delay = sum(float(np.max(stage.tau)) for stage in model.chain.stages if isinstance(stage, Delay))
+    systems = [each for stage in model.chain.stages if isinstance(stage, LinearStage) for each in stage.systems(len(model.axes))]
+    poles = np.concatenate([np.zeros(0), *(np.linalg.eigvals(each.A) for each in systems)])
+    modes = {float(f"{abs(pole) / (2.0 * np.pi):.9g}") for pole in poles if pole.imag > 0 and -pole.real < LIGHT * abs(pole)}
     return tuple(sorted(modes)), delay

@@ -125,7 +125,7 @@ def simultaneous_gaps(command: Array, measured: Array) -> int:
 
 
 def implausible(command: Array, measured: Array, unit: str) -> tuple[str, str] | None:
-    """What is implausible of the ranges of a command and a measurement (N,), and the unit that may be meant."""
+    """Finding on the ranges of a command and a measurement (N,) that no stage has, and the unit that may be meant."""
     spans = {"V": float(np.ptp(command)), unit: float(np.ptp(measured))}
     for symbol, what in (("V", "command"), (unit, "measurement")):
         if spans[symbol] > LARGEST_RANGE.get(symbol, np.inf):

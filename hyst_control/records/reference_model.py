@@ -61,7 +61,7 @@ class Reference:
 
 
 def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
-    """Whether a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
+    """True where a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
     if one.unexplained * ratio >= other.unexplained:
         return False
     gain = np.log(other.by_block + FLOOR * other.unexplained) - np.log(one.by_block + FLOOR * one.unexplained)
@@ -69,7 +69,7 @@ def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
 
 
 def independent_sines(command: Array) -> float:
-    """How many sines a command (N,) is made of but for a hundredth of its power: what a record can tell of a model."""
+    """Number of sines that a command (N,) is made of but for a hundredth of its power: what a record can tell of a model."""
     place = np.linspace(0.0, 1.0, len(command))
     motion = command - command[0] - place * (command[-1] - command[0])
     power = np.sort(np.abs(np.fft.rfft((motion - motion.mean()) * np.hanning(len(motion)))) ** 2)[::-1]
