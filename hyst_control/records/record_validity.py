@@ -347,12 +347,14 @@ def _direction(trial: Trial, left: _Condensed, index: int) -> list[Finding]:
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
         if informative and (shifts := _growing_lead(trial, index)):
             return shifts
-        rows, (own, lead, shifts) = left, _shifted(trial, left, index, ahead)
+        own, lead, shifts = _shifted(trial, left, index, ahead)
+        share, found = _alternative(trial, left, index, own)
         if shifts:
             ahead = own
         elif fast is not left and (tried := _shifted(trial, fast, index, quick))[2]:
-            rows, (own, lead, shifts) = fast, tried
-        share, found = _alternative(trial, rows, index, own)
+            own, lead, shifts = tried
+            if not any(each.name == "swapped_signals" for each in found):
+                share, found = _alternative(trial, fast, index, own)
         if any(each.name not in NOTES for each in shifts):
             # An inverse, and time that runs backwards, are explained by a lead of a few samples, too.
             instead = _cleaner(trial, index) if any(each.name == "swapped_signals" for each in found) else share < lead
