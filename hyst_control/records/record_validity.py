@@ -347,12 +347,12 @@ def _direction(trial: Trial, left: _Condensed, index: int) -> list[Finding]:
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
         if informative and (shifts := _growing_lead(trial, index)):
             return shifts
-        own, lead, shifts = _shifted(trial, left, index, ahead)
+        delayed, own, lead, shifts = _shifted(trial, left, index, ahead)
+        if ahead.without_command > HALF:  # what drifts needs no command, whatever its delay
+            ahead = delayed
         share, found = _alternative(trial, left, index, own)
-        if shifts:
-            ahead = own
-        elif fast is not left and (tried := _shifted(trial, fast, index, quick))[2]:
-            own, lead, shifts = tried
+        if fast is not left and not shifts and (tried := _shifted(trial, fast, index, quick))[3]:
+            _, own, lead, shifts = tried
             if not any(each.name == "swapped_signals" for each in found):
                 share, found = _alternative(trial, fast, index, own)
         if any(each.name not in NOTES for each in shifts):
@@ -449,8 +449,8 @@ def _time(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 10.0 else f"{seconds:.3g} s"
 
 
-def _shifted(trial: Trial, rows: _Condensed, index: int, own: Reference) -> tuple[Reference, float, list[Finding]]:
-    """The model of the rows as they are, with its delay; what a lead leaves, and what is told of a delay or a lead."""
+def _shifted(trial: Trial, rows: _Condensed, index: int, own: Reference) -> tuple[Reference, Reference, float, list[Finding]]:
+    """The model of the rows with its delay, and begun with a lead's poles; what a lead leaves, what is told of either."""
     command, measured = rows.inputs(index), rows.measurement[:, index]
     reach, informative = len(measured) // 8, independent_sines(rows.command[:, index]) >= MIN_SINES
     curves = [shift_curve(command, measured, poles, reach) for poles in (own.poles, own.poles[:0])]
@@ -465,10 +465,10 @@ def _shifted(trial: Trial, rows: _Condensed, index: int, own: Reference) -> tupl
     best = min(later, key=lambda each: later[each].unexplained, default=0)
     inside = SMALL_LEAD < best < reach - SMALL_LEAD  # a periodic command is explained by every period of delay
     if informative and inside and surely_better(later[best], own, LATE):
-        return later[best], np.inf, finding("late_measurement", best, "if the machine has no such delay, pass")
-    own = min([own, *later.values()], key=lambda fit: fit.unexplained)
+        return later[best], later[best], np.inf, finding("late_measurement", best, "if the machine has no such delay, pass")
+    own = delayed = min([own, *later.values()], key=lambda fit: fit.unexplained)
     if not informative:
-        return own, np.inf, []
+        return delayed, own, np.inf, []
     early = {-SMALL_LEAD} | {
         int(np.argmin(curve[:reach])) - reach for curve in curves if curve[:reach].min() < 0.5 * curve[reach:].min()
     }
@@ -482,11 +482,12 @@ def _shifted(trial: Trial, rows: _Condensed, index: int, own: Reference) -> tupl
         own = min(own, continued(command, measured, leads[best]), key=lambda fit: fit.unexplained)
     if leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
         return (
+            delayed,
             own,
             leads[best].unexplained,
             finding("early_measurement", best, "check that both recordings start together, or pass"),
         )
-    return own, np.inf, []
+    return delayed, own, np.inf, []
 
 
 def _growing_lead(trial: Trial, index: int) -> list[Finding]:
