@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +98,7 @@ class Batch:
             for case in self.cases():
                 path, apart = (self.folder / place / f"{case.name}.json" for place in (folder, "separation"))
                 if path.exists():
-                    parts = cast(Sequence[Mapping[str, Any]], read_json(apart)) if apart.exists() and not role else None
+                    parts = json.loads(apart.read_text()) if apart.exists() and not role else None
                     found.append(score(case, read_json(path), role, parts))
         return found
 

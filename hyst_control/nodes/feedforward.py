@@ -78,16 +78,18 @@ class Feedforward(SignalNode):
     """
 
     KIND = "proportional"
+    NAME = f"{KIND}_feedforward"
     SETTINGS = settings_of(KIND)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Give a subclass the parameters of its `KIND`."""
         super().__init_subclass__(**options)
         cls.SETTINGS = settings_of(cls.KIND)
+        cls.NAME = f"{cls.KIND}_feedforward"
 
     def __init__(self, name: str = "", compensator: Compensator | None = None, **options: Any) -> None:
         """Create the node, by default under the name of its kind."""
-        super().__init__(name or f"{self.KIND}_feedforward", **options)
+        super().__init__(name or self.NAME, **options)
         self._compensator = compensator or self._described()
         if self.settings.backend == C:
             self._compensator = self._compiled(self._compensator)

@@ -260,13 +260,14 @@ def draw(panels: Sequence[Panel], figure: Figure, title: str) -> list[Axes]:
 
 
 def _write_picture(panels: Sequence[Panel], path: Path, title: str, ending: str) -> None:
+    from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure()
     FigureCanvasAgg(figure)
     draw(panels, figure, title)
-    with replacing(path) as file:
+    with replacing(path) as file, rc_context({"svg.fonttype": "none"}):  # texts stay texts, which can be searched
         figure.savefig(file, format=ending, dpi=120)
 
 

@@ -35,6 +35,8 @@ def files(tmp_path_factory):
     ):
         words = [*SIGNAL, "--rate", "1000", "--seed", str(seed), "--output", str(folder / name)]
         assert main(["simulate", str(model), "--excitation", *words]) == 0
+    (folder / "joint.py").write_text("def simulate(command, sample_time, stiffness):\n    return stiffness * command\n")
+    (folder / "prior.yaml").write_text("stiffness: [0.1, 0.01, um/V]\n")
     return folder
 
 

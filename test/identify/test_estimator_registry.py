@@ -17,7 +17,7 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.identify import Dataset, Estimator, Fit, Options, estimators, identify, option, register
 from hyst_control.identify.families import estimator
 from hyst_control.identify.families.estimator import every_option
-from hyst_control.identify.families.options import INTEGER, NUMBER, TEXT, TRUTH, declared
+from hyst_control.identify.families.options import INTEGER, NUMBER, TEXT, TRUTH, Option, declared
 from hyst_control.model_file import Model
 
 
@@ -88,7 +88,8 @@ def test_values_are_converted_and_kept_in_their_type():
     for option_, value in ((scale, "nan"), (scale, True), (scale, None), (blocks, 2.5), (blocks, "x"), (blocks, [1])):
         with pytest.raises(InputError, match="must be"):
             option_.checked(value)
-    assert [TRUTH.convert(text) for text in ("true", "No")] == [True, False]
+    truth = Option("truth", False, "", "of a test", kind=TRUTH)
+    assert [truth.checked(text) for text in ("true", "No", True)] == [True, False, True]
 
 
 def test_the_document_shows_every_family_and_option():

@@ -74,7 +74,7 @@ WRONG = [
     (dict(safe_command=[90.0]), "parameter safe_command: must be within lower and upper"),
     (dict(safe_command=[0.0, 0.0]), "parameter safe_command: 2 values, 1 axes"),
     (dict(axes=["x", "y"], safe_command=[0.0]), r"initial_command\(\) must return 2 values"),
-    (dict(schedule="lockstep"), "must be one of timer"),
+    (dict(schedule="lockstep"), "must be timer, got"),
     (dict(block=10), "parameter block"),
 ]
 

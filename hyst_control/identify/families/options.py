@@ -47,7 +47,7 @@ class Option(Quantity):
             return None
         if isinstance(value, str) and value not in self.choices and self.kind in PARSED:
             try:
-                return super().checked(PARSED[self.kind](value))
+                value = PARSED[self.kind](value)
             except (KeyError, ValueError):
                 self.refuse(value)
         return super().checked(value)
