@@ -419,7 +419,7 @@ def _alternative(trial: Trial, left: _Condensed, index: int, ahead: Reference) -
         fit = hysteretic_reference(inputs, wanted)
         if fit.unexplained > (HALF if sines > MANY_SINES else FITS) or not surely_better(fit, ahead, limit):
             continue
-        if sines >= MIN_SINES or _of_this_time(fit, inputs, wanted):
+        if _of_this_time(fit, inputs, wanted, FAR_LESS if sines < MIN_SINES else HALF):
             clear.append((fit.unexplained, name, limit))
     if not clear:
         return np.inf, []
@@ -427,11 +427,11 @@ def _alternative(trial: Trial, left: _Condensed, index: int, ahead: Reference) -
     return share, [Finding(name, trial.name, trial.axes[index], ahead.unexplained / max(share, 1e-300), limit)]
 
 
-def _of_this_time(fit: Reference, inputs: Array, wanted: Array) -> bool:
-    """Whether an arrangement leaves far less than its inputs (N, A) of other times do, which a few sines do not."""
+def _of_this_time(fit: Reference, inputs: Array, wanted: Array, share: float) -> bool:
+    """True where an arrangement leaves less than a share of what its inputs (N, A) of other times do; not of a drift, or of a few sines."""
     shift = int(OTHER_TIMES[0] * len(wanted))
     others = (inputs[shift:], wanted[:-shift]), (inputs[:-shift], wanted[shift:])
-    return fit.unexplained < FAR_LESS * min(hysteretic_reference(*other).unexplained for other in others)
+    return fit.unexplained < share * min(hysteretic_reference(*other).unexplained for other in others)
 
 
 def _independent(command: Array) -> bool:
