@@ -37,7 +37,7 @@ class Shown:
 
 
 def shown(text: str) -> list[Shown]:
-    """What a document runs, in its order."""
+    """Commands and code of a document, in its order."""
     found: list[Shown] = []
     for kind, block in BLOCK.findall(text):
         if kind == "python":

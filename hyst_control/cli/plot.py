@@ -111,7 +111,7 @@ def _of_report(path: str) -> list[Panel]:
 
 
 def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]]:
-    """What the options ask for of bags, and the notes of their reading."""
+    """Panels of bags that the options ask for, and the notes on reading the bags."""
     from hyst_control.base.errors import InputError
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.reporting.frequency_figures import bode_of_record

@@ -88,7 +88,7 @@ def validate_record(
 
 
 def _remarks(table: Table, name: str, model: Model, data: Dataset) -> list[str]:
-    """What is wrong with a record, or with a model of it, in sentences."""
+    """Sentences on the faults of a record, or of a model of it."""
     looked_at = data.rows(0, LONGEST_JUDGED)
     trial = trial_beside(model, data.name, looked_at.command, looked_at.measurement, data.sample_time, data.hold)
     found = [each.text() for findings in examined([trial]) for each in findings]

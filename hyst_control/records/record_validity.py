@@ -331,7 +331,7 @@ class _Condensed:
 
 
 def _direction(trial: Trial, left: _Condensed, index: int) -> list[Finding]:
-    """Whether an axis follows its commands, and which way time runs."""
+    """Findings on whether an axis follows its commands, and on the direction of time."""
     command, measured = left.inputs(index), left.measurement[:, index]
     ahead = reference(command, measured)
     if left.simulated is not None and _misfit(left.simulated[:, index], measured) < min(max(2.0 * ahead.unexplained, SOUND), HALF):

@@ -17,7 +17,7 @@ REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
 
 
 class RepetitionBackoff:
-    """The times at which a repetition is due: the longer nothing new has come, the less often."""
+    """Times at which a row is repeated: less often, the longer nothing new has come."""
 
     def __init__(self, now: float, longest: float = LONGEST_INTERVAL) -> None:
         self.last = now
