@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test quick test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme sbom bench env clean
+.PHONY: demo test quick test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme check-labs sbom bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -71,6 +71,9 @@ check-colcon: $(CHECKS_READY) env
 
 check-readme: env
 	$(VENV)/bin/python .ci/readme.py
+
+check-labs: env
+	.ci/labs.sh
 
 lint: $(CHECKS_READY)
 	$(VENV)/bin/python -m ruff check .

@@ -53,6 +53,7 @@ setup(
         "pi": ["pipython"],
         "epics": ["caproto"],
         "bluesky": ["bluesky"],
+        "foxglove": ["foxglove-sdk"],
         "mujoco": ["mujoco"],
         "test": ["pytest", "pytest-timeout", "hypothesis", "rosbags"],  # by which colcon test knows that pytest runs them
     },

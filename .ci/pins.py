@@ -18,7 +18,13 @@ from pathlib import Path
 
 from sources import ROOT
 
-FILES = ("requirements.txt", "requirements-jazzy.txt", "requirements-kilted.txt", "requirements-checks.txt")
+FILES = (
+    "requirements.txt",
+    "requirements-jazzy.txt",
+    "requirements-kilted.txt",
+    "requirements-checks.txt",
+    "requirements-labs.txt",
+)
 
 
 def pinned(text: str) -> list[str]:

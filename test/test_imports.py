@@ -32,7 +32,8 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "chain",
     "base",
 )
-ROS_OUTSIDE = {  # processes with nodes that a benchmark compares ours with, or measures
+ROS_OUTSIDE = {  # nodes that a benchmark compares ours with, or measures; a bridge that listens to them
+    "hyst_control.labs.foxglove_bridge",
     "evaluation.benchmarks.plain_loop",
     "evaluation.benchmarks.many_axes_nodes",
 }

@@ -84,7 +84,9 @@ def test_a_line_is_in_the_gap_of_another_session_whatever_was_found(tmp_path):
     for name in ("reports", "evidence"):
         (tmp_path / name).mkdir()
     _make_one((case, tmp_path))
-    _diagnose_one((str(tmp_path / "case"), str(report), tuple(name for name in EFFECTS if name not in ("mains_hum", "delay")), "rules"))
+    _diagnose_one(
+        (str(tmp_path / "case"), str(report), tuple(name for name in EFFECTS if name not in ("mains_hum", "delay")), "rules")
+    )
     _realize_one((case, report, file))
     found = json.loads(report.read_text())
     assert [effect["name"] for effect in found["effects"]] == ["mains_hum"] and found["effects"][0]["shrink"] > 0.95
