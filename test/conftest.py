@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package does, which numpy here comes before: the workers have the cores
+
 import browser as browsers
 import left_over_nodes
 import numpy as np
