@@ -140,13 +140,16 @@ def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Ar
     rows = slice(reach, reach + count)
     inputs = _inputs(command, THRESHOLDS[1::2])
     lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-    columns = np.concatenate([_columns(inputs, poles)[:, rows], lines]).T
-    left, sizes, _ = np.linalg.svd(columns / (np.sqrt(np.sum(columns**2, axis=0)) + 1e-150), full_matrices=False)
+    columns = np.concatenate([_columns(inputs, poles)[:, rows], lines])
+    columns /= np.sqrt(np.sum(columns**2, axis=1))[:, None] + 1e-150
+    powers, directions = np.linalg.eigh(columns @ columns.T)
+    kept = powers > 1e-12 * powers[-1]
+    orthonormal = (directions[:, kept] / np.sqrt(powers[kept])).T @ columns
     values = measured - measured.mean()
     length = 2 ** int(np.ceil(np.log2(len(values) + count)))
     spectrum = np.fft.rfft(values, length)
     explained = np.zeros(2 * reach + 1)
-    for column in left[:, sizes > 1e-6 * sizes[0]].T:
+    for column in orthonormal:
         explained += np.fft.irfft(spectrum * np.fft.rfft(column, length).conj(), length)[: 2 * reach + 1] ** 2
     sums = np.concatenate([[0.0], np.cumsum(values**2)])
     return np.asarray(1.0 - explained / np.maximum(sums[count:] - sums[: 2 * reach + 1], 1e-300), dtype=np.float64)
@@ -164,7 +167,8 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
     values = (measured - measured[0]) / size
     inputs = _inputs(command, thresholds)
     held_out = np.arange(count) * BLOCKS // count % HELD_OUT == HELD_OUT // 2
-    used = np.where(held_out, 0.0, 1.0)
+    used = ~held_out
+    seen = values[used]
     best: tuple[float, Array, Array, Poles] = np.inf, values, values, initial_poles(count)
     poles = best[3] if poles is None else poles
     for _ in range(ITERATIONS):
@@ -172,18 +176,18 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
         model = len(filtered) + len(free)
         # The measurement, too, passes the filters: its weights tell where their poles should be.
         columns = np.concatenate([filtered, free, _columns(values[None], poles)[1:]])
-        sizes = np.sqrt(np.einsum("kn,kn->k", columns, columns)) + 1e-150
-        columns /= sizes[:, None]
-        rows = columns * used
-        normal, product = rows @ columns.T, rows @ values
+        rows = columns[:, used]
+        normal, product = rows @ rows.T, rows @ seen
+        sizes = np.sqrt(np.diag(normal)) + 1e-150
+        normal /= np.outer(sizes, sizes)
+        product /= sizes
         normal[np.diag_indices_from(normal)] += RIDGE
-        coefficients = np.linalg.solve(normal[:model, :model], product[:model])
-        predicted = coefficients @ columns[:model]
-        left = float(np.mean(used * (values - predicted) ** 2))
+        predicted = (np.linalg.solve(normal[:model, :model], product[:model]) / sizes[:model]) @ columns[:model]
+        left = float(np.sum((seen - predicted[used]) ** 2)) / count
         done = left > CONVERGED * best[0]
         if left < best[0]:
             within = slice(len(filtered), model)
-            alone = np.linalg.solve(normal[within, within], product[within]) @ columns[within]
+            alone = (np.linalg.solve(normal[within, within], product[within]) / sizes[within]) @ columns[within]
             best = left, predicted, alone, poles
         if done:
             break
