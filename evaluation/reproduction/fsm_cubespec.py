@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.reproduction import softening_modes
 from evaluation.reproduction.fsm_cubespec_records import FIT, SAMPLE_TIME, SELECT, Level, load_levels, model_of
 from evaluation.reproduction.fsm_cubespec_tables import (
     ALL,
@@ -39,7 +40,6 @@ from evaluation.reproduction.fsm_cubespec_tables import (
 from hyst_control.base import progress
 from hyst_control.base.parallel import executor
 from hyst_control.chain.chain import Chain
-from hyst_control.identify.modal import softening_modes
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel

@@ -18,8 +18,8 @@ from evaluation.reproduction.fsm_cubespec_records import (
     steady_state,
 )
 from evaluation.reproduction.fsm_cubespec_tables import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
+from evaluation.reproduction.robust_bla import robust_bla
 from hyst_control.base.errors import InputError
-from hyst_control.identify.modal.frequency_response import robust_bla
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel

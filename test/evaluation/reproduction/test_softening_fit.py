@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
+from evaluation.reproduction.softening_modes import Level, fit_softening, schedule, spectra
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
 from hyst_control.identify.modal.modal_candidate import refined
 from hyst_control.identify.modal.modal_fit import subspace
-from hyst_control.identify.modal.softening_modes import Level, fit_softening, schedule, spectra
 
 PERIOD, SAMPLE_TIME, SUBSTEPS = 1024, 1e-3, 4
 FREQUENCY, DAMPING, SOFTENING = 120.0, 0.03, 0.05
