@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.assess.assembly import fit_of
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.record_drift import without_drift
@@ -23,7 +23,7 @@ from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
+from hyst_control.identify.modal.modal_stages import axis_fit
 from hyst_control.records.stream.row_store import blocks
 
 MAX_LINES = 6000
@@ -36,36 +36,21 @@ BAND_POWER = 1e-5
 """Power of a line relative to the strongest one below which it is left out."""
 NEGLIGIBLE_IMPROVEMENT = 0.01
 """A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
+NOTHING_HELD_OUT = (
+    "No part of the records could be held out: the number of states was chosen by an information criterion. "
+    "A second record, or a longer one with the same kind of excitation, would test it."
+)
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
 def fit(datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
     """Identify one `state_space` of all axes."""
-    first = datasets[0]
     chosen, table = _search(without_drift(datasets), options)
-    stages = stages_of(chosen.model, first.sample_time)
-    known = uncertainty(chosen, first.sample_time, first.axes)
-    notes = (
-        []
-        if any(row["held_out"] is not None for row in table)
-        else [
-            "No part of the records could be held out: the number of states was chosen by an information criterion. "
-            "A second record, or a longer one with the same kind of excitation, would test it."
-        ]
-    )
-    return assembled(
-        datasets,
-        chain_model(datasets, stages, "linear"),
-        known,
-        [{**row, "axis": ", ".join(first.axes)} for row in parameter_rows(chosen, first.sample_time)],
-        notes,
-        family="linear",
-        method=options.method,
-        tolerance=tolerance_of(chosen, stages),
-        offset=0.0,
-        by_axis=True,
-        more={"orders": table, "states": chosen.model.states},
-    )
+    found = axis_fit(chosen, datasets[0].sample_time)
+    if all(row["held_out"] is None for row in table):
+        found = replace(found, notes=lambda _: [NOTHING_HELD_OUT])
+    more = {"orders": table, "states": chosen.model.states}
+    return fit_of(datasets, [found], "linear", options.method, offset=0.0, by_axis=True, more=more)
 
 
 def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:

@@ -41,16 +41,6 @@ class Candidate:
         inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True) / scale / scale[:, None]
         return index[:own], self.variance * inverse[:own, :own]
 
-    def standard_errors(self, *kinds: str) -> Annotated[Array, "P"]:
-        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known."""
-        chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
-        part = self.normal[np.ix_(chosen, chosen)]
-        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True)
-        errors = np.zeros(self.layout.size)
-        errors[chosen] = np.sqrt(np.maximum(self.variance * np.diag(inverse), 0.0)) / scale
-        return errors
-
 
 def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
     """Relative error (rms error / rms measurement) of a model on spectra.

@@ -132,7 +132,7 @@ class Operators:
     one_sided: bool = False  # One-sided play operators
     dynamic: bool = False  # Weights that follow the command's rate and level (m1, m2, k)
     center: float = 0.0  # Command about which the level counts, V
-    rate_gain: float = 0.0  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s
+    rate_gain: float | None = None  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s; None: they do not
 
     @property
     def columns(self) -> int:
@@ -272,7 +272,7 @@ class _Pass:
             ops.center,
             ops.thresholds,
             ops.release,
-            ops.rate_gain,
+            ops.rate_gain or 0.0,
             ops.dynamic,
             self.theta,
             self.h,

@@ -43,9 +43,21 @@ class Parametrization:
     """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs."""
 
     stages: Callable[[Array], Sequence[Stage]]
-    lhs: Array
-    rhs: Array
+    lhs: Array | None = None
+    rhs: Array | None = None
     limit: Callable[[Array], Array] = staticmethod(lambda vector: vector)
+
+    def part(self, whole: Array, free: slice) -> Parametrization:
+        """Some of the parameters, without constraints; the others stay as they are in `whole`."""
+
+        def completed(vector: Array) -> Array:
+            found = whole.copy()
+            found[free] = vector
+            return found
+
+        return Parametrization(
+            lambda vector: self.stages(completed(vector)), limit=lambda vector: self.limit(completed(vector))[free]
+        )
 
 
 @dataclass(frozen=True)
@@ -295,6 +307,8 @@ def _step(gram: Array, parametrization: Parametrization, present: Array, origin:
     prior = PRIOR * float(np.max(diagonal))
     normal[np.diag_indices_from(normal)] = (1.0 + damping) * diagonal + prior
     gradient += prior * (origin - present)
+    if parametrization.lhs is None or parametrization.rhs is None:
+        return constrained_minimum(normal, gradient, np.zeros((0, len(normal))), np.zeros(0))
     return constrained_minimum(normal, gradient, parametrization.lhs, parametrization.rhs - parametrization.lhs @ present)
 
 
