@@ -31,11 +31,10 @@ TRIAL_PASSES, PASSES, FINAL_PASSES = 6, 40, 12
 class BoucWenOptions(Options):
     """Options of a fit of a Bouc-Wen oscillator."""
 
-    # Sharpness of the bend; None: estimated
     exponent: float | None = option(
         None, NUMBER, "exponent of the hysteretic force, where it is not to be estimated", lower=1.0, upper=50.0
     )
-    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("offset")
 
 
 @dataclass(frozen=True)

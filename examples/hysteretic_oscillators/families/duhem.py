@@ -51,9 +51,8 @@ PER_DECADE = 2
 class DuhemOptions(Options):
     """Options of a fit of Duhem hysteresis."""
 
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
-    # Creep operators; None: chosen on held-out stretches
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
     creep: bool | None = option(None, TRUTH, "creep operators, where they are not to be chosen on held-out data")
 
 

@@ -39,20 +39,17 @@ NEGLIGIBLE_IMPROVEMENT = 0.02
 class DuhemOptions(Options):
     """Options of a fit of a Duhem oscillator."""
 
-    # Number of knots of the branches; None: chosen on held-out data
     table_size: int | None = option(
         None, INTEGER, "number of knots of the branches, where it is not to be chosen on held-out data", lower=2, upper=40
     )
-    # Largest number of knots that is tried
     largest_table: int = option(7, INTEGER, "largest number of knots that is tried", lower=2, upper=40)
-    # Make falling branches of rising ones by turning them about the origin
     symmetric: bool = option(
         True,
         TRUTH,
         "make falling branches of rising ones by turning them about the origin; without this the force's zero is that of the rest "
         "from which the records begin",
     )
-    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("offset")
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,16 @@ from hyst_control.chain import Chain, Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.identify.assess.fit_report import command_bandwidth, error_rows, noise_sigma, with_offset
-from hyst_control.identify.assess.fit_report import residual as residual_of
+from hyst_control.identify.assess.fit_report import (
+    command_bandwidth,
+    error_rows,
+    noise_sigma,
+    residual_from,
+    with_jump,
+    with_offset,
+)
 from hyst_control.identify.data.dataset import Dataset, Fit, Number, ParameterRow, Report, StructureRow
+from hyst_control.identify.data.initial_memory import beginning_rows
 from hyst_control.identify.solve.parameter_covariance import PRIOR, uncertainty_of
 from hyst_control.model_file import Model
 
@@ -154,10 +161,11 @@ def fit_of(
     sizes = np.concatenate([np.ones(len(axis.vector)) if axis.sizes is None else axis.sizes for axis in axes])
     known = uncertainty_of(stages_of, vector, block_diag(*(axis.covariance for axis in axes)), first.axes, sizes)
     model = chain_model(datasets, [*stages_of(vector), *behind], name or family)
+    begun = [with_jump(model, data) for data in datasets]
+    residuals = [residual_from(model, data) for data in begun]
+    travel = np.max([data.range for data in datasets], axis=0)
     if offset is not None:
-        model, residuals = with_offset(model, datasets, offset)
-    else:
-        residuals = [residual_of(model, data) for data in datasets]
+        model = with_offset(model, residuals, travel, offset)
     sigma = noise_sigma(residuals, datasets)
     stated = {key: [axis.tolerance[key] for axis in axes] for key in axes[0].tolerance}
     model = replace(
@@ -177,11 +185,11 @@ def fit_of(
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
             *known.notes(f"the commands' power ends at {model.valid['frequency'][1]:.3g} Hz"),
         ],
+        "beginnings": beginning_rows(begun),
     }
     held_out = [axis.held_out for axis in axes if axis.held_out is not None]
     if held_out:
-        travel = [max(float(data.range[axis]) for data in datasets) for axis in range(len(held_out))]
-        report["held_out_nrmse"] = [100.0 * float(np.sqrt(each)) / span for each, span in zip(held_out, travel, strict=True)]
+        report["held_out_nrmse"] = [100.0 * float(np.sqrt(each) / span) for each, span in zip(held_out, travel, strict=True)]
     if any(axis.structure is not None for axis in axes):
         report["structure"] = [axis.structure or "" for axis in axes]
     if compared := [row for axis in axes for row in axis.structures]:

@@ -38,11 +38,9 @@ NEAR = 0.05
 class CurveOptions(Options):
     """Options of the curves' form."""
 
-    # Degree of the polynomials
     degree: int = option(
         5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
     )
-    # Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range
     knots: tuple[float, ...] | None = option(
         None,
         NUMBERS,
@@ -50,11 +48,9 @@ class CurveOptions(Options):
         lower=0.0,
         upper=1.0,
     )
-    # Command at the upper end, V; None: the largest of the records
     input_scale: float | None = option(
         None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
     )
-    # Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there
     input_offset: float | None = option(
         None, NUMBER, "command at the lower end of the curves, in place of the lowest one of the records", unit="V"
     )
@@ -76,7 +72,7 @@ class CurveOptions(Options):
 class MadelungOptions(CurveOptions):
     """Options of a fit of Madelung curves."""
 
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("linear")
 
 
 @register

@@ -31,10 +31,9 @@ K2_UNIT = 1e-3
 class MhlOptions(CurveOptions):
     """Options of a fit of the modified Hammerstein-like model."""
 
-    method: str = methods_option("joint", "paper")  # "joint" or "paper"
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
-    # Look for cross-coupling between several axes
+    method: str = methods_option("joint", "paper")
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
     cross_coupling: bool = option(True, TRUTH, "look for cross-coupling between several axes", methods=("joint",))
 
 

@@ -32,6 +32,7 @@ from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.dataset import Dataset, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.data.record_segmentation import moving_stretches
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse, response_sign
 from hyst_control.identify.mhl.madelung_curves import Ends
@@ -333,15 +334,9 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
 
 def motions(command: Annotated[Array, "N"], sample_time: float) -> list[tuple[int, int, int]]:
     """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it."""
-    span = float(np.ptp(command))
-    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
-    if span == 0 or not len(moving):
-        return []
-    breaks = np.flatnonzero(np.diff(moving) > REST_TIME / sample_time)
-    begins = moving[np.concatenate([[0], breaks + 1])]
-    ends = moving[np.concatenate([breaks, [len(moving) - 1]])] + 1
-    following = np.append(begins[1:], len(command))
-    return [(int(b), int(m), int(e)) for b, m, e in zip(begins, ends, following, strict=True)]
+    runs = moving_stretches(command, 1e-9 * float(np.ptp(command)), int(REST_TIME / sample_time))
+    following = [begin + 1 for begin, _ in runs[1:]] + [len(command)]
+    return [(begin + 1, end + 1, next_one) for (begin, end), next_one in zip(runs, following, strict=True)]
 
 
 def step_delay(windows: Sequence[Window]) -> tuple[float, float]:

@@ -69,15 +69,12 @@ def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
     return found
 
 
-def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) -> Spectra:
+def spectra_of(data: Dataset, most: int = MAX_LINES) -> Spectra:
     """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
     """
     command, measurement = data.command, data.measurement
-    if period:
-        command = command.reshape(-1, period, command.shape[1]).mean(axis=0)
-        measurement = measurement.reshape(-1, period, measurement.shape[1]).mean(axis=0)
     n = len(command)
     u = np.fft.rfft(command - command[0], axis=0) / np.sqrt(n / 2)
     y = np.fft.rfft(measurement - measurement[0], axis=0) / np.sqrt(n / 2)
@@ -88,7 +85,7 @@ def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) 
     lines = np.flatnonzero(power > BAND_POWER * power.max())
     if len(lines) > most:
         lines = np.sort(lines[np.argsort(power[lines])[-most:]])
-    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
+    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], False)
 
 
 def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:

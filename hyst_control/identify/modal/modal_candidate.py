@@ -62,10 +62,12 @@ def equations(data: Sequence[Spectra]) -> int:
     return sum(2 * spectra.measurement.size for spectra in data)
 
 
-def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
+def refined(
+    data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int, kind: type[Problem] = Problem
+) -> Candidate:
     """Refine a model by its output error."""
     began = time.perf_counter()
-    problem = Problem(data, start, direct, free_delay)
+    problem = kind(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)
     variance = cost / max(equations(data) - problem.layout.size, 1)
     error = float(np.sqrt(cost / problem.power))

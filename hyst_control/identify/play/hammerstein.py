@@ -36,13 +36,10 @@ MIN_IMPROVEMENT = 0.03
 class OperatorOptions(Options):
     """Options of a fit of play operators."""
 
-    # Number of play operators, where `thresholds` does not list them
     operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
-    # Increasing thresholds in place of the default ones, V
     thresholds: tuple[float, ...] | None = option(
         None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
     )
-    # Offset or drift that each record may add
     nuisance: str = nuisance_option("linear", methods=("joint",))
 
     def check(self) -> None:
@@ -54,15 +51,15 @@ class OperatorOptions(Options):
 class PlayOptions(OperatorOptions):
     """Options of a fit of one-sided or two-sided play operators."""
 
-    one_sided: bool = option(False, TRUTH, "one-sided play operators")  # One-sided play operators
+    one_sided: bool = option(False, TRUTH, "one-sided play operators")
 
 
 @dataclass(frozen=True)
 class HammersteinOptions(PlayOptions):
     """Options of a fit of play operators in front of dynamics."""
 
-    method: str = methods_option("joint", "paper")  # "joint" or "paper"
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
+    method: str = methods_option("joint", "paper")
+    structure: Structure | None = structure_option()
 
 
 def axis_problem(

@@ -24,7 +24,7 @@ from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.chain_batch import Bundle
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial
-from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, NUISANCES, Grams, Window
 from hyst_control.records.stream.row_store import blocks as row_blocks
 from hyst_control.records.stream.row_store import empty_rows
 
@@ -200,7 +200,7 @@ def simulated(
             if sampling not in clocks:
                 clocks[sampling] = Bundle(chains, sampling)
             for block in _blocks(window, clocks[sampling], size, session, columns, number, length):
-                product = gram_product(block)
+                product = block.T @ block
                 if (count - first) % together:
                     pieces[-1] += product
                 else:
@@ -264,7 +264,7 @@ def _blocks(
             rows[:, place : place + decay.states] = decay.rows(stop - chunk)
         np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
         for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
-            yield np.ascontiguousarray(rows[begin : begin + length])
+            yield rows[begin : begin + length]
 
 
 def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:
