@@ -12,11 +12,12 @@ from scipy.linalg import block_diag
 
 from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
+from evaluation.reproduction.periodic_fit import refined
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
 from hyst_control.chain.stage import Stage, frozen
-from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
@@ -36,7 +37,7 @@ MIN_SHARE = 1.0
 def fit(level: mirror.Level, delay: float) -> Candidate:
     """Fit the linear model of a level, with its relative error on the fifth realization."""
     data = [level.spectra(mirror.FIT)]
-    found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], True, False, 25)
+    found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], 25)
     return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
 
 

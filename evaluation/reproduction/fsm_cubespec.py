@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.reproduction import softening_modes
 from evaluation.reproduction.fsm_cubespec_records import FIT, SAMPLE_TIME, SELECT, Level, load_levels, model_of
 from evaluation.reproduction.fsm_cubespec_tables import (
     ALL,
@@ -36,11 +37,11 @@ from evaluation.reproduction.fsm_cubespec_tables import (
     report_residual,
     report_shares,
 )
+from evaluation.reproduction.periodic_fit import refined
 from hyst_control.base import progress
 from hyst_control.base.parallel import executor
 from hyst_control.chain.chain import Chain
-from hyst_control.identify.modal import softening_modes
-from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import Model, save_model
@@ -74,7 +75,7 @@ has, and its fit starts there.
 def fit_level(level: Level, order: int) -> Candidate:
     """Fit a level's linear model on realizations 1-4 and evaluate it on the fifth."""
     data = [level.spectra(FIT)]
-    fit = refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], True, False, 25)
+    fit = refined(data, subspace(data, [order], np.zeros(3), "zoh")[0], 25)
     return replace(fit, held_out=error_of(fit.model, [level.spectra(SELECT)]))
 
 
@@ -88,7 +89,7 @@ def fit_all(levels: Sequence[Level], order: int, hold: str = "zoh") -> Candidate
     """Fit one linear model for all levels, with the same weight for every level's relative error."""
     data = [level.spectra(FIT, 1.0 / float(np.std(level.measurement))) for level in levels]
     start = subspace(data, [order], np.zeros(3), hold)[0]
-    return refined(data, start, True, False, 25)
+    return refined(data, start, 25)
 
 
 def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:

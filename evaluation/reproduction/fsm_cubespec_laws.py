@@ -16,9 +16,9 @@ from typing import Annotated
 
 import numpy as np
 
+from evaluation.reproduction.softening_modes import stop_operators
 from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import ModalModel
-from hyst_control.identify.modal.softening_modes import stop_operators
 
 LINES = 24
 """Lines of 0.78 Hz in a window, over which each response is a straight line."""

@@ -27,8 +27,9 @@ from evaluation.reproduction.fsm_cubespec_records import (
     simulation_error,
     steady_state,
 )
+from evaluation.reproduction.robust_bla import robust_bla
 from hyst_control.chain.chain import Chain
-from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial, robust_bla
+from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import Model

@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
-from hyst_control.identify.assess.fit_report import with_jump
-from hyst_control.identify.data.dataset import Dataset, Fit, Report, check_records
-from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
+from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
 from hyst_control.identify.families.options import Options, option
 
@@ -50,10 +48,7 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
         check_records(datasets, least=LEAST)
     except InputError:
         return estimator.fit(datasets, chosen)  # which says what it asks of records
-    known = [with_beginning(data) for data in datasets]
-    fit = estimator.fit(known, chosen)
-    report: Report = {**fit.report, "beginnings": beginning_rows([with_jump(fit.model, data) for data in known])}
-    return replace(fit, report=report)
+    return estimator.fit([with_beginning(data) for data in datasets], chosen)
 
 
 __all__ = ["Dataset", "Estimator", "Fit", "Options", "estimator_of", "estimators", "identify", "option", "register"]

@@ -5,13 +5,13 @@
 import numpy as np
 import pytest
 
+from evaluation.reproduction.softening_modes import stop_operators
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.hysteresis.softening_modal import SofteningModal
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.chain.stage import Sampling
-from hyst_control.identify.modal.softening_modes import stop_operators
 
 SAMPLE_TIME = 1e-4
 RNG = np.random.default_rng(0)

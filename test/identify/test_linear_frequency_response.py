@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from evaluation.reproduction.robust_bla import robust_bla
 from hyst_control.base.errors import InputError
-from hyst_control.identify.modal.frequency_response import local_polynomial, robust_bla
+from hyst_control.identify.modal.frequency_response import local_polynomial
 
 NUM, DEN = np.array([0.0, 0.2, 0.1]), np.array([1.0, -1.2, 0.5])
 PERIOD = 256

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from evaluation.reproduction.periodic_fit import PeriodicProblem
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
 from hyst_control.identify.modal.modal_fit import Problem
@@ -85,12 +86,12 @@ def test_commands_equally_late_give_the_same_equations_line_by_line(hold, late, 
         return rng.normal(size=(40, rows, count)) + 1j * rng.normal(size=(40, rows, count))
 
     data = [Spectra(angle, spectrum(2, 1), spectrum(2, 1), True), Spectra(angle, spectrum(2, 2), spectrum(2, 2), True)]
-    problem = Problem(data, random_model(hold, (late, late)))
+    problem = PeriodicProblem(data, random_model(hold, (late, late)))
     assert problem.alike
     quick, quick_cost = problem.normal_equations(), problem.cost()
-    monkeypatch.setattr("hyst_control.identify.modal.periodic_gram.LINES", 16)
+    monkeypatch.setattr("evaluation.reproduction.periodic_fit.LINES", 16)
     pieces = problem.normal_equations()
-    monkeypatch.setattr(Problem, "alike", False)
+    monkeypatch.setattr(PeriodicProblem, "alike", False)
     for found in (quick, pieces):
         for one, other in zip(found, problem.normal_equations(), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10 * np.max(np.abs(other)))

@@ -12,12 +12,12 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import NUMBER, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
-from hyst_control.identify.solve.simulation_error import Solution
-from hysteretic_oscillators.families.oscillator_fit import AxisFit, Linear, assemble, problem_of
+from hysteretic_oscillators.families.oscillator_fit import Linear, axis_fit, problem_of
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 
 SHARES, WIDTHS = (0.3, 0.7), (0.5, 2.0, 8.0)
@@ -31,11 +31,10 @@ TRIAL_PASSES, PASSES, FINAL_PASSES = 6, 40, 12
 class BoucWenOptions(Options):
     """Options of a fit of a Bouc-Wen oscillator."""
 
-    # Sharpness of the bend; None: estimated
     exponent: float | None = option(
         None, NUMBER, "exponent of the hysteretic force, where it is not to be estimated", lower=1.0, upper=50.0
     )
-    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("offset")
 
 
 @dataclass(frozen=True)
@@ -84,21 +83,12 @@ class BoucWenOscillator(Estimator[BoucWenOptions]):
     )
     Options = BoucWenOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: BoucWenOptions) -> Fit:
-        check_records(datasets)
-        axes = range(len(datasets[0].axes))
-        return assemble(datasets, self.name, options.method, [_fit_axis(datasets, axis, options) for axis in axes])
-
-
-def _fit_axis(datasets: Sequence[Dataset], axis: int, options: BoucWenOptions) -> AxisFit:
-    problem, law = problem_of(datasets, axis, options.nuisance), Formula(options.exponent)
-    selection = problem.selection
-    starts = [np.array([0.0, 0.0, 0.0, share, width, *np.zeros(law.size - 2)]) for share, width in product(SHARES, WIDTHS)]
-
-    def trial(index: int) -> Solution:
-        return selection.fit(law, starts[index], passes=TRIAL_PASSES)
-
-    best = min(map_forked(trial, len(starts)), key=lambda found: found.fitted)
-    chosen = selection.fit(law, best.parameters, passes=PASSES, tolerance=1e-6)
-    final = problem.fit(law, chosen.parameters, passes=FINAL_PASSES, everything=True, tolerance=1e-6)
-    return AxisFit(problem, law, final, chosen.held_out, () if options.exponent is None else ("exponent",))
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: BoucWenOptions) -> AxisFit:
+        problem, law = problem_of(datasets, index, options.nuisance), Formula(options.exponent)
+        selection = problem.selection
+        starts = [np.array([0.0, 0.0, 0.0, share, width, *np.zeros(law.size - 2)]) for share, width in product(SHARES, WIDTHS)]
+        trials = map_forked(lambda i: selection.fit(law, starts[i], passes=TRIAL_PASSES), len(starts))
+        best = min(trials, key=lambda found: found.fitted)
+        chosen = selection.fit(law, best.parameters, passes=PASSES, tolerance=1e-6)
+        final = problem.fit(law, chosen.parameters, passes=FINAL_PASSES, everything=True, tolerance=1e-6)
+        return axis_fit(problem, law, final, chosen.held_out, () if options.exponent is None else ("exponent",))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 
@@ -20,17 +19,16 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
-from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.chain.parameter import declared
-from hyst_control.identify.assess.assembly import assembled, chain_model
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
+from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.dataset import Dataset, Number
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import TRUTH, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.mhl.madelung import response_sign
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hysteretic_oscillators.stages.duhem import Duhem
@@ -53,9 +51,8 @@ PER_DECADE = 2
 class DuhemOptions(Options):
     """Options of a fit of Duhem hysteresis."""
 
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
-    # Creep operators; None: chosen on held-out stretches
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
     creep: bool | None = option(None, TRUTH, "creep operators, where they are not to be chosen on held-out data")
 
 
@@ -119,16 +116,7 @@ class Axis:
 
     def parametrization(self) -> Parametrization:
         """Chains and bounds of the search."""
-        return Parametrization(self.stages, np.zeros((0, self.size)), np.zeros(0), self.limit)
-
-
-@dataclass(frozen=True)
-class AxisFit:
-    """Fit of one axis: its model, solution on all rows, and the mean square error on the rows held out."""
-
-    axis: Axis
-    solution: Solution
-    held_out: float
+        return Parametrization(self.stages, limit=self.limit)
 
 
 @register
@@ -143,14 +131,22 @@ class DuhemHysteresis(Estimator[DuhemOptions]):
     second_choice = True
     Options = DuhemOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: DuhemOptions) -> Fit:
-        check_records(datasets)
-        records = [whole_records(datasets, index, weighted=False) for index in range(len(datasets[0].axes))]
-        return assemble(datasets, [fit_axis(windows, options) for windows in records])
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: DuhemOptions) -> AxisFit:
+        axis, solution, held_out = searched(whole_records(datasets, index, weighted=False), options)
+        unit = datasets[0].unit
+        words = axis.structure.describe() + (f", {len(axis.times)} creep operators" if axis.times else "")
+        return AxisFit(
+            axis.stages,
+            solution.parameters,
+            solution.covariance,
+            lambda vector: numbers(axis, vector, unit),
+            held_out,
+            structure=words,
+        )
 
 
-def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
-    """Identify one axis."""
+def searched(windows: Sequence[Window], options: DuhemOptions) -> tuple[Axis, Solution, float]:
+    """The model of one axis, its solution on all rows, and the mean square error on rows held out."""
     moving = [window for window in windows if np.ptp(window.command)]
     slope = max(float(np.ptp(window.measurement)) / float(np.ptp(window.command)) for window in moving)
     drive = max(float(np.ptp(window.command)) for window in moving)
@@ -167,7 +163,7 @@ def fit_axis(windows: Sequence[Window], options: DuhemOptions) -> AxisFit:
     final = minimize_simulation_error(
         windows, axis.parametrization(), chosen.parameters, nuisance=options.nuisance, passes=12, tolerance=1e-6, everything=True
     )
-    return AxisFit(axis, final, chosen.held_out)
+    return axis, final, chosen.held_out
 
 
 def creep_times(windows: Sequence[Window]) -> tuple[float, ...]:
@@ -223,90 +219,9 @@ def extended(
     return begin[least][0], solutions[least]
 
 
-def values(axis: Axis, vector: Annotated[Array, "P"]) -> Array:
-    """Physical parameters of one axis, in the order of `names`."""
+def numbers(axis: Axis, vector: Array, unit: str) -> list[Number]:
+    """Numbers of one axis as a report lists them."""
     _, shares, dynamics = axis.split(vector)
-    num, den = axis.structure.rational(dynamics)
-    rational = np.concatenate([num, den[1:]]) if len(den) > 1 else np.zeros(0)
-    delay = [axis.structure.tau(dynamics)] if axis.structure.delay else []
-    return np.concatenate([list(axis.hysteresis(vector).values()), shares, delay, rational])
-
-
-def names(axis: Axis) -> list[str]:
-    """Names of the physical parameters of one axis."""
-    num, den = axis.structure.rational(axis.structure.start(1.0))
-    rational = [f"num[{i}]" for i in range(len(num))] + [f"den[{i}]" for i in range(1, len(den))] if len(den) > 1 else []
-    return [*NAMES, *(f"shares[{i}]" for i in range(len(axis.times))), *["tau"] * axis.structure.delay, *rational]
-
-
-def parameter_rows(fit: AxisFit, data: Dataset, name: str) -> list[ParameterRow]:
-    """Report rows of one axis, with errors that follow from the covariance of the search."""
-    vector = fit.solution.parameters
-    nominal = values(fit.axis, vector)
-    jacobian = np.array([(values(fit.axis, vector + 1e-6 * each) - nominal) / 1e-6 for each in np.eye(len(vector))]).T
-    errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, fit.solution.covariance, jacobian), 0.0))
-    slope = f"{data.unit}/V"
-    units = {"slope": slope, "alpha": slope, "growth": "1/V", "tau": "s"}
-    rows: list[ParameterRow] = []
-    for parameter, value, error in zip(names(fit.axis), nominal, errors, strict=True):
-        unit = declared(Duhem)[parameter].unit.replace("output unit", data.unit) if parameter in ("beta", "gamma") else ""
-        rows.append(
-            {
-                "name": parameter,
-                "value": float(value),
-                "standard_error": float(error),
-                "unit": units.get(parameter, unit),
-                "axis": name,
-            }
-        )
-    return rows
-
-
-def chain_stages(axes: Sequence[AxisFit]) -> list[Stage]:
-    """The axes' chains side by side as one chain with per-axis parameters."""
-    if len(axes) == 1:
-        return axes[0].axis.stages(axes[0].solution.parameters)
-    chains = [each.axis.stages(each.solution.parameters) for each in axes]
-    core = [each.axis.hysteresis(each.solution.parameters) for each in axes]
-    delays = [next((float(np.asarray(stage.tau)) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]
-    creep = [
-        next((stage for stage in chain if isinstance(stage, CreepOperators)), CreepOperators([1.0], [0.0])) for chain in chains
-    ]
-    one = TransferFunction([1.0], [1.0])
-    dynamics = [next((stage for stage in chain if isinstance(stage, TransferFunction)), one) for chain in chains]
-    stages: list[Stage] = [Delay(delays)] if any(delays) else []
-    stages.append(Duhem(**{name: [each[name] for each in core] for name in NAMES}))
-    if any(each.axis.times for each in axes):
-        stages.append(CreepOperators([list(np.atleast_1d(c.times)) for c in creep], [list(np.atleast_1d(c.shares)) for c in creep]))
-    if any(each is not one for each in dynamics):
-        stages.append(
-            TransferFunction([list(np.atleast_1d(d.num)) for d in dynamics], [list(np.atleast_1d(d.den)) for d in dynamics])
-        )
-    return stages
-
-
-def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit]) -> Fit:
-    """Model of all axes, with standard errors as tolerances, and its report."""
-    first = datasets[0]
-    creeping = [f", {len(axis.axis.times)} creep operators" if axis.axis.times else "" for axis in axes]
-    return assembled(
-        datasets,
-        chain_model(datasets, chain_stages(axes), "duhem"),
-        uncertainty(axes, first.axes),
-        [row for axis, name in zip(axes, first.axes, strict=True) for row in parameter_rows(axis, first, name)],
-        [],
-        family="duhem",
-        method="joint",
-        held_out=[axis.held_out for axis in axes],
-        more={"structure": [axis.axis.structure.describe() + words for axis, words in zip(axes, creeping, strict=True)]},
-    )
-
-
-def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
-    """Carry the covariances of the fits over to the numbers of the chain."""
-
-    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
-        moved = [replace(axis.solution, parameters=vector) for axis, vector in zip(axes, vectors, strict=True)]
-        return chain_stages([replace(axis, solution=solution) for axis, solution in zip(axes, moved, strict=True)])
-
-    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)
+    units = {name: known.unit.replace("output unit", unit).replace(" / V", "/V") for name, known in declared(Duhem).items()}
+    core = [Number(name, value, units[name]) for name, value in axis.hysteresis(vector).items()]
+    return [*core, *(Number(f"shares[{i}]", share) for i, share in enumerate(shares)), *axis.structure.numbers(dynamics)]

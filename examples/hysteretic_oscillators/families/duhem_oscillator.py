@@ -17,12 +17,13 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, TRUTH, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.solve.simulation_error import Solution
-from hysteretic_oscillators.families.oscillator_fit import AxisFit, Linear, Problem, assemble, problem_of
+from hysteretic_oscillators.families.oscillator_fit import Linear, Problem, axis_fit, problem_of
 from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 SHARE = 0.5
@@ -38,20 +39,17 @@ NEGLIGIBLE_IMPROVEMENT = 0.02
 class DuhemOptions(Options):
     """Options of a fit of a Duhem oscillator."""
 
-    # Number of knots of the branches; None: chosen on held-out data
     table_size: int | None = option(
         None, INTEGER, "number of knots of the branches, where it is not to be chosen on held-out data", lower=2, upper=40
     )
-    # Largest number of knots that is tried
     largest_table: int = option(7, INTEGER, "largest number of knots that is tried", lower=2, upper=40)
-    # Make falling branches of rising ones by turning them about the origin
     symmetric: bool = option(
         True,
         TRUTH,
         "make falling branches of rising ones by turning them about the origin; without this the force's zero is that of the rest "
         "from which the records begin",
     )
-    nuisance: str = nuisance_option("offset")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("offset")
 
 
 @dataclass(frozen=True)
@@ -108,25 +106,18 @@ class DuhemFit(Estimator[DuhemOptions]):
     )
     Options = DuhemOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: DuhemOptions) -> Fit:
-        check_records(datasets)
-        axes = range(len(datasets[0].axes))
-        return assemble(
-            datasets, self.name, options.method, [_fit_axis(problem_of(datasets, axis, options.nuisance), options) for axis in axes]
-        )
-
-
-def _fit_axis(problem: Problem, options: DuhemOptions) -> AxisFit:
-    selection = problem.selection
-    law, best = linear_branches(selection, options.symmetric)
-    counts = range(3, options.largest_table + 1) if options.table_size is None else (options.table_size,)
-    for count in counts:
-        finer, start = law.refined(count, *selection.force_range(law, best.parameters), best.parameters)
-        found = selection.fit(finer, start, passes=PASSES, tolerance=1e-5)
-        if options.table_size is not None or found.held_out < (1.0 - NEGLIGIBLE_IMPROVEMENT) ** 2 * best.held_out:
-            law, best = finer, found
-    final = problem.fit(law, best.parameters, passes=FINAL_PASSES, everything=True, tolerance=1e-6)
-    return AxisFit(problem, law, final, best.held_out)
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: DuhemOptions) -> AxisFit:
+        problem = problem_of(datasets, index, options.nuisance)
+        selection = problem.selection
+        law, best = linear_branches(selection, options.symmetric)
+        counts = range(3, options.largest_table + 1) if options.table_size is None else (options.table_size,)
+        for count in counts:
+            finer, start = law.refined(count, *selection.force_range(law, best.parameters), best.parameters)
+            found = selection.fit(finer, start, passes=PASSES, tolerance=1e-5)
+            if options.table_size is not None or found.held_out < (1.0 - NEGLIGIBLE_IMPROVEMENT) ** 2 * best.held_out:
+                law, best = finer, found
+        final = problem.fit(law, best.parameters, passes=FINAL_PASSES, everything=True, tolerance=1e-6)
+        return axis_fit(problem, law, final, best.held_out)
 
 
 def linear_branches(problem: Problem, symmetric: bool) -> tuple[Table, Solution]:

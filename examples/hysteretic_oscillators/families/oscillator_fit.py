@@ -8,24 +8,23 @@ records' spectra show, whose stiffness is then shared between the spring and the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Protocol
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
-from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Sampling
-from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.assess.assembly import AxisFit
 from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow
+from hyst_control.identify.data.dataset import Dataset, Number
 from hyst_control.identify.data.fit_windows import whole_records, with_sign
-from hyst_control.identify.mhl.madelung import mean_offset
+from hyst_control.identify.mhl.madelung import mean_offset, turned_by
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.identify.solve.parameter_covariance import Uncertainty, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
 from hyst_control.records.stream.row_store import blocks, spread_parts
 from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
@@ -163,89 +162,23 @@ def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem
     return Problem(windows, linear, nuisance)
 
 
-@dataclass(frozen=True)
-class AxisFit:
-    """A fit of one axis."""
+def axis_fit(problem: Problem, law: Law, solution: Solution, held_out: float, given: Sequence[str] = ()) -> AxisFit:
+    """The fit of one axis; given: names of parameters that were not fitted."""
+    sign = problem.linear.sign
+    zero = sign * mean_offset(solution, problem.windows, problem.nuisance)
+    rest = [*turned_by(sign), *([Offset(zero)] if zero else [])]
 
-    problem: Problem  # What was fitted
-    law: Law  # Of the branches
-    solution: Solution  # From all rows
-    held_out: float  # Mean square error on the rows held out, while they were
-    given: tuple[str, ...] = ()  # Names of parameters that were given and not fitted
+    def numbers(vector: Array) -> list[Number]:
+        stage = problem.stage(law, vector)
+        known = stage.declarations()
+        return [Number(f"{name}{place}", value, known[name].unit) for name, place, value in scattering(stage) if name not in given]
 
-    @property
-    def stage(self) -> HystereticOscillator:
-        """The fitted stage."""
-        return self.problem.stage(self.law, self.solution.parameters)
-
-    @property
-    def offset(self) -> float:
-        """Mean of the records' offsets, measurement unit."""
-        return self.problem.linear.sign * mean_offset(self.solution, self.problem.windows, self.problem.nuisance)
-
-    def rows(self) -> list[ParameterRow]:
-        """Every parameter that was fitted, with its standard error."""
-        vector = self.solution.parameters
-        nominal = numbers(self.stage)
-        neighbors = [numbers(self.problem.stage(self.law, vector + 1e-6 * unit)) for unit in np.eye(len(vector))]
-        jacobian = np.array([[(neighbor[name] - value) / 1e-6 for neighbor in neighbors] for name, value in nominal.items()])
-        errors = np.sqrt(np.maximum(np.diag(jacobian @ self.solution.covariance @ jacobian.T), 0.0))
-        known = self.stage.declarations()
-        return [
-            {"name": name, "value": value, "standard_error": float(error), "unit": known[name.partition("[")[0]].unit}
-            for (name, value), error in zip(nominal.items(), errors, strict=True)
-            if name not in self.given
-        ]
+    return AxisFit(lambda vector: [problem.stage(law, vector), *rest], solution.parameters, solution.covariance, numbers, held_out)
 
 
-def numbers(stage: Stage) -> dict[str, float]:
-    """List the numbers of a stage of one axis that scatter."""
-    found: dict[str, float] = {}
+def scattering(stage: Stage) -> Iterator[tuple[str, str, float]]:
+    """Name, place in a list and value of the numbers of a stage of one axis that scatter."""
     for name, declaration in stage.declarations().items():
         value = getattr(stage, name)
-        if declaration.scatter is Scattering.NONE:
-            continue
-        if isinstance(value, tuple):
-            found.update({f"{name}[{i}]": float(item) for i, item in enumerate(value)})
-        else:
-            found[name] = float(value)
-    return found
-
-
-def assemble(datasets: Sequence[Dataset], family: str, method: str, axes: Sequence[AxisFit]) -> Fit:
-    """Assemble model and report."""
-    first = datasets[0]
-    stages: list[Stage] = [merged([axis.stage for axis in axes])]
-    if any(axis.problem.linear.sign < 0 for axis in axes):
-        stages.append(Gain([axis.problem.linear.sign for axis in axes]))
-    if any(axis.offset for axis in axes):
-        stages.append(Offset([axis.offset for axis in axes]))
-    parameters: list[ParameterRow] = [
-        {**row, "axis": name} for axis, name in zip(axes, first.axes, strict=True) for row in axis.rows()
-    ]
-    return assembled(
-        datasets,
-        chain_model(datasets, stages, family),
-        uncertainty(axes, first.axes),
-        parameters,
-        [],
-        family=family,
-        method=method,
-        held_out=[axis.held_out for axis in axes],
-    )
-
-
-def uncertainty(axes: Sequence[AxisFit], names: Sequence[str]) -> Uncertainty:
-    """Carry the covariances of the fits over to the numbers of the oscillators."""
-
-    def stages_of(vectors: Sequence[Array]) -> Sequence[Stage]:
-        return [merged([axis.problem.stage(axis.law, vector) for axis, vector in zip(axes, vectors, strict=True)])]
-
-    return independent_axes([(axis.solution.parameters, axis.solution.covariance) for axis in axes], stages_of, names)
-
-
-def merged(stages: Sequence[HystereticOscillator]) -> HystereticOscillator:
-    """Merge the oscillators of several axes."""
-    if len(stages) == 1:
-        return stages[0]
-    return replace(stages[0], **{field.name: [getattr(stage, field.name) for stage in stages] for field in fields(stages[0])})
+        if declaration.scatter is not Scattering.NONE:
+            yield from ((name, f"[{i}]", item) for i, item in enumerate(value)) if isinstance(value, tuple) else [(name, "", value)]

@@ -1,21 +1,119 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Model and report of a fit, the same for every family: simulated once, scored, with its noise, uncertainty and notes."""
+"""Model and report of a fit, the same for every family.
+
+A family hands over, axis by axis, the chain as a function of its free parameters, where the search ended, and the numbers that a report
+lists. The joint chain, standard errors, tolerances, uncertainty, noise and notes follow; every record is simulated once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain, Stage
-from hyst_control.identify.assess.fit_report import command_bandwidth, error_rows, noise_sigma, with_offset
-from hyst_control.identify.assess.fit_report import residual as residual_of
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, Report
-from hyst_control.identify.solve.parameter_covariance import Uncertainty
+from hyst_control.chain.hysteresis.creep_operators import CreepOperators
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.identify.assess.fit_report import (
+    command_bandwidth,
+    error_rows,
+    noise_sigma,
+    residual_from,
+    with_jump,
+    with_offset,
+)
+from hyst_control.identify.data.dataset import Dataset, Fit, Number, ParameterRow, Report, StructureRow
+from hyst_control.identify.data.initial_memory import beginning_rows
+from hyst_control.identify.solve.parameter_covariance import PRIOR, uncertainty_of
 from hyst_control.model_file import Model
+
+STEP = 1e-6
+"""Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
+NEUTRAL: dict[type[Stage], Stage] = {
+    Delay: Delay(0.0),
+    TransferFunction: TransferFunction([1.0], [1.0]),
+    CreepOperators: CreepOperators([1.0], [0.0]),
+    Gain: Gain(1.0),
+    Offset: Offset(0.0),
+}
+"""Stages that change nothing, for axes that lack one which another axis has."""
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """Fit of one axis, or of all axes together."""
+
+    stages: Callable[[Array], Sequence[Stage]]  # Chain of a parameter vector (P,)
+    vector: Array  # Parameters (P,) of the fit
+    covariance: Array  # Their covariance (P, P)
+    numbers: Callable[[Array], Sequence[Number]]  # Numbers of the report
+    held_out: float | None = None  # Mean square error on rows that were not fitted
+    sizes: Array | None = None  # Sizes (P,) of the parameters; None: one
+    tolerance: Mapping[str, float] = field(default_factory=dict)  # In place of that which follows from the covariance
+    structure: str | None = None  # Of the dynamics, in words
+    structures: Sequence[StructureRow] = ()  # That were compared
+    notes: Callable[[Sequence[ParameterRow]], Sequence[str]] = lambda rows: ()  # On numbers that the data cannot tell
+    steps: Mapping[str, Any] = field(default_factory=dict)  # Results of a paper's sequence
+
+    def rows(self, axis: str) -> list[ParameterRow]:
+        """The numbers with their standard errors, to first order in the parameters."""
+        nominal, size = self.numbers(self.vector), len(self.vector)
+        steps = STEP * (np.ones(size) if self.sizes is None else self.sizes)
+        moved = [self.numbers(self.vector + step * unit) for step, unit in zip(steps, np.eye(size), strict=True)]
+        errors = None
+        if all(len(each) == len(nominal) for each in moved):  # a number that comes or goes has no derivative
+            values = np.array([each.value for each in nominal])
+            slopes = [(np.array([each.value for each in there]) - values) / step for there, step in zip(moved, steps, strict=True)]
+            jacobian = np.array(slopes).reshape(size, len(values))
+            errors = np.sqrt(np.maximum(np.einsum("pi,pq,qi->i", jacobian, self.covariance, jacobian), 0.0))
+        return [
+            {  # type: ignore[misc]  # what stands in `more` is declared
+                "name": each.name,
+                "value": float(each.value),
+                "standard_error": None if errors is None or not each.estimated else float(errors[i]),
+                "unit": each.unit,
+                **each.more,
+                "axis": axis,
+            }
+            for i, each in enumerate(nominal)
+        ]
+
+
+def side_by_side(chains: Sequence[Sequence[Stage]]) -> list[Stage]:
+    """Chains of single axes as one, whose parameters are lists with one value per axis."""
+    if len(chains) == 1:
+        return list(chains[0])
+    kinds: list[type[Stage]] = []
+    for chain in chains:
+        at = 0
+        for kind in map(type, chain):
+            if kind in kinds[at:]:
+                at = kinds.index(kind, at)
+            else:
+                kinds.insert(at, kind)
+            at += 1
+    left = [list(chain) for chain in chains]
+    return [_joined([chain.pop(0) if chain and type(chain[0]) is kind else NEUTRAL[kind] for chain in left]) for kind in kinds]
+
+
+def _joined(stages: Sequence[Stage]) -> Stage:
+    """Stages of one kind as one; what all have as it is by default stays so."""
+    first = stages[0]
+    if first.inner_chains:
+        branches = zip(*(stage.inner_chains for stage in stages), strict=True)
+        return first.with_inner_chains([side_by_side(each) for each in branches])
+    values = {}
+    for name, known in first.declarations().items():
+        own = [getattr(stage, name) for stage in stages]
+        if known.per_axis is not None and any(name in stage.parameters() for stage in stages):
+            values[name] = own
+    return replace(first, **values)
 
 
 def chain_model(datasets: Sequence[Dataset], stages: Sequence[Stage], name: str) -> Model:
@@ -35,47 +133,67 @@ def chain_model(datasets: Sequence[Dataset], stages: Sequence[Stage], name: str)
     )
 
 
-def assembled(
+def fit_of(
     datasets: Sequence[Dataset],
-    model: Model,
-    known: Uncertainty,
-    parameters: Sequence[ParameterRow],
-    notes: Sequence[str],
-    *,
+    axes: Sequence[AxisFit],
     family: str,
-    method: str,
-    held_out: Sequence[float] = (),
-    tolerance: Mapping[str, float] | None = None,
+    method: str = "joint",
+    *,
+    name: str | None = None,
     offset: float | None = None,
     by_axis: bool = False,
+    behind: Sequence[Stage] = (),
+    rows: Sequence[ParameterRow] = (),
     more: Mapping[str, Any] | None = None,
 ) -> Fit:
-    """Fit of a chain whose parameters are known.
+    """Fit of a chain from those of its axes.
 
-    held_out: mean square error on held-out rows by axis; tolerance: other than that of `known`; offset: share of the range from which a
-    common offset becomes the last stage (None: it is one already); by_axis: the noise is a list even of one axis; more: further entries
-    of the report.
+    offset: share of the range from which a common offset becomes the last stage (None: it is one already); by_axis: the noise is a list
+    even of one axis; behind, rows: stages that follow the axes' chains, and numbers of theirs; more: further entries of the report.
     """
+    first = datasets[0]
+    labels = first.axes if len(axes) == len(first.axes) else [", ".join(first.axes)]
+    vector, edges = np.concatenate([axis.vector for axis in axes]), np.cumsum([len(axis.vector) for axis in axes])[:-1]
+
+    def stages_of(whole: Array) -> list[Stage]:
+        return side_by_side([axis.stages(own) for axis, own in zip(axes, np.split(whole, edges), strict=True)])
+
+    sizes = np.concatenate([np.ones(len(axis.vector)) if axis.sizes is None else axis.sizes for axis in axes])
+    known = uncertainty_of(stages_of, vector, block_diag(*(axis.covariance for axis in axes)), first.axes, sizes)
+    model = chain_model(datasets, [*stages_of(vector), *behind], name or family)
+    begun = [with_jump(model, data) for data in datasets]
+    residuals = [residual_from(model, data) for data in begun]
+    travel = np.max([data.range for data in datasets], axis=0)
     if offset is not None:
-        model, residuals = with_offset(model, datasets, offset)
-    else:
-        residuals = [residual_of(model, data) for data in datasets]
+        model = with_offset(model, residuals, travel, offset)
     sigma = noise_sigma(residuals, datasets)
+    stated = {key: [axis.tolerance[key] for axis in axes] for key in axes[0].tolerance}
     model = replace(
         model,
-        tolerance=dict(known.tolerance if tolerance is None else tolerance),
+        tolerance=known.tolerance | {key: float(f"{min(np.median(values), PRIOR):.4g}") for key, values in stated.items()},
         uncertainty=known.document,
         noise={"sigma": sigma if len(sigma) > 1 or by_axis else sigma[0]},
     )
+    found = [axis.rows(label) for axis, label in zip(axes, labels, strict=True)]
     report: Report = {
         "family": family,
         "method": method,
-        "unit": datasets[0].unit,
+        "unit": first.unit,
         "records": error_rows(datasets, residuals),
-        "parameters": list(parameters),
-        "notes": [*notes, *known.notes(f"the commands' power ends at {model.valid['frequency'][1]:.3g} Hz")],
+        "parameters": [row for own in found for row in own] + list(rows),
+        "notes": [
+            *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
+            *known.notes(f"the commands' power ends at {model.valid['frequency'][1]:.3g} Hz"),
+        ],
+        "beginnings": beginning_rows(begun),
     }
+    held_out = [axis.held_out for axis in axes if axis.held_out is not None]
     if held_out:
-        travel = [max(float(data.range[axis]) for data in datasets) for axis in range(len(held_out))]
-        report["held_out_nrmse"] = [100.0 * float(np.sqrt(each)) / span for each, span in zip(held_out, travel, strict=True)]
+        report["held_out_nrmse"] = [100.0 * float(np.sqrt(each) / span) for each, span in zip(held_out, travel, strict=True)]
+    if any(axis.structure is not None for axis in axes):
+        report["structure"] = [axis.structure or "" for axis in axes]
+    if compared := [row for axis in axes for row in axis.structures]:
+        report["structures"] = compared
+    if any(axis.steps for axis in axes):
+        report["steps"] = [dict(axis.steps) for axis in axes]
     return Fit(model, {**report, **(more or {})}, tuple(residuals))  # type: ignore[typeddict-item]

@@ -33,7 +33,12 @@ def residual(model: Model, data: Dataset) -> Array:
 
     Rows before the hysteresis memory is filled are left out where the record's start is unknown.
     """
-    memory, begin = before(with_jump(model, data))
+    return residual_from(model, with_jump(model, data))
+
+
+def residual_from(model: Model, data: Dataset) -> Array:
+    """The same of a record of which it is known whether its first command jumps."""
+    memory, begin = before(data)
     error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
     np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
     return error
@@ -92,20 +97,18 @@ def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[
     return rows
 
 
-def with_offset(model: Model, datasets: Sequence[Dataset], least: float) -> tuple[Model, list[Array]]:
-    """The model with the sensor's common offset as its last stage, and its residuals.
+def with_offset(model: Model, residuals: Sequence[Array], span: Array, least: float) -> Model:
+    """The model with the sensor's common offset as its last stage, which is taken off its residuals (N, A) in place.
 
-    A smaller offset than the share `least` of the range, or one that hardly changes the error, is left to the session.
+    A smaller offset than the share `least` of the range `span` (A,), or one that hardly changes the error, is left to the session.
     """
-    residuals = [residual(model, data) for data in datasets]
     offset, square = mean_of(residuals)
-    span = np.max([data.range for data in datasets], axis=0)
-    if np.any((offset**2 > OFFSET_SHARE * square) & (np.abs(offset) > least * span)):
-        values = [float(value) for value in offset]
-        model = model.with_stages([*model.chain.stages, Offset(values[0] if len(set(values)) == 1 else values)])
-        for error in residuals:
-            np.subtract(error, offset, out=error)
-    return model, residuals
+    if not np.any((offset**2 > OFFSET_SHARE * square) & (np.abs(offset) > least * span)):
+        return model
+    for error in residuals:
+        np.subtract(error, offset, out=error)
+    values = [float(value) for value in offset]
+    return model.with_stages([*model.chain.stages, Offset(values[0] if len(set(values)) == 1 else values)])
 
 
 def mean_of(residuals: Sequence[Array]) -> tuple[Array, Array]:

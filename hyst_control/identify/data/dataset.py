@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -127,6 +127,16 @@ class ParameterRow(_Parameter, total=False):
 
     axis: str  # The axis
     threshold: float  # Threshold of the play operator whose weight it is, V
+
+
+class Number(NamedTuple):
+    """A number of a report."""
+
+    name: str
+    value: float
+    unit: str = ""
+    estimated: bool = True  # Whether it has a standard error
+    more: Mapping[str, float] = {}  # Further entries of its row
 
 
 class OrderRow(TypedDict, total=False):

@@ -41,7 +41,7 @@ def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stret
     span = float(np.ptp(command))
     if span == 0:
         return []
-    edges = _runs(command, 1e-6 * span, int(max(REST_TIME / data.sample_time, 2)))
+    edges = moving_stretches(command, 1e-6 * span, int(max(REST_TIME / data.sample_time, 2)))
     found: list[Stretch] = []
     for index, (begin, stop) in enumerate(edges):
         end = edges[index + 1][0] if index + 1 < len(edges) else len(command)
@@ -56,7 +56,7 @@ def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stret
     return found
 
 
-def _runs(command: Array, least: float, rest: int) -> list[tuple[int, int]]:
+def moving_stretches(command: Array, least: float, rest: int) -> list[tuple[int, int]]:
     """(first, last + 1) of the stretches of motion that are separated by at least `rest` samples that change by `least` or less."""
     begins: list[int] = []
     ends: list[int] = []

@@ -3,8 +3,8 @@
 """Estimators by name, one for each model family, with one interface.
 
 A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and
-`fit(datasets, options) -> Fit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one new file; another
-distribution names its class as an entry point of the group `hyst_control.estimators`.
+`fit_axis(datasets, index, options) -> AxisFit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one
+new file; another distribution names its class as an entry point of the group `hyst_control.estimators`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 from hyst_control.base import plugins
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import shown
-from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.assess.assembly import AxisFit, fit_of
+from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.families.options import Option, Options, declared
 
 O = TypeVar("O", bound=Options)  # noqa: E741
@@ -51,7 +52,7 @@ class Estimator(Generic[O]):
     """Identification of one model family.
 
     Subclasses set `name` (as in `--model`), `sentence` (the model and its fit) and `Options` (a dataclass derived from
-    `options.Options`), and implement `fit`.
+    `options.Options`), and implement `fit_axis`, or `fit` where axes are not fitted one by one.
     """
 
     name: ClassVar[str] = ""
@@ -63,25 +64,13 @@ class Estimator(Generic[O]):
     Options: type[O]
 
     def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
-        """Identify a model of the family.
+        """Identify a model from records of one plant; raises `InputError` where they do not determine one."""
+        check_records(datasets)
+        axes = [self.fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
+        return fit_of(datasets, axes, self.name, options.method)
 
-        Parameters
-        ----------
-        datasets
-            Records of one plant.
-        options
-            The choices of the fit, its method among them.
-
-        Returns
-        -------
-        Fit
-            Model and report.
-
-        Raises
-        ------
-        InputError
-            The records do not determine a model; the message names the remedy.
-        """
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: O) -> AxisFit:
+        """Fit one axis of the records."""
         raise NotImplementedError
 
     @property
@@ -95,38 +84,11 @@ class Estimator(Generic[O]):
         return next(each.choices for each in self.declared if each.name == "method")
 
     def has(self, values: Iterable[str]) -> bool:
-        """Report whether the family has options of all these names.
-
-        Parameters
-        ----------
-        values
-            Names of options.
-
-        Returns
-        -------
-        bool
-            True if it has all of them.
-        """
+        """Report whether the family has options of all these names."""
         return set(values) <= {each.name for each in self.declared}
 
     def options(self, **values: object) -> O:
-        """Construct the family's options from values or their texts.
-
-        Parameters
-        ----------
-        **values
-            Values or texts by the options' names.
-
-        Returns
-        -------
-        O
-            The options, checked.
-
-        Raises
-        ------
-        InputError
-            The family has no such option, or a value is of another type or out of range.
-        """
+        """Construct the family's options from values or their texts."""
         known = [each.name for each in self.declared]
         for name in values:
             if name not in known:
@@ -141,23 +103,7 @@ _ESTIMATORS: dict[str, Estimator[Any]] = {}
 
 
 def register(estimator: E) -> E:
-    """Class decorator that makes a family known by its name.
-
-    Parameters
-    ----------
-    estimator
-        A class derived from `Estimator`, with `name`, `sentence` and `Options`.
-
-    Returns
-    -------
-    type
-        The same class.
-
-    Raises
-    ------
-    InputError
-        It has no name or sentence, its name is another's, or its options are not declared by `option`.
-    """
+    """Class decorator that makes a family known by its name."""
     name = estimator.name
     instance = estimator()
     if not name or not estimator.sentence or not hasattr(instance, "Options"):
@@ -211,18 +157,7 @@ def every_option() -> dict[str, dict[str, Option]]:
 
 
 def described(options: Mapping[str, Option]) -> str:
-    """Describe one option of several families in a line: meaning, range, families and defaults.
-
-    Parameters
-    ----------
-    options
-        The option by family.
-
-    Returns
-    -------
-    str
-        The line.
-    """
+    """Describe one option of several families in a line: meaning, range, families and defaults."""
     option = max(options.values(), key=lambda each: len(each.choices))
     defaults: dict[str, list[str]] = {}
     for family, each in options.items():
@@ -236,23 +171,7 @@ def described(options: Mapping[str, Option]) -> str:
 
 
 def estimator_of(family: str) -> Estimator[Any]:
-    """Return a family's estimator.
-
-    Parameters
-    ----------
-    family
-        Name of the family.
-
-    Returns
-    -------
-    Estimator[Any]
-        The estimator.
-
-    Raises
-    ------
-    InputError
-        There is no such family; the message lists those there are.
-    """
+    """Return a family's estimator."""
     known = estimators()
     if family not in known:
         raise InputError(f"model: {family!r} is not a model family: use one of {', '.join(known)}")

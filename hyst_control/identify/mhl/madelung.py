@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, cast
 
 import numpy as np
 
@@ -20,15 +19,14 @@ from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import per_axis_scalars
-from hyst_control.identify.assess.assembly import assembled, chain_model
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow, check_records
+from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
-from hyst_control.identify.mhl.madelung_curves import Curves, Ends, curve_errors
+from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
-from hyst_control.identify.solve.parameter_covariance import PRIOR, independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.records.stream.row_store import blocks
 
@@ -40,11 +38,9 @@ NEAR = 0.05
 class CurveOptions(Options):
     """Options of the curves' form."""
 
-    # Degree of the polynomials
     degree: int = option(
         5, INTEGER, "degree of the curves' polynomials, where `knots` does not make them piecewise", lower=1, upper=12
     )
-    # Knots of piecewise cubics in place of polynomials, from 0 to 1 of the curves' range
     knots: tuple[float, ...] | None = option(
         None,
         NUMBERS,
@@ -52,11 +48,9 @@ class CurveOptions(Options):
         lower=0.0,
         upper=1.0,
     )
-    # Command at the upper end, V; None: the largest of the records
     input_scale: float | None = option(
         None, NUMBER, "command at the upper end of the curves, in place of the largest one of the records", unit="V", lower=0.0
     )
-    # Command at the lower end, V; None: the lowest of the records, or 0 V where they begin there
     input_offset: float | None = option(
         None, NUMBER, "command at the lower end of the curves, in place of the lowest one of the records", unit="V"
     )
@@ -78,7 +72,7 @@ class CurveOptions(Options):
 class MadelungOptions(CurveOptions):
     """Options of a fit of Madelung curves."""
 
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
+    nuisance: str = nuisance_option("linear")
 
 
 @register
@@ -89,14 +83,26 @@ class MadelungCurves(Estimator[MadelungOptions]):
     sentence = "Madelung hysteresis without dynamics, and the sensor's zero: rising curves from slow loops, nested ones included"
     Options = MadelungOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: MadelungOptions) -> Fit:
-        check_records(datasets)
-        axes = [fit_records(whole_records(datasets, axis, weighted=False), options) for axis in range(len(datasets[0].axes))]
-        return assemble(datasets, axes, options.method)
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: MadelungOptions) -> AxisFit:
+        found = fit_records(whole_records(datasets, index, weighted=False), options)
+        rest = [*turned_by(found.sign), *([Offset(found.offset)] if found.offset else [])]
+        return AxisFit(
+            lambda vector: [found.curves.stage(vector, found.ends, found.output_scale), *rest],
+            found.solution.parameters,
+            found.solution.covariance,
+            found.curves.numbers,
+            tolerance=found.curves.tolerance(found.solution.parameters, found.solution.covariance),
+            notes=lambda _: range_notes(datasets, index, found.ends),
+        )
+
+
+def turned_by(sign: float) -> list[Stage]:
+    """The last stage where the measurement falls as the command rises; none elsewhere."""
+    return [Gain(sign)] if sign < 0 else []
 
 
 @dataclass(frozen=True)
-class AxisFit:
+class CurveFit:
     """Curves of one axis."""
 
     curves: Curves  # Form of the curves
@@ -112,7 +118,7 @@ class AxisFit:
         return self.curves.stage(self.solution.parameters, self.ends, self.output_scale)
 
 
-def fit_records(windows: Sequence[Window], options: MadelungOptions) -> AxisFit:
+def fit_records(windows: Sequence[Window], options: MadelungOptions) -> CurveFit:
     """Identify the curves of one axis from whole records.
 
     From 0 V at the lower end the first loading is the ascending branch. From anywhere else it is no branch of the major loop, and the
@@ -124,10 +130,10 @@ def fit_records(windows: Sequence[Window], options: MadelungOptions) -> AxisFit:
             window if window.memory is not None else replace(window, skip=max(window.skip, virgin_rows(window.command)))
             for window in windows
         ]
-    return fit_axis(windows, options.curves, ends, options.nuisance)
+    return fit_curves(windows, options.curves, ends, options.nuisance)
 
 
-def fit_axis(
+def fit_curves(
     windows: Sequence[Window],
     curves: Curves,
     ends: Ends,
@@ -135,7 +141,7 @@ def fit_axis(
     *,
     inverse: bool = False,
     passes: int = 40,
-) -> AxisFit:
+) -> CurveFit:
     """Identify the curves of one axis."""
     sign = response_sign(windows)
     travel = (
@@ -150,7 +156,7 @@ def fit_axis(
     problem = Parametrization(stages, *curves.constraints())
     start = curves.start(-0.15 if inverse else 0.15)
     solution = minimize_simulation_error(turned, problem, start, nuisance=nuisance, passes=passes, tolerance=1e-6, everything=True)
-    return AxisFit(curves, solution, ends, travel, sign, sign * mean_offset(solution, windows, nuisance))
+    return CurveFit(curves, solution, ends, travel, sign, sign * mean_offset(solution, windows, nuisance))
 
 
 def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
@@ -166,7 +172,7 @@ def fit_inverse(stage: Madelung, curves: Curves | None = None) -> Madelung:
     demand, command = np.concatenate([up, down[::-1]]), input_scale * np.concatenate([x, x[::-1]])
     window = Window(demand, command, 1.0, "foh", 0, 0)
     ends = Ends(0.0, full)
-    found = fit_axis([window], curves, ends, "none", inverse=True)
+    found = fit_curves([window], curves, ends, "none", inverse=True)
     vector = found.solution.parameters / curves.full(found.solution.parameters)
     return curves.stage(vector, ends, input_scale)
 
@@ -206,77 +212,13 @@ def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) ->
     return float(np.average(solution.nuisances[::extra], weights=np.maximum(rows, 1e-9)))
 
 
-def merged(stages: Sequence[Madelung]) -> Madelung:
-    """Merge the hysteresis of several axes into one stage."""
-    if len(stages) == 1:
-        return stages[0]
-    return Madelung(
-        [cast(Sequence[float], stage.ascending) for stage in stages],
-        [cast(Sequence[float], stage.descending) for stage in stages],
-        [cast(float, stage.input_scale) for stage in stages],
-        [cast(float, stage.output_scale) for stage in stages],
-        knots=stages[0].knots,
-        input_offset=[cast(float, stage.input_offset) for stage in stages] if any(stage.input_offset for stage in stages) else 0.0,
-    )
-
-
-def assemble(datasets: Sequence[Dataset], axes: Sequence[AxisFit], method: str) -> Fit:
-    """Assemble model and report of a static fit."""
-    first = datasets[0]
-    stages: list[Stage] = [merged([axis.stage for axis in axes])]
-    if any(axis.sign < 0 for axis in axes):
-        stages.append(Gain([axis.sign for axis in axes]))
-    if any(axis.offset for axis in axes):
-        stages.append(Offset([axis.offset for axis in axes] if len(axes) > 1 else axes[0].offset))
-    parameters: list[ParameterRow] = []
-    tolerances = []
-    for axis, name in zip(axes, first.axes, strict=True):
-        found, tolerance = curve_errors(axis.curves, axis.solution.parameters, axis.solution.covariance)
-        parameters += [{**row, "axis": name} for row in found]
-        tolerances.append(tolerance)
-    tolerance = float(np.round(np.median(tolerances), 6))
-    known = independent_axes(
-        [(axis.solution.parameters, axis.solution.covariance) for axis in axes],
-        lambda vectors: [
-            merged(
-                [
-                    replace(axis, solution=replace(axis.solution, parameters=vector)).stage
-                    for axis, vector in zip(axes, vectors, strict=True)
-                ]
-            )
-        ],
-        first.axes,
-    )
-    least = min(tolerance, PRIOR)
-    return assembled(
-        datasets,
-        chain_model(datasets, stages, "madelung"),
-        known,
-        parameters,
-        range_notes(datasets, axes),
-        family="madelung",
-        method=method,
-        tolerance={"ascending": least, "descending": least},
-    )
-
-
-class Scaled(Protocol):
-    """One axis whose curves have ends."""
-
-    @property
-    def ends(self) -> Ends:
-        """Commands at the ends of the curves."""
-
-
-def range_notes(datasets: Sequence[Dataset], axes: Sequence[Scaled]) -> list[str]:
-    """Name the part of the curves that the records do not reach, with the excitation that would show it."""
-    notes = []
-    for index, (axis, name) in enumerate(zip(axes, datasets[0].axes, strict=True)):
-        low = (min(float(data.command[:, index].min()) for data in datasets) - axis.ends.lower) / axis.ends.length
-        high = (max(float(data.command[:, index].max()) for data in datasets) - axis.ends.lower) / axis.ends.length
-        if low > NEAR or high < 1.0 - NEAR:
-            notes.append(
-                f"axis {name}: the records span {100 * low:.0f} to {100 * high:.0f} % of {axis.ends.lower:g} to {axis.ends.upper:g} V: "
-                "the curves beyond are a continuation; record a slow loop over the whole drive"
-            )
-    return notes
+def range_notes(datasets: Sequence[Dataset], index: int, ends: Ends) -> list[str]:
+    """Name the part of the curves of one axis that the records do not reach, with the excitation that would show it."""
+    low = (min(float(data.command[:, index].min()) for data in datasets) - ends.lower) / ends.length
+    high = (max(float(data.command[:, index].max()) for data in datasets) - ends.lower) / ends.length
+    if low <= NEAR and high >= 1.0 - NEAR:
+        return []
+    return [
+        f"axis {datasets[0].axes[index]}: the records span {100 * low:.0f} to {100 * high:.0f} % of {ends.lower:g} to {ends.upper:g} V: "
+        "the curves beyond are a continuation; record a slow loop over the whole drive"
+    ]

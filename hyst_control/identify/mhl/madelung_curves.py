@@ -12,7 +12,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.identify.data.dataset import ParameterRow
+from hyst_control.identify.data.dataset import Number
 
 MIN_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""
@@ -132,33 +132,27 @@ class Curves:
         down = np.hstack([np.ones((len(GRID), self.degree)), slope[:, :-1] - 1.0])
         return np.concatenate([up, down]) - MIN_SLOPE * full
 
+    def numbers(self, vector: Annotated[Array, "P"]) -> list[Number]:
+        """Coefficients of both curves."""
+        pairs = zip(("ascending", "descending"), self.pair(vector), strict=True)
+        return [Number(f"{name}[{i}]", value) for name, values in pairs for i, value in enumerate(values)]
 
-def curve_errors(
-    curves: Curves, vector: Annotated[Array, "P"], covariance: Annotated[Array, "P P"]
-) -> tuple[list[ParameterRow], float]:
-    """Parameter rows of the curves' coefficients, and the tolerance of the curves as a whole.
+    def tolerance(self, vector: Annotated[Array, "P"], covariance: Annotated[Array, "P P"]) -> dict[str, float]:
+        """Tolerance of the curves as a whole: coefficients of a polynomial are known together far better than one by one.
 
-    Coefficients of a polynomial are known together far better than one by one. The tolerance is the relative error which, drawn
-    independently per coefficient, scatters the curves as much as the data leave them uncertain.
-    """
-
-    def coefficients(at: Array) -> Array:
-        return np.concatenate(curves.pair(at))
-
-    nominal = coefficients(vector)
-    jacobian = np.array([(coefficients(vector + 1e-6 * unit) - nominal) / 1e-6 for unit in np.eye(curves.size)]).T
-    spread = jacobian @ covariance[: curves.size, : curves.size] @ jacobian.T
-    errors = np.sqrt(np.maximum(np.diag(spread), 0.0))
-    half = len(nominal) // 2
-    names = [f"{name}[{i}]" for name in ("ascending", "descending") for i in range(half)]
-    rows: list[ParameterRow] = [
-        {"name": name, "value": float(value), "standard_error": float(error), "unit": ""}
-        for name, value, error in zip(names, nominal, errors, strict=True)
-    ]
-    if curves.knots is None:
-        basis = GRID[:, None] ** np.arange(half, 0, -1)
-        certain = [np.trace(basis @ spread[part, part] @ basis.T) for part in (slice(0, half), slice(half, None))]
-        independent = [np.sum((basis * nominal[part]) ** 2) for part in (slice(0, half), slice(half, None))]
-        return rows, float(np.sqrt(max(sum(certain), 0.0) / sum(independent)))
-    used = nominal > 0
-    return rows, float(np.sqrt(np.mean((errors[used] / nominal[used]) ** 2)))
+        It is the relative error which, drawn independently per coefficient, scatters the curves as much as the data leave them uncertain.
+        """
+        nominal = np.concatenate(self.pair(vector))
+        moved = [np.concatenate(self.pair(vector + 1e-6 * unit)) for unit in np.eye(self.size)]
+        jacobian = (np.array(moved) - nominal).T / 1e-6
+        spread = jacobian @ covariance[: self.size, : self.size] @ jacobian.T
+        if self.knots is None:
+            half = len(nominal) // 2
+            basis = GRID[:, None] ** np.arange(half, 0, -1)
+            parts = (slice(0, half), slice(half, None))
+            certain = sum(np.trace(basis @ spread[part, part] @ basis.T) for part in parts)
+            found = float(np.sqrt(max(certain, 0.0) / sum(np.sum((basis * nominal[part]) ** 2) for part in parts)))
+        else:
+            used = nominal > 0
+            found = float(np.sqrt(np.mean(np.maximum(np.diag(spread), 0.0)[used] / nominal[used] ** 2)))
+        return {"ascending": found, "descending": found}

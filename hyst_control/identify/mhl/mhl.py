@@ -19,6 +19,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
+from hyst_control.identify.assess.assembly import chain_model, fit_of, side_by_side
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
@@ -26,13 +27,12 @@ from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
 from hyst_control.identify.mhl.madelung import (
     curve_ends,
-    fit_axis,
+    fit_curves,
     mean_offset,
     response_sign,
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
-from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
-from hyst_control.identify.mhl.mhl_model import assemble, chain_model
+from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
 from hyst_control.identify.mhl.pole_zero_pair import (
     PAIR_DAMPINGS,
     WORTHWHILE,
@@ -42,7 +42,6 @@ from hyst_control.identify.mhl.pole_zero_pair import (
 )
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import (
-    Parametrization,
     Solution,
     minimize_simulation_error,
     short_stretches,
@@ -74,8 +73,8 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
     def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
         check_records(datasets)
         if options.method == "paper":
-            return assemble(datasets, "paper", paper_mhl.fit_axes(datasets, options), None)
-        axes: list[AxisFit] = []
+            return _assembled(datasets, paper_mhl.fit_axes(datasets, options), "paper", None)
+        axes: list[Found] = []
         for index in range(len(datasets[0].axes)):
             axes.append(fit_joint(axis_windows(datasets, index), options, axes[0] if axes else None))
         coupling = None
@@ -83,12 +82,24 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
             coupling, axes = with_coupling(datasets, axes, options.nuisance)
         cleaned = datasets
         if coupling is not None:
-            cleaned = without_coupling(chain_model(datasets, axes, "plain"), coupling, datasets)
+            cleaned = without_coupling(model_of(datasets, axes), coupling, datasets)
         if options.structure is None:
-            model = chain_model(cleaned, axes, "plain")
+            model = model_of(cleaned, axes)
             axes = list(map_forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
         final = map_forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
-        return assemble(datasets, options.method, list(final), coupling)
+        return _assembled(datasets, list(final), options.method, coupling)
+
+
+def _assembled(datasets: Sequence[Dataset], axes: Sequence[Found], method: str, coupling: Coupling | None) -> Fit:
+    fits = [found.axis_fit(datasets, index) for index, found in enumerate(axes)]
+    behind, rows = ([coupling.stage], coupling.rows(datasets[0].axes)) if coupling is not None else ([], [])
+    return fit_of(datasets, fits, "mhl", method, name=f"mhl_{method}", behind=behind, rows=rows)
+
+
+def model_of(datasets: Sequence[Dataset], axes: Sequence[Found]) -> Model:
+    """The model of the axes without coupling."""
+    chains = [found.axis_fit(datasets, index).stages(found.vector) for index, found in enumerate(axes)]
+    return chain_model(datasets, side_by_side(chains), "plain")
 
 
 def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
@@ -102,15 +113,15 @@ def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
 
 
 def with_coupling(
-    datasets: Sequence[Dataset], axes: list[AxisFit], nuisance: str, rounds: int = 3
-) -> tuple[Coupling | None, list[AxisFit]]:
+    datasets: Sequence[Dataset], axes: list[Found], nuisance: str, rounds: int = 3
+) -> tuple[Coupling | None, list[Found]]:
     """Coupling, None if the records show none, and the axes fitted without it.
 
     Both are fitted in turn, since each hides in the other where axes move alike.
     """
     coupling: Coupling | None = None
     for _ in range(rounds):
-        plain = chain_model(datasets, axes, "plain")
+        plain = model_of(datasets, axes)
         coupling = fit_coupling(plain, datasets, coupling)
         if coupling is None:
             break
@@ -119,12 +130,12 @@ def with_coupling(
     return coupling, axes
 
 
-def refined_axes(datasets: Sequence[Dataset], axes: Sequence[AxisFit], nuisance: str) -> list[AxisFit]:
+def refined_axes(datasets: Sequence[Dataset], axes: Sequence[Found], nuisance: str) -> list[Found]:
     """Refine every axis by a few passes, on all cores."""
     return list(map_forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
 
 
-def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | None) -> AxisFit:
+def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None) -> Found:
     """Fit one axis to all its records."""
     # like: fit of another axis of the same device, with whose dynamics the search begins; None for a search of the structure
     sign = response_sign(windows)
@@ -134,7 +145,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
     # Where nothing creeps, the loops are bent by the dynamics: only the coarsest curves are to be had without them.
     creeping = any(thinned(window) is not window for window in windows)
     form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
-    static = fit_axis(slowest(few), form, ends, options.nuisance, passes=8)
+    static = fit_curves(slowest(few), form, ends, options.nuisance, passes=8)
     blank = Axis(options.curves, Structure(), ends, static.output_scale, sign, min(window.sample_time for window in windows))
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
@@ -144,11 +155,11 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: AxisFit | No
         chosen = minimize_simulation_error(few, axis.parametrization(), start, nuisance=options.nuisance, passes=12)
     else:
         axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
-    found = AxisFit(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
+    found = Found(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
     return refined(windows, found, options.nuisance, passes=6)
 
 
-def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: int) -> AxisFit:
+def refined(windows: Sequence[Window], found: Found, nuisance: str, passes: int) -> Found:
     """Refine the parameters over stretches of all records."""
     turned = [with_sign(window, found.axis.sign) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
@@ -158,7 +169,7 @@ def refined(windows: Sequence[Window], found: AxisFit, nuisance: str, passes: in
     return replace(found, vector=solution.parameters)
 
 
-def refit(windows: Sequence[Window], found: AxisFit, nuisance: str) -> AxisFit:
+def refit(windows: Sequence[Window], found: Found, nuisance: str) -> Found:
     """Last passes over every row of every record, with the covariance of the parameters and the offset."""
     turned = [with_sign(window, found.axis.sign) for window in windows]
     solution = minimize_simulation_error(
@@ -178,9 +189,7 @@ def slowest(windows: Sequence[Window]) -> list[Window]:
     spans = {group: max(float(np.ptp(w.command)) for w in windows if w.group == group) for group in speeds}
     usable = {group: float(np.mean(speeds[group])) for group in speeds if spans[group] > 0.3 * wide} or {0: 0.0}
     limit = 3.0 * min(usable.values())
-    kept = [window for window in windows if usable.get(window.group, np.inf) <= limit]
-    groups = {group: number for number, group in enumerate(sorted({window.group for window in kept}))}
-    return [replace(window, group=groups[window.group]) for window in kept]
+    return [window for window in windows if usable.get(window.group, np.inf) <= limit]
 
 
 def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, options: MhlOptions) -> tuple[Axis, Solution]:
@@ -213,17 +222,10 @@ def searched(
 
     Curves that were fitted to creeping loops are held in the first part; coarse ones are fitted along.
     """
-    held = axis.curves == options.curves
+    held, n = axis.curves == options.curves, axis.curves.size
+    problem, begin = axis.parametrization(), [np.concatenate([curves, start]) for start in starts(axis)]
     if held:
-        problem = Parametrization(
-            lambda vector: axis.stages(np.concatenate([curves, vector])),
-            np.zeros((0, axis.size - len(curves))),
-            np.zeros(0),
-            lambda vector: axis.limit(np.concatenate([curves, vector]))[len(curves) :],
-        )
-        begin = starts(axis)
-    else:
-        problem, begin = axis.parametrization(), [np.concatenate([curves, start]) for start in starts(axis)]
+        problem, begin = problem.part(begin[0], slice(n, None)), [start[n:] for start in begin]
     trials = list(
         map_forked(lambda i: minimize_simulation_error(windows, problem, begin[i], nuisance=options.nuisance, passes=3), len(begin))
     )
@@ -234,7 +236,6 @@ def searched(
         solution = followed[index]
         further = minimize_simulation_error(windows, problem, solution.parameters, nuisance=options.nuisance, passes=15)
         vector = further.parameters if not held else np.concatenate([curves, further.parameters])
-        n = axis.curves.size
         full = vector[:n] if held else options.curves.like(axis.curves, vector[:n])
         start = np.concatenate([full, vector[n:]])
         passes = 25 if thorough else 6
@@ -312,7 +313,7 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: AxisFit, index: int, nuisance: str) -> AxisFit:
+def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: Found, index: int, nuisance: str) -> Found:
     """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the held-out error enough.
 
     Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any
@@ -13,9 +14,11 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection
+from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.dataset import Dataset, Number, ParameterRow
 from hyst_control.identify.families.options import TRUTH, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.mhl.madelung import CurveOptions
+from hyst_control.identify.mhl.madelung import CurveOptions, range_notes, turned_by
 from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
@@ -28,10 +31,9 @@ K2_UNIT = 1e-3
 class MhlOptions(CurveOptions):
     """Options of a fit of the modified Hammerstein-like model."""
 
-    method: str = methods_option("joint", "paper")  # "joint" or "paper"
-    nuisance: str = nuisance_option("linear")  # Offset or drift that each record may add
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
-    # Look for cross-coupling between several axes
+    method: str = methods_option("joint", "paper")
+    nuisance: str = nuisance_option("linear")
+    structure: Structure | None = structure_option()
     cross_coupling: bool = option(True, TRUTH, "look for cross-coupling between several axes", methods=("joint",))
 
 
@@ -63,7 +65,7 @@ class Axis:
         return float(share) * self.output_scale / self.ends.length * k2, k2
 
     def stages(self, vector: Annotated[Array, "P"], b1: float = 0.0) -> list[Stage]:
-        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s), and the response's sign."""
+        """Construct the chain: delay, hysteresis and rate correction in parallel, G(s)."""
         curves, _, dynamics = self.split(vector)
         k1, k2 = self.rate(vector)
         linear = _dynamics_stages(self.structure, dynamics.tobytes())
@@ -98,18 +100,46 @@ def _dynamics_stages(structure: Structure, vector: bytes) -> tuple[Stage, ...]:
 
 
 @dataclass(frozen=True)
-class AxisFit:
-    """Fit of one axis."""
+class Found:
+    """Parameters of one axis."""
 
     axis: Axis  # Model of the axis
     vector: Annotated[Array, "P"]  # Parameters (P,)
     covariance: Annotated[Array, "P P"]  # Their covariance (P, P)
     offset: float  # Zero of the sensor (measurement unit)
     held_out: float  # Mean square error on the rows held out
-    # Results of the paper's sequence, by step
-    extra: dict[str, dict[str, Any]] = field(default_factory=dict)
+    steps: dict[str, dict[str, Any]] = field(default_factory=dict)  # Results of the paper's sequence
 
-    @property
-    def ends(self) -> Ends:
-        """Commands at the ends of the curves."""
-        return self.axis.ends
+    def axis_fit(self, datasets: Sequence[Dataset], index: int) -> AxisFit:
+        """The fit as every family hands it over."""
+        axis, name = self.axis, datasets[0].axes[index]
+        unit = datasets[0].unit
+
+        def numbers(vector: Array) -> list[Number]:
+            curves, _, dynamics = axis.split(vector)
+            k1, k2 = axis.rate(vector)
+            full = Number("output_scale", axis.output_scale * axis.curves.full(curves), unit)
+            rate = [Number("k1", k1, f"{unit} s/V"), Number("k2", k2, "s")]
+            zero = Number("b1", self.offset, unit, estimated=False)
+            return [*axis.curves.numbers(curves), full, *rate, *axis.structure.numbers(dynamics), zero]
+
+        return AxisFit(
+            lambda vector: [*axis.stages(vector, self.offset), *turned_by(axis.sign)],
+            self.vector,
+            self.covariance,
+            numbers,
+            self.held_out,
+            tolerance=axis.curves.tolerance(axis.split(self.vector)[0], self.covariance),
+            structure=axis.structure.describe(),
+            notes=lambda rows: range_notes(datasets, index, axis.ends) + _unresolved(name, rows),
+            steps=self.steps,
+        )
+
+
+def _unresolved(axis: str, rows: Sequence[ParameterRow]) -> list[str]:
+    """Parameters that the data cannot tell, with their standard errors."""
+    return [
+        f"axis {axis}: {row['name']} is not identifiable: {row['value']:.2g} ± {row['standard_error']:.2g} {row['unit']}".rstrip()
+        for row in rows
+        if row["name"] in ("k1", "k2", "tau", "num[0]", "den[1]") and (row["standard_error"] or 0.0) > 0.5 * abs(row["value"])
+    ]

@@ -12,7 +12,7 @@ delay removed, lags, and its inverse would have the other sign.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -28,13 +28,15 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import RateCorrection
 from hyst_control.chain.linear.symmetric_filter import smooth_weights
 from hyst_control.chain.memoryless import Gain, Offset
+from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.dataset import Dataset, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.data.record_segmentation import moving_stretches
 from hyst_control.identify.data.reversal_points import turning_points
-from hyst_control.identify.mhl.madelung import curve_ends, fit_axis, fit_inverse, merged, response_sign
+from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse, response_sign
 from hyst_control.identify.mhl.madelung_curves import Ends
-from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, AxisFit, MhlOptions
+from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
 from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, pole_zero_pair, unexplained_frequency
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import (
@@ -73,45 +75,31 @@ class Pieces:
     fast: list[Window]
 
 
-def _with_pair(
-    windows: Sequence[Window], curves: Array, rate: Array, plain: Solution, axis: Axis, late: Array, nuisance: str
-) -> tuple[Solution, Structure]:
+def _with_pair(windows: Sequence[Window], axis: Axis, whole: Array, plain: Solution, nuisance: str) -> tuple[Solution, Axis]:
     """G(s) with a further mode and zeros next to it, where that lowers the held-out error.
 
     Eq. 12 has no room for a mode that its notch misses, and its order is the one of its fitting accuracy (§4.2).
     """
-    smaller = structure = replace(axis.structure, delay=False)
-    whole = np.concatenate([curves, rate, plain.parameters, late])
     signals = []
     for window in windows:
         signal, first = driving_signal(window)
         simulated = _run(axis.stages(whole), signal, Sampling(window.sample_time, 1, window.hold))[first:]
         signals.append((window.command[window.skip :], (window.measurement - simulated)[window.skip :]))
     frequency = unexplained_frequency(signals, axis.sample_time)
-    if frequency is None:
-        return plain, structure
-    groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
-    own = [replace(window, group=groups[window.group]) for window in windows]
-    best = plain
-
-    def problem_of(richer: Structure, size: int) -> Parametrization:
-        tried = replace(axis, structure=replace(richer, delay=True))
-
-        def stages(vector: Array) -> list[Stage]:
-            return tried.stages(np.concatenate([curves, rate, vector, late]))
-
-        def limit(vector: Array) -> Array:
-            return richer.limit(vector, axis.sample_time)
-
-        return Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
-
-    for damping in PAIR_DAMPINGS:
-        richer, start = pole_zero_pair(smaller, plain.parameters, frequency, damping)
-        problem = problem_of(richer, len(start))
-        found = minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+    best, richest = plain, axis
+    for damping in PAIR_DAMPINGS if frequency is not None else ():
+        structure, start = pole_zero_pair(replace(axis.structure, delay=False), plain.parameters, frequency, damping)
+        richer = replace(axis, structure=replace(structure, delay=True))
+        dynamics = _dynamics_of(richer, np.concatenate([whole[: axis.curves.size + 2], start, whole[-1:]]))
+        found = minimize_simulation_error(windows, dynamics, start, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
         if found.held_out < (1.0 - WORTHWHILE) * best.held_out:
-            best, structure = found, richer
-    return best, structure
+            best, richest = found, richer
+    return best, richest
+
+
+def _dynamics_of(axis: Axis, whole: Array) -> Parametrization:
+    """G(s) alone, without the delay, which is the last of the parameters."""
+    return axis.parametrization().part(whole, slice(axis.curves.size + 2, -1))
 
 
 @dataclass(frozen=True)
@@ -147,7 +135,7 @@ def inverse_model(
         sign = response_sign(whole_records(datasets, index))
         pieces = sorted_pieces(datasets, index, sign)
         ends = from_zero(datasets, index, options)
-        static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
+        static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
         found.append(
             fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
         )
@@ -157,7 +145,7 @@ def inverse_model(
 
     rate = RateCorrection(per_axis("k1"), per_axis("k2"), per_axis("b1"))
     stages: list[Stage] = [Offset([-zero for zero in per_axis("zero")])]
-    stages.append(Parallel(((merged([inverse.hysteresis for inverse in found]),), (rate,))))
+    stages.append(Parallel((tuple(side_by_side([[inverse.hysteresis] for inverse in found])), (rate,))))
     signs = [response_sign(whole_records(datasets, index)) for index in axes]
     if min(signs) < 0:
         stages.insert(0, Gain(signs))
@@ -242,12 +230,12 @@ def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
     )
 
 
-def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[AxisFit]:
+def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[Found]:
     """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing."""
     return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
 
 
-def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> AxisFit:
+def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Found:
     everything = whole_records(datasets, index)
     sign = response_sign(everything)
     pieces = sorted_pieces(datasets, index, sign)
@@ -258,34 +246,25 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
     tau, tau_error = step_delay(pieces.step)
 
     # Step 2: the curves, from loops so slow that nothing else matters.
-    static = fit_axis(pieces.slow, options.curves, ends, options.nuisance)
+    static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
     curves = static.solution.parameters
     inverse = fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
 
     # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
-    whole = replace(structure, delay=True)
-    axis = Axis(options.curves, whole, ends, static.output_scale, sign, everything[0].sample_time)
-    bare = replace(axis, structure=Structure(delay=True))
+    axis = Axis(options.curves, replace(structure, delay=True), ends, static.output_scale, sign, everything[0].sample_time)
     late = np.array([tau / TAU_UNIT])
     medium = short_stretches(pieces.medium, ROWS, 0.3, 0.02)
-    rate = _best(
-        medium,
-        lambda vector: bare.stages(np.concatenate([curves, vector, late])),
-        [np.array([share, np.log(k2 / K2_UNIT)]) for share in (-0.2, 0.2) for k2 in (3e-4, 1e-3, 3e-3)],
-        lambda vector: bare.limit(np.concatenate([curves, vector, late]))[curves.size : curves.size + 2],
-        options.nuisance,
-    )
+    rates = [np.array([share, np.log(k2 / K2_UNIT)]) for share in (-0.2, 0.2) for k2 in (3e-4, 1e-3, 3e-3)]
+    bare = replace(axis, structure=Structure(delay=True)).parametrization()
+    known = np.concatenate([curves, rates[0], late])
+    rate = _best(medium, bare.part(known, slice(curves.size, curves.size + 2)), rates, options.nuisance)
     fast = short_stretches(pieces.fast, ROWS, 0.3, 0.02)
-    dynamics = _best(
-        fast,
-        lambda vector: axis.stages(np.concatenate([curves, rate.parameters, vector, late])),
-        [structure.start(frequency) for frequency in (300.0, 1000.0, 3000.0) if frequency < 0.4 / axis.sample_time],
-        lambda vector: structure.limit(vector, axis.sample_time),
-        options.nuisance,
-    )
+    starts = [structure.start(frequency) for frequency in (300.0, 1000.0, 3000.0) if frequency < 0.4 / axis.sample_time]
+    known = np.concatenate([curves, rate.parameters, starts[0], late])
+    dynamics = _best(fast, _dynamics_of(axis, known), starts, options.nuisance)
     if options.structure is None:
-        dynamics, structure = _with_pair(fast, curves, rate.parameters, dynamics, axis, late, options.nuisance)
-        axis = replace(axis, structure=replace(structure, delay=True))
+        known = np.concatenate([curves, rate.parameters, dynamics.parameters, late])
+        dynamics, axis = _with_pair(fast, axis, known, dynamics, options.nuisance)
     covariance = block_diag(static.solution.covariance, rate.covariance, dynamics.covariance, (tau_error / TAU_UNIT) ** 2)
     steps: dict[str, dict[str, Any]] = {
         "delay": {"tau": tau, "steps": len(pieces.step)},
@@ -306,7 +285,7 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> A
         },
     }
     vector = np.concatenate([curves, rate.parameters, dynamics.parameters, late])
-    return AxisFit(axis, vector, covariance, static.offset, dynamics.held_out, steps)
+    return Found(axis, vector, covariance, static.offset, dynamics.held_out, steps)
 
 
 def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Pieces:
@@ -355,15 +334,9 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
 
 def motions(command: Annotated[Array, "N"], sample_time: float) -> list[tuple[int, int, int]]:
     """Rows (first, last moving row + 1, end) of the motions of a command, each with the rest that follows it."""
-    span = float(np.ptp(command))
-    moving = np.flatnonzero(np.abs(np.diff(command)) > 1e-9 * span) + 1
-    if span == 0 or not len(moving):
-        return []
-    breaks = np.flatnonzero(np.diff(moving) > REST_TIME / sample_time)
-    begins = moving[np.concatenate([[0], breaks + 1])]
-    ends = moving[np.concatenate([breaks, [len(moving) - 1]])] + 1
-    following = np.append(begins[1:], len(command))
-    return [(int(b), int(m), int(e)) for b, m, e in zip(begins, ends, following, strict=True)]
+    runs = moving_stretches(command, 1e-9 * float(np.ptp(command)), int(REST_TIME / sample_time))
+    following = [begin + 1 for begin, _ in runs[1:]] + [len(command)]
+    return [(begin + 1, end + 1, next_one) for (begin, end), next_one in zip(runs, following, strict=True)]
 
 
 def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
@@ -385,22 +358,14 @@ def step_delay(windows: Sequence[Window]) -> tuple[float, float]:
     ]
     # Every step has its own zero, and creep its own drift.
     plain = [replace(window, memory=None, group=number) for number, window in enumerate(windows)]
-    found = _best(plain, stages, starts, limit, "linear")
+    found = _best(plain, Parametrization(stages, limit=limit), starts, "linear")
     return structure.tau(found.parameters[1:]), TAU_UNIT * float(np.sqrt(max(found.covariance[-1, -1], 0.0)))
 
 
-def _best(
-    windows: Sequence[Window],
-    stages: Callable[[Array], Sequence[Stage]],
-    starts: Sequence[Array],
-    limit: Callable[[Array], Array],
-    nuisance: str,
-) -> Solution:
+def _best(windows: Sequence[Window], problem: Parametrization, starts: Sequence[Array], nuisance: str) -> Solution:
     """The best of several starts, brought to its minimum."""
-    groups = {group: number for number, group in enumerate(sorted({window.group for window in windows}))}
-    own = [replace(window, group=groups[window.group]) for window in windows]
-    size = len(starts[0])
-    problem = Parametrization(stages, np.zeros((0, size)), np.zeros(0), limit)
-    trials = [minimize_simulation_error(own, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
+    trials = [minimize_simulation_error(windows, problem, start, nuisance=nuisance, passes=5, everything=True) for start in starts]
     best = min(trials, key=lambda solution: solution.fitted)
-    return minimize_simulation_error(own, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True)
+    return minimize_simulation_error(
+        windows, problem, best.parameters, nuisance=nuisance, passes=30, tolerance=1e-6, everything=True
+    )

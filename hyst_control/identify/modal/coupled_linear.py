@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.assess.assembly import assembled, chain_model
+from hyst_control.identify.assess.assembly import fit_of
 from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.record_drift import without_drift
@@ -23,7 +23,7 @@ from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import parameter_rows, stages_of, tolerance_of, uncertainty
+from hyst_control.identify.modal.modal_stages import axis_fit
 from hyst_control.records.stream.row_store import blocks
 
 MAX_LINES = 6000
@@ -36,36 +36,21 @@ BAND_POWER = 1e-5
 """Power of a line relative to the strongest one below which it is left out."""
 NEGLIGIBLE_IMPROVEMENT = 0.01
 """A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
+NOTHING_HELD_OUT = (
+    "No part of the records could be held out: the number of states was chosen by an information criterion. "
+    "A second record, or a longer one with the same kind of excitation, would test it."
+)
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
 def fit(datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
     """Identify one `state_space` of all axes."""
-    first = datasets[0]
     chosen, table = _search(without_drift(datasets), options)
-    stages = stages_of(chosen.model, first.sample_time)
-    known = uncertainty(chosen, first.sample_time, first.axes)
-    notes = (
-        []
-        if any(row["held_out"] is not None for row in table)
-        else [
-            "No part of the records could be held out: the number of states was chosen by an information criterion. "
-            "A second record, or a longer one with the same kind of excitation, would test it."
-        ]
-    )
-    return assembled(
-        datasets,
-        chain_model(datasets, stages, "linear"),
-        known,
-        [{**row, "axis": ", ".join(first.axes)} for row in parameter_rows(chosen, first.sample_time)],
-        notes,
-        family="linear",
-        method=options.method,
-        tolerance=tolerance_of(chosen, stages),
-        offset=0.0,
-        by_axis=True,
-        more={"orders": table, "states": chosen.model.states},
-    )
+    found = axis_fit(chosen, datasets[0].sample_time)
+    if all(row["held_out"] is None for row in table):
+        found = replace(found, notes=lambda _: [NOTHING_HELD_OUT])
+    more = {"orders": table, "states": chosen.model.states}
+    return fit_of(datasets, [found], "linear", options.method, offset=0.0, by_axis=True, more=more)
 
 
 def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
@@ -84,15 +69,12 @@ def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
     return found
 
 
-def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) -> Spectra:
+def spectra_of(data: Dataset, most: int = MAX_LINES) -> Spectra:
     """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
     """
     command, measurement = data.command, data.measurement
-    if period:
-        command = command.reshape(-1, period, command.shape[1]).mean(axis=0)
-        measurement = measurement.reshape(-1, period, measurement.shape[1]).mean(axis=0)
     n = len(command)
     u = np.fft.rfft(command - command[0], axis=0) / np.sqrt(n / 2)
     y = np.fft.rfft(measurement - measurement[0], axis=0) / np.sqrt(n / 2)
@@ -103,7 +85,7 @@ def spectra_of(data: Dataset, period: int | None = None, most: int = MAX_LINES) 
     lines = np.flatnonzero(power > BAND_POWER * power.max())
     if len(lines) > most:
         lines = np.sort(lines[np.argsort(power[lines])[-most:]])
-    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], bool(period))
+    return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], False)
 
 
 def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:

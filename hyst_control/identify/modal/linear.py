@@ -18,10 +18,8 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain import Stage
-from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
-from hyst_control.identify.assess.assembly import assembled, chain_model
-from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow, ParameterRow, check_records
+from hyst_control.identify.assess.assembly import AxisFit, fit_of
+from hyst_control.identify.data.dataset import Dataset, Fit, Number, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.modal import coupled_linear
@@ -29,7 +27,6 @@ from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.identify.solve.parameter_covariance import independent_axes
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.records.stream.row_store import column
 
@@ -109,15 +106,16 @@ class Linear(Estimator[LinearOptions]):
         axes = len(first.axes)
         if axes > 1 and options.coupled is not False:
             return coupled_linear.fit(datasets, options)
-        found: list[Candidate] = []
+        fits: list[AxisFit] = []
         table: list[OrderRow] = []
+        states = 0
         for axis, name in enumerate(first.axes):
-            windows = [_window(data, axis, number) for number, data in enumerate(datasets)]
-            candidate, rows = search(windows, options)
-            found.append(candidate)
-            for row in rows:
-                table.append({**row, "axis": name} if axes > 1 else row)
-        return _assembled(datasets, options, found, table)
+            candidate, rows = search([_window(data, axis, number) for number, data in enumerate(datasets)], options)
+            fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
+            table += [{**row, "axis": name} if axes > 1 else row for row in rows]
+            states += candidate.sections.order
+        more = {"orders": table, "states": states}
+        return fit_of(datasets, fits, self.name, options.method, offset=0.0, by_axis=True, more=more)
 
 
 def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
@@ -193,7 +191,7 @@ def _fit(
     everything: bool = False,
     unknown_state: bool = True,
 ) -> Solution:
-    free = Parametrization(sections.running, np.zeros((0, sections.size)), np.zeros(0), sections.limit)
+    free = Parametrization(sections.running, limit=sections.limit)
     return minimize_simulation_error(
         windows,
         free,
@@ -301,52 +299,32 @@ def _covariance(window: Window) -> float:
     return float(np.mean((window.command - np.mean(window.command)) * (window.measurement - np.mean(window.measurement))))
 
 
-def _assembled(datasets: Sequence[Dataset], options: LinearOptions, found: Sequence[Candidate], table: list[OrderRow]) -> Fit:
-    """Model and report of axes that are fitted one by one."""
-    first = datasets[0]
-    chains = [each.sections.stages(each.solution.parameters) for each in found]
-    stages = list(_joined(chains))
-    known = independent_axes(
-        [(each.solution.parameters, each.solution.covariance) for each in found],
-        lambda vectors: _joined([each.sections.stages(vector) for each, vector in zip(found, vectors, strict=True)]),
-        first.axes,
-    )
-    parameters: list[ParameterRow] = []
-    notes: list[str] = []
-    for candidate, axis in zip(found, first.axes, strict=True):
-        own = parameter_rows(candidate, first.unit, f"[{axis}]" if len(found) > 1 else "")
-        parameters += [{**row, "axis": axis} for row in own]
-        gain = own[-1]
+def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFit:
+    """The fit of one axis: frequency and damping of every pole, the delay and, last, the static gain."""
+    sections, solution = candidate.sections, candidate.solution
+
+    def numbers(vector: Array) -> list[Number]:
+        found: list[Number] = []
+        poles = np.concatenate([np.roots(den) for _, den in sections.terms(vector)])
+        for i, pole in enumerate(sorted((pole for pole in poles if pole.imag >= 0), key=abs)):
+            found.append(Number(f"frequency[{i}]{suffix}", float(abs(pole)) / (2 * np.pi), "Hz"))
+            if pole.imag:
+                found.append(Number(f"damping[{i}]{suffix}", float(-pole.real / abs(pole))))
+        if sections.tau(vector) > 0.0 and sections.delay:
+            found.append(Number(f"delay[0]{suffix}", sections.tau(vector), "s"))
+        return [*found, Number(f"static_gain{suffix}", sections.static_gain(vector), f"{unit}/V")]
+
+    def notes(rows: Sequence[ParameterRow]) -> list[str]:
+        gain = rows[-1]
         share = abs((gain["standard_error"] or 0.0) / gain["value"]) if gain["value"] else np.inf
-        if share > UNSURE:
-            doubt = f"± {100 * share:.0f} %" if share < 1.0 else "no better than its size"
-            notes.append(
-                f"axis {axis}: static gain known to {doubt}: the record is too short for its slowest motion: hold the command longer"
-            )
-    return assembled(
-        datasets,
-        chain_model(datasets, stages, "linear"),
-        known,
-        parameters,
-        notes,
-        family="linear",
-        method=options.method,
-        offset=0.0,
-        by_axis=True,
-        more={"orders": table, "states": sum(each.sections.order for each in found)},
-    )
+        if share <= UNSURE:
+            return []
+        doubt = f"± {100 * share:.0f} %" if share < 1.0 else "no better than its size"
+        return [
+            f"axis {axis}: static gain known to {doubt}: the record is too short for its slowest motion: hold the command longer"
+        ]
 
-
-def _joined(chains: Sequence[Sequence[Stage]]) -> list[Stage]:
-    """Stages with per-axis parameters; a polynomial of lower degree begins with zeros."""
-    if len(chains) == 1:
-        return list(chains[0])
-    delays = [next((float(stage.tau) for stage in chain if isinstance(stage, Delay)), 0.0) for chain in chains]  # type: ignore[arg-type]
-    dynamics = [stage for chain in chains for stage in chain if isinstance(stage, TransferFunction)]
-    num, den = ([np.array(each, dtype=float) for each in parts] for parts in zip(*((s.num, s.den) for s in dynamics), strict=True))
-    size = max(map(len, den))
-    num, den = ([np.concatenate([np.zeros(size - len(each)), each]).tolist() for each in parts] for parts in (num, den))
-    return [*([Delay(delays)] if any(delays) else []), TransferFunction(num, den)]
+    return AxisFit(sections.stages, solution.parameters, solution.covariance, numbers, notes=notes)
 
 
 def checked(datasets: Sequence[Dataset]) -> Dataset:
@@ -364,34 +342,3 @@ def checked(datasets: Sequence[Dataset]) -> Dataset:
             )
     check_records(datasets, 32)
     return datasets[0]
-
-
-def parameter_rows(candidate: Candidate, unit: str, suffix: str) -> list[ParameterRow]:
-    """Frequency and damping of every pole, the delay and, last, the static gain, with standard errors."""
-    sections, solution = candidate.sections, candidate.solution
-
-    def numbers(vector: Array) -> list[tuple[str, float, str]]:
-        found: list[tuple[str, float, str]] = []
-        poles = np.concatenate([np.roots(den) for _, den in sections.terms(vector)])
-        for i, pole in enumerate(sorted((pole for pole in poles if pole.imag >= 0), key=abs)):
-            found.append((f"frequency[{i}]", float(abs(pole)) / (2 * np.pi), "Hz"))
-            if pole.imag:
-                found.append((f"damping[{i}]", float(-pole.real / abs(pole)), ""))
-        if sections.tau(vector) > 0.0 and sections.delay:
-            found.append(("delay[0]", sections.tau(vector), "s"))
-        return [*found, ("static_gain", sections.static_gain(vector), f"{unit}/V")]
-
-    nominal = numbers(solution.parameters)
-    moved = [numbers(solution.parameters + 1e-6 * step) for step in np.eye(sections.size)]
-    alike = all(len(each) == len(nominal) for each in moved)
-    slopes = np.array([[(b[1] - a[1]) / 1e-6 for a, b in zip(nominal, each, strict=True)] for each in moved]) if alike else None
-    spread = None if slopes is None else np.sqrt(np.maximum(np.einsum("pi,pq,qi->i", slopes, solution.covariance, slopes), 0.0))
-    return [
-        {
-            "name": name if name == "static_gain" and not suffix else name + suffix,
-            "value": value,
-            "standard_error": None if spread is None else float(spread[i]),
-            "unit": symbol,
-        }
-        for i, (name, value, symbol) in enumerate(nominal)
-    ]

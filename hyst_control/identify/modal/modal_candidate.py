@@ -41,16 +41,6 @@ class Candidate:
         inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True) / scale / scale[:, None]
         return index[:own], self.variance * inverse[:own, :own]
 
-    def standard_errors(self, *kinds: str) -> Annotated[Array, "P"]:
-        """Standard errors of parameters that are estimated together, for a white residual; the other parameters count as known."""
-        chosen = np.concatenate([np.arange(self.normal.shape[0])[self.layout.slices[kind]] for kind in kinds])
-        part = self.normal[np.ix_(chosen, chosen)]
-        scale = np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inverse = np.linalg.pinv(part / scale / scale[:, None], rcond=1e-12, hermitian=True)
-        errors = np.zeros(self.layout.size)
-        errors[chosen] = np.sqrt(np.maximum(self.variance * np.diag(inverse), 0.0)) / scale
-        return errors
-
 
 def error_of(model: ModalModel, data: Sequence[Spectra]) -> float:
     """Relative error (rms error / rms measurement) of a model on spectra.
@@ -72,10 +62,12 @@ def equations(data: Sequence[Spectra]) -> int:
     return sum(2 * spectra.measurement.size for spectra in data)
 
 
-def refined(data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int) -> Candidate:
+def refined(
+    data: Sequence[Spectra], start: ModalModel, direct: bool, free_delay: bool, iterations: int, kind: type[Problem] = Problem
+) -> Candidate:
     """Refine a model by its output error."""
     began = time.perf_counter()
-    problem = Problem(data, start, direct, free_delay)
+    problem = kind(data, start, direct, free_delay)
     cost, matrix = refine(problem, iterations)
     variance = cost / max(equations(data) - problem.layout.size, 1)
     error = float(np.sqrt(cost / problem.power))

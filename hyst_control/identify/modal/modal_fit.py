@@ -31,7 +31,6 @@ from scipy.sparse import csr_array
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra, Transients, direct_response, mode_response
-from hyst_control.identify.modal.periodic_gram import periodic_cost, periodic_gram
 from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial, solve_damped
 
@@ -149,7 +148,7 @@ class Problem:
 
     def normal_equations(self) -> tuple[Array, Array, float]:
         """JᵀJ (P, P), Jᵀr (P,) and rᵀr over all data at the present model; r is measured minus model."""
-        gram, moment, cost = self._gram()
+        gram, moment, cost = self.gram()
         size = self.layout.size
         matrix, vector = np.zeros((size, size)), np.zeros(size)
         for o, dense in enumerate(self._jacobian_weights()):
@@ -161,23 +160,13 @@ class Problem:
 
     def cost(self) -> float:
         """rᵀr over all data at the present model."""
-        if self.alike:
-            return self.irreducible + periodic_cost(self.data, self.model, self.branches)
         weights = self._output_weights()
         return self.irreducible + sum(
             float(np.sum(np.abs(measured - functions @ weights) ** 2)) for functions, measured in self._pieces()
         )
 
-    @property
-    def alike(self) -> bool:
-        """True if all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
-        return self.records == 0 and not self.free_delay and bool(np.all(self.model.delay == self.model.delay[0]))
-
-    def _gram(self) -> tuple[np.ndarray, np.ndarray, float]:
+    def gram(self) -> tuple[np.ndarray, np.ndarray, float]:
         """W^H W (K, K), W^H r (K, p) and rᵀr at the present model."""
-        if self.alike:
-            gram, moment, cost = periodic_gram(self.data, self.model, self.branches)
-            return gram, moment, self.irreducible + cost
         gram = np.zeros((self.columns, self.columns), dtype=complex, order="F")
         moment = np.zeros((self.columns, self.model.feedthrough.shape[0]), dtype=complex)
         cost = self.irreducible

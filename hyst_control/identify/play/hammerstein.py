@@ -20,7 +20,6 @@ from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit
 from hyst_control.identify.solve.gram_sums import Operators, Window
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
@@ -37,13 +36,10 @@ MIN_IMPROVEMENT = 0.03
 class OperatorOptions(Options):
     """Options of a fit of play operators."""
 
-    # Number of play operators, where `thresholds` does not list them
     operators: int = option(10, INTEGER, "number of play operators, where `thresholds` does not list them", lower=3)
-    # Increasing thresholds in place of the default ones, V
     thresholds: tuple[float, ...] | None = option(
         None, NUMBERS, "increasing thresholds of the play operators, in place of the default ones", unit="V", lower=0.0
     )
-    # Offset or drift that each record may add
     nuisance: str = nuisance_option("linear", methods=("joint",))
 
     def check(self) -> None:
@@ -55,15 +51,15 @@ class OperatorOptions(Options):
 class PlayOptions(OperatorOptions):
     """Options of a fit of one-sided or two-sided play operators."""
 
-    one_sided: bool = option(False, TRUTH, "one-sided play operators")  # One-sided play operators
+    one_sided: bool = option(False, TRUTH, "one-sided play operators")
 
 
 @dataclass(frozen=True)
 class HammersteinOptions(PlayOptions):
     """Options of a fit of play operators in front of dynamics."""
 
-    method: str = methods_option("joint", "paper")  # "joint" or "paper"
-    structure: Structure | None = structure_option()  # Factors of G(s); None: chosen on held-out stretches
+    method: str = methods_option("joint", "paper")
+    structure: Structure | None = structure_option()
 
 
 def axis_problem(
@@ -78,22 +74,20 @@ def axis_problem(
     return Problem(windows, operators, options.nuisance, len(datasets), travel / drive, drift)
 
 
-def fit_static(problem: Problem) -> AxisFit:
-    """Identify the weights of one axis without dynamics."""
-    structure = Structure()
-    chosen = solve(problem, structure, structure.start(1.0))
-    final = solve(problem, structure, structure.start(1.0), everything=True)
-    return AxisFit(final, problem.operators, chosen.held_out, dynamics=False)
+def fit_static(problem: Problem) -> tuple[Solution, float]:
+    """The weights of one axis without dynamics, and the mean square error on rows held out."""
+    chosen = solve(problem, Structure(), np.zeros(0))
+    return solve(problem, Structure(), np.zeros(0), everything=True), chosen.held_out
 
 
-def fit_dynamic(problem: Problem, structure: Structure | None) -> AxisFit:
-    """Identify the weights of one axis and G(s) behind them."""
+def fit_dynamic(problem: Problem, structure: Structure | None) -> tuple[Solution, float, list[Solution]]:
+    """The weights of one axis and G(s) behind them, the mean square error on rows held out, and all structures that were compared."""
     selection = replace(problem, windows=stretches(problem.windows, SELECTION_ROWS))
     tried: list[Solution] = []
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
-    return AxisFit(final, problem.operators, chosen.held_out, tried=tuple(tried))
+    return final, chosen.held_out, tried
 
 
 def default_operators(
@@ -166,30 +160,26 @@ def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
     return grid[int(np.argmin(list(trials)))]
 
 
-def fit_rate_dependent(problem: Problem) -> AxisFit:
-    """Identify one axis whose thresholds are r_i + β |du/dt|, without dynamics.
-
-    β is found by a golden-section search on the error.
-    """
-    structure = Structure()
+def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:
+    """The weights of one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by a golden-section search on the error."""
     fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
 
-    def trial(beta: float) -> Solution:
-        widened = replace(problem, operators=replace(problem.operators, rate_gain=beta))
-        return solve(widened, structure, np.zeros(0))
+    def widened(beta: float) -> Problem:
+        return replace(problem, operators=replace(problem.operators, rate_gain=beta))
+
+    def error(beta: float) -> float:
+        return solve(widened(beta), Structure(), np.zeros(0)).fitted
 
     grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
-    at = int(np.argmin(list(map_forked(lambda i: trial(grid[i]).fitted, len(grid)))))
+    at = int(np.argmin(list(map_forked(lambda i: error(grid[i]), len(grid)))))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     for _ in range(12):
         left, right = high - golden * (high - low), low + golden * (high - low)
-        if trial(left).fitted < trial(right).fitted:
+        if error(left) < error(right):
             high = right
         else:
             low = left
-    operators = replace(problem.operators, rate_gain=0.5 * (low + high))
-    held_out = trial(operators.rate_gain).held_out
-    final = solve(replace(problem, operators=operators), structure, np.zeros(0), everything=True)
-    return AxisFit(final, operators, held_out, rate_dependent=True, dynamics=False)
+    best = widened(0.5 * (low + high))
+    return best, *fit_static(best)

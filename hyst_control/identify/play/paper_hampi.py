@@ -14,12 +14,11 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.data.record_segmentation import Stretch, select_stretches
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.play.hammerstein import HammersteinOptions, default_operators
-from hyst_control.identify.play.prandtl_ishlinskii_model import AxisFit, assemble
 from hyst_control.identify.solve.bounded_least_squares import cost
 from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.solve.stable_dynamics import Structure
@@ -30,14 +29,10 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 """The factors of the paper's Eq. 7."""
 
 
-def fit(datasets: Sequence[Dataset], family: str, options: HammersteinOptions, *, dynamic: bool) -> Fit:
-    """Identify a model in the paper's three steps."""
-    check_records(datasets)
-    axes = [_fit_axis(datasets, axis, dynamic, options) for axis in range(len(datasets[0].axes))]
-    return assemble(datasets, family, "paper", axes)
-
-
-def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: HammersteinOptions) -> AxisFit:
+def fit_axis(
+    datasets: Sequence[Dataset], axis: int, options: HammersteinOptions, *, dynamic: bool
+) -> tuple[Operators, Solution, float]:
+    """One axis in the paper's three steps: its operators, the solution, and the mean square error of the last step."""
     step = _windows(datasets, axis, "step", "a step from rest that is then held")
     slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
     everything = whole_records(datasets, axis)
@@ -55,14 +50,16 @@ def _fit_axis(datasets: Sequence[Dataset], axis: int, dynamic: bool, options: Ha
     static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
     static = replace(static, parameters=parameters, held_out=static.fitted)
     if not dynamic:
-        return AxisFit(static, operators, static.fitted)
+        return operators, static, static.fitted
 
     # Step 3: the dynamic weights, everything else as it is.
     fast = _windows(datasets, axis, "dynamic", "loops at 100 Hz", DYNAMIC_FREQUENCY)
-    return _dynamic_weights(fast, replace(operators, dynamic=True), static, len(datasets))
+    operators = replace(operators, dynamic=True)
+    solution = _dynamic_weights(fast, operators, static, len(datasets))
+    return operators, solution, solution.fitted
 
 
-def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> AxisFit:
+def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: Solution, groups: int) -> Solution:
     """m1, m2, k, b from the loops at one frequency. No offset is free: one that is freed here and then dropped takes m1 and m2 to 0."""
     count = len(operators.thresholds)
     grams = gram_matrices(
@@ -85,7 +82,7 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
     found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (target / scale)) / root, (lower, np.inf)).x / scale
     vector = fixed + free @ found
     fitted = cost(gram, vector) / max(sum(grams.rows), 1)
-    solution = replace(
+    return replace(
         static,
         theta=vector[: operators.columns],
         nuisances=vector[operators.columns :],
@@ -93,7 +90,6 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
         held_out=fitted,
         grams=grams,
     )
-    return AxisFit(solution, operators, fitted)
 
 
 def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:

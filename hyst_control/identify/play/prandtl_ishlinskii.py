@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hyst_control.identify.assess.assembly import AxisFit, fit_of
 from hyst_control.identify.data.dataset import Dataset, Fit, check_records
-from hyst_control.identify.families.estimator import Estimator, register
+from hyst_control.identify.families.estimator import Estimator, O, register
 from hyst_control.identify.play import paper_hampi
 from hyst_control.identify.play.hammerstein import (
     HammersteinOptions,
@@ -18,39 +19,46 @@ from hyst_control.identify.play.hammerstein import (
     fit_rate_dependent,
     fit_static,
 )
-from hyst_control.identify.play.prandtl_ishlinskii_model import assemble
+from hyst_control.identify.play.prandtl_ishlinskii_model import SENSOR_OFFSET, axis_fit
+
+
+class _Operators(Estimator[O]):
+    """Play operators, with the sensor's zero behind them."""
+
+    suggested = True
+
+    def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
+        check_records(datasets)
+        axes = [self.fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
+        title = f"{self.name}_{options.method}"
+        return fit_of(datasets, axes, self.name, options.method, name=title, offset=SENSOR_OFFSET)
 
 
 @register
-class Play(Estimator[PlayOptions]):
+class Play(_Operators[PlayOptions]):
     """Static play operators."""
 
     name = "pi"
     sentence = "Prandtl-Ishlinskii model without dynamics: play operators whose weights are a linear least-squares problem"
-    suggested = True
     Options = PlayOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: PlayOptions) -> Fit:
-        check_records(datasets)
-        problems = (axis_problem(datasets, axis, options, one_sided=options.one_sided) for axis in range(len(datasets[0].axes)))
-        return assemble(datasets, self.name, options.method, [fit_static(problem) for problem in problems])
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: PlayOptions) -> AxisFit:
+        problem = axis_problem(datasets, index, options, one_sided=options.one_sided)
+        return axis_fit(datasets, index, problem.operators, *fit_static(problem), dynamics=False)
 
 
-class _Hammerstein(Estimator[HammersteinOptions]):
+class _Hammerstein(_Operators[HammersteinOptions]):
     """Play operators in front of dynamics."""
 
     Options = HammersteinOptions
-    suggested = True
     dynamic = False
     """Weights that follow the command's rate and level."""
 
-    def fit(self, datasets: Sequence[Dataset], options: HammersteinOptions) -> Fit:
-        check_records(datasets)
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: HammersteinOptions) -> AxisFit:
         if options.method == "paper":
-            return paper_hampi.fit(datasets, self.name, options, dynamic=self.dynamic)
-        axes = range(len(datasets[0].axes))
-        problems = (axis_problem(datasets, axis, options, one_sided=options.one_sided, dynamic=self.dynamic) for axis in axes)
-        return assemble(datasets, self.name, options.method, [fit_dynamic(problem, options.structure) for problem in problems])
+            return axis_fit(datasets, index, *paper_hampi.fit_axis(datasets, index, options, dynamic=self.dynamic))
+        problem = axis_problem(datasets, index, options, one_sided=options.one_sided, dynamic=self.dynamic)
+        return axis_fit(datasets, index, problem.operators, *fit_dynamic(problem, options.structure))
 
 
 @register
@@ -65,18 +73,16 @@ class Hammerstein(_Hammerstein):
 
 
 @register
-class RateDependent(Estimator[OperatorOptions]):
+class RateDependent(_Operators[OperatorOptions]):
     """Play operators whose thresholds widen with the rate."""
 
     name = "rdpi"
     sentence = "rate-dependent Prandtl-Ishlinskii model: thresholds that widen with the command's rate by one factor, searched for"
-    suggested = True
     Options = OperatorOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: OperatorOptions) -> Fit:
-        check_records(datasets)
-        problems = (axis_problem(datasets, axis, options) for axis in range(len(datasets[0].axes)))
-        return assemble(datasets, self.name, options.method, [fit_rate_dependent(problem) for problem in problems])
+    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: OperatorOptions) -> AxisFit:
+        problem, *found = fit_rate_dependent(axis_problem(datasets, index, options))
+        return axis_fit(datasets, index, problem.operators, *found, dynamics=False)
 
 
 @register

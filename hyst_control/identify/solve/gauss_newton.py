@@ -30,66 +30,23 @@ P = TypeVar("P")
 
 @dataclass(frozen=True)
 class Trial(Generic[P]):
-    """A point that a step leads to.
-
-    Parameters
-    ----------
-    point
-        The point.
-    moved
-        Largest change of a parameter on the way.
-    """
+    """A point that a step leads to."""
 
     point: P
-    moved: float = math.inf
+    moved: float = math.inf  # Largest change of a parameter on the way
 
 
 class Problem(Protocol[P]):
     """A nonlinear least-squares problem. Points are values: a step that is not kept leaves nothing behind."""
 
     def cost(self, point: P) -> float:
-        """Return the cost that the search lowers.
-
-        Parameters
-        ----------
-        point
-            A point.
-
-        Returns
-        -------
-        float
-            The cost.
-        """
+        """Return the cost that the search lowers."""
 
     def linearize(self, point: P) -> P:
-        """Return the point with the derivatives there; called only where another step begins.
-
-        Parameters
-        ----------
-        point
-            A point.
-
-        Returns
-        -------
-        P
-            The same point with its derivatives.
-        """
+        """Return the point with the derivatives there; called only where another step begins."""
 
     def step(self, point: P, damping: float) -> Trial[P] | None:
-        """Return the trial of the damped step from a linearized point.
-
-        Parameters
-        ----------
-        point
-            A linearized point.
-        damping
-            Levenberg-Marquardt damping.
-
-        Returns
-        -------
-        Trial[P] | None
-            The trial; None where no step is worth a trial.
-        """
+        """Return the trial of the damped step from a linearized point; None where no step is worth a trial."""
 
 
 class End(Enum):
@@ -102,82 +59,33 @@ class End(Enum):
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules of a search.
+    """Rules of a search."""
 
-    Parameters
-    ----------
-    damping
-        Damping of the first step.
-    raised, eased
-        Damping after a step that is rejected, and after one that is kept.
-    small
-        Whether the gain from a cost (first) to the next (second) is a sign of the minimum.
-    confident
-        Damping from which on a small gain is no such sign: under strong damping it is not significant.
-    steps, trials
-        Most steps kept, and most steps tried.
-    rejections
-        Most rejections in a row.
-    highest
-        A rejected step of more damping is the last.
-    min_move
-        A rejected step whose parameters all move by less is the last.
-    """
-
-    damping: float
-    raised: Callable[[float], float]
-    eased: Callable[[float], float]
-    small: Callable[[float, float], bool]
-    confident: float = math.inf
-    steps: float = math.inf
-    trials: float = math.inf
-    rejections: float = math.inf
-    highest: float = math.inf
-    min_move: float = 0.0
+    damping: float  # Of the first step
+    raised: Callable[[float], float]  # Damping after a step that is rejected
+    eased: Callable[[float], float]  # Damping after one that is kept
+    small: Callable[[float, float], bool]  # Whether the gain from a cost (first) to the next (second) is a sign of the minimum
+    confident: float = math.inf  # Damping from which on a small gain is no such sign: under strong damping it is not significant
+    steps: float = math.inf  # Most steps kept
+    trials: float = math.inf  # Most steps tried
+    rejections: float = math.inf  # Most rejections in a row
+    highest: float = math.inf  # A rejected step of more damping is the last
+    min_move: float = 0.0  # A rejected step whose parameters all move by less is the last
 
 
 @dataclass(frozen=True)
 class Found(Generic[P]):
-    """Best point of a search.
-
-    Parameters
-    ----------
-    point
-        The best point.
-    end
-        Reason for the end of the search.
-    steps
-        Number of steps kept.
-    trials
-        Number of steps tried.
-    linearized
-        True if the point's derivatives were taken there, False if one step before.
-    """
+    """Best point of a search."""
 
     point: P
-    end: End
-    steps: int
-    trials: int
-    linearized: bool
+    end: End  # Reason for the end of the search
+    steps: int  # Number of steps kept
+    trials: int  # Number of steps tried
+    linearized: bool  # True if the point's derivatives were taken there, False if one step before
 
 
 def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
-    """Lower the cost of a problem from a linearized start. Never worse than the start.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    start
-        Where to begin, linearized.
-    rules
-        The rules of the search.
-
-    Returns
-    -------
-    Found
-        The best point, without derivatives of its own where the last step led to it.
-    """
+    """Lower the cost of a problem from a linearized start; never worse than the start, and without derivatives after the last step."""
     point, damping = start, rules.damping
     kept = tried = rejected = 0
     linearized = True
@@ -204,22 +112,7 @@ def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
 
 
 def solve_damped(matrix: Array, vector: Array, chosen: Mask, damping: float) -> Array:
-    """Step of the damped normal equations (J'J + damping · diag J'J) step = J'r over some of the parameters.
-
-    Parameters
-    ----------
-    matrix, vector
-        J'J (P, P) and J'r (P,).
-    chosen
-        The parameters (P,) that may move.
-    damping
-        Relative to the diagonal.
-
-    Returns
-    -------
-    Array
-        The step (P,), zero for all others.
-    """
+    """Step (P,) of the damped normal equations (J'J + damping · diag J'J) step = J'r over the parameters that may move."""
     index = np.flatnonzero(chosen)
     scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
     scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]

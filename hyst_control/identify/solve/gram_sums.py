@@ -72,56 +72,22 @@ def regressors(
         output[columns, row] = weighted
 
 
-@njit(cache=True, error_model="numpy")
-def gram_product(block: Annotated[Array, "N K"]) -> Annotated[Array, "K K"]:
-    """Compute block' block without BLAS, whose threads spin for longer than such a product takes."""
-    rows, columns = block.shape
-    product = np.zeros((columns, columns))
-    for row in range(0, rows - 3, 4):
-        for i in range(columns):
-            v0, v1, v2, v3 = block[row, i], block[row + 1, i], block[row + 2, i], block[row + 3, i]
-            for j in range(i, columns):
-                product[i, j] += v0 * block[row, j] + v1 * block[row + 1, j] + (v2 * block[row + 2, j] + v3 * block[row + 3, j])
-    for row in range(rows - rows % 4, rows):
-        for i in range(columns):
-            value = block[row, i]
-            for j in range(i, columns):
-                product[i, j] += value * block[row, j]
-    for i in range(columns):
-        for j in range(i):
-            product[i, j] = product[j, i]
-    return product
-
-
-@njit(cache=True, error_model="numpy")
-def weighted_columns(
-    raw: Annotated[Array, "N J + P"],
+def weighted_rows(
+    raw: Annotated[Array, "J + P N"],
     theta: Annotated[Array, "J"],
     step: float,
-    first: int,
     share: Annotated[Array, "N"],
     extra: int,
     measurement: Annotated[Array, "N"],
-    weight: Annotated[Array, "N"],
-    block: Annotated[Array, "N K"],
-) -> None:
-    """Write rows of [θ columns, derivatives, nuisances, y], each times the root of its weight."""
-    columns = theta.size
-    size = raw.shape[1] - columns
-    last = columns + size + extra
-    for row in range(len(block)):
-        scale = np.sqrt(weight[row]) if weight.size else 1.0
-        predicted = 0.0
-        for j in range(columns):
-            block[row, j] = raw[first + row, j] * scale
-            predicted += raw[first + row, j] * theta[j]
-        for p in range(columns, columns + size):
-            block[row, p] = (raw[first + row, p] - predicted) / step * scale
-        if extra > 0:
-            block[row, columns + size] = scale
-        if extra > 1:
-            block[row, columns + size + 1] = share[row] * scale
-        block[row, last] = measurement[row] * scale
+    weight: Annotated[Array, "N"] | None,
+) -> Annotated[Array, "K N"]:
+    """[θ columns, derivatives, nuisances, y], each row times the root of its weight."""
+    columns = len(theta)
+    slopes = (raw[columns:] - theta @ raw[:columns]) / step
+    block = np.concatenate([raw[:columns], slopes, share ** np.arange(extra)[:, None], measurement[None]])
+    if weight is not None:
+        block *= np.sqrt(weight)
+    return block
 
 
 @dataclass(frozen=True)
@@ -132,7 +98,7 @@ class Operators:
     one_sided: bool = False  # One-sided play operators
     dynamic: bool = False  # Weights that follow the command's rate and level (m1, m2, k)
     center: float = 0.0  # Command about which the level counts, V
-    rate_gain: float = 0.0  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s
+    rate_gain: float | None = None  # Thresholds widen to r + rate_gain |du/dt| (RDPI), s; None: they do not
 
     @property
     def columns(self) -> int:
@@ -205,27 +171,25 @@ def gram_matrices(
         square = np.ix_(place, place)
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         together, chunk = -(-n // (length * MAX_BLOCKS)), length * max(BLOCK // length, 1)
-        buffer = np.empty((length, len(place)))
-        weight = np.zeros(0) if window.weight is None else window.weight
         used_blocks = 0
         for begin in range(0, n, length):
             end = min(begin + length, n)
             if begin % chunk == 0:
                 several = passing.rows(begin, min(begin + chunk, n))
-            raw = several[begin % chunk : begin % chunk + length]
             first = max(window.skip - begin, 0)
             if first >= end - begin:
                 continue
             used = slice(begin + first, end)
-            block = buffer[: end - begin - first]
-            share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / n
-            weighted_columns(raw, theta, step, first, share, extra, window.measurement[used], weight[used], block)
+            raw = several[:, begin % chunk + first : begin % chunk + end - begin]
+            share = window.begin - 0.5 + window.share * np.arange(used.start, end) / n
+            weight = None if window.weight is None else window.weight[used]
+            block = weighted_rows(raw, theta, step, share, extra, window.measurement[used], weight)
             # Every third block is held out of the choice between structures: a part of every experiment in the record.
             part = 1 if begin // length % 3 == 2 else 0
             product = np.zeros((total, total))
-            product[square] = gram_product(block)
+            product[square] = block @ block.T
             grams[part] += product
-            rows[part] += len(block)
+            rows[part] += end - used.start
             if used_blocks % together:
                 blocks[-1] += product
             else:
@@ -255,8 +219,8 @@ class _Pass:
         self.lanes.settle(self._inputs(self._regressors(self.window.command[:1]))[:, 0])
 
     def rows(self, begin: int, end: int) -> Array:
-        """Rows (N, J + P) from `begin` to `end` of the window, which follow those of the call before."""
-        return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end]))).T
+        """Columns (J + P, N) of the rows from `begin` to `end` of the window, which follow those of the call before."""
+        return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end])))
 
     def _inputs(self, found: Array) -> Array:
         """Inputs (J + P, N) of G and of its neighbors."""
@@ -272,7 +236,7 @@ class _Pass:
             ops.center,
             ops.thresholds,
             ops.release,
-            ops.rate_gain,
+            ops.rate_gain or 0.0,
             ops.dynamic,
             self.theta,
             self.h,

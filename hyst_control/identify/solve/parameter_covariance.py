@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
@@ -118,23 +117,6 @@ def uncertainty_of(
     alone = np.sqrt(np.maximum(np.diag(spread), 0.0)) / np.where(sizes > 0.0, sizes, np.inf)
     return Uncertainty(
         tuple(names), parameters, values, factor, np.minimum(relative, PRIOR), alone, tuple(dict.fromkeys(undetermined))
-    )
-
-
-def independent_axes(
-    parts: Sequence[tuple[Array, Array]],
-    stages_of: Callable[[Sequence[Array]], Sequence[Stage]],
-    axes: Sequence[str],
-    sizes: Sequence[Array] | None = None,
-) -> Uncertainty:
-    """Uncertainty of a model whose axes are fitted one by one."""
-    edges = np.cumsum([len(vector) for vector, _ in parts])[:-1]
-    return uncertainty_of(
-        lambda vector: stages_of(np.split(vector, edges)),
-        np.concatenate([vector for vector, _ in parts]),
-        block_diag(*(covariance for _, covariance in parts)),
-        axes,
-        None if sizes is None else np.concatenate(sizes),
     )
 
 

@@ -24,7 +24,7 @@ from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.chain_batch import Bundle
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial
-from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, NUISANCES, Grams, Window, gram_product
+from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, NUISANCES, Grams, Window
 from hyst_control.records.stream.row_store import blocks as row_blocks
 from hyst_control.records.stream.row_store import empty_rows
 
@@ -43,9 +43,21 @@ class Parametrization:
     """Chain of a parameter vector (P,) of order one, and the constraints lhs · parameters >= rhs."""
 
     stages: Callable[[Array], Sequence[Stage]]
-    lhs: Array
-    rhs: Array
+    lhs: Array | None = None
+    rhs: Array | None = None
     limit: Callable[[Array], Array] = staticmethod(lambda vector: vector)
+
+    def part(self, whole: Array, free: slice) -> Parametrization:
+        """Some of the parameters, without constraints; the others stay as they are in `whole`."""
+
+        def completed(vector: Array) -> Array:
+            found = whole.copy()
+            found[free] = vector
+            return found
+
+        return Parametrization(
+            lambda vector: self.stages(completed(vector)), limit=lambda vector: self.limit(completed(vector))[free]
+        )
 
 
 @dataclass(frozen=True)
@@ -188,7 +200,7 @@ def simulated(
             if sampling not in clocks:
                 clocks[sampling] = Bundle(chains, sampling)
             for block in _blocks(window, clocks[sampling], size, session, columns, number, length):
-                product = gram_product(block)
+                product = block.T @ block
                 if (count - first) % together:
                     pieces[-1] += product
                 else:
@@ -252,7 +264,7 @@ def _blocks(
             rows[:, place : place + decay.states] = decay.rows(stop - chunk)
         np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
         for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
-            yield np.ascontiguousarray(rows[begin : begin + length])
+            yield rows[begin : begin + length]
 
 
 def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:
@@ -295,6 +307,8 @@ def _step(gram: Array, parametrization: Parametrization, present: Array, origin:
     prior = PRIOR * float(np.max(diagonal))
     normal[np.diag_indices_from(normal)] = (1.0 + damping) * diagonal + prior
     gradient += prior * (origin - present)
+    if parametrization.lhs is None or parametrization.rhs is None:
+        return constrained_minimum(normal, gradient, np.zeros((0, len(normal))), np.zeros(0))
     return constrained_minimum(normal, gradient, parametrization.lhs, parametrization.rhs - parametrization.lhs @ present)
 
 

@@ -25,6 +25,7 @@ from hyst_control.chain.linear.linear_stages import (
     transfer_function_system,
 )
 from hyst_control.chain.stage import Sampling, Stage
+from hyst_control.identify.data.dataset import Number
 
 MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01
@@ -157,6 +158,13 @@ class Structure:
     def tau(self, parameters: Annotated[Array, "P"]) -> float:
         """Delay of G(s), never negative."""
         return TAU_UNIT * max(float(parameters[-1]), 0.0) if self.delay else 0.0
+
+    def numbers(self, parameters: Annotated[Array, "P"]) -> list[Number]:
+        """Coefficients of the rational part, and the delay, as a report lists them."""
+        num, den = self.rational(parameters)
+        found = [Number(f"num[{i}]", value) for i, value in enumerate(num)] if len(den) > 1 else []
+        found += [Number(f"den[{i}]", value) for i, value in enumerate(den) if i]
+        return found + ([Number("tau", self.tau(parameters), "s")] if self.delay else [])
 
     def stages(self, parameters: Annotated[Array, "P"]) -> list[Stage]:
         """Construct the stages of the dynamics: the delay, then the rational part."""

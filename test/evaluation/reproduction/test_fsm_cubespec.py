@@ -18,9 +18,10 @@ from evaluation.reproduction.fsm_cubespec_records import (
     steady_state,
 )
 from evaluation.reproduction.fsm_cubespec_tables import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
+from evaluation.reproduction.periodic_fit import refined
+from evaluation.reproduction.robust_bla import robust_bla
 from hyst_control.base.errors import InputError
-from hyst_control.identify.modal.frequency_response import robust_bla
-from hyst_control.identify.modal.modal_candidate import Candidate, error_of, refined
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import load_model
@@ -62,7 +63,7 @@ def test_distortion_is_above_the_noise_and_grows_with_the_level(levels):
 def test_a_linear_model_of_the_highest_level_beats_the_published_one_on_unseen_realisations(levels):
     level = levels[2]
     data = [level.spectra(FIT)]
-    found = refined(data, subspace(data, [28], np.zeros(3), "zoh")[0], True, False, 10)
+    found = refined(data, subspace(data, [28], np.zeros(3), "zoh")[0], 10)
     model = model_of(found.model, "fsm", 1.2)
     error = simulation_error(model, level, TEST)[0]
     assert error < PUBLISHED_OWN[300]

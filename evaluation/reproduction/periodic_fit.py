@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gram matrix of a modal model's derivatives over periodic records whose commands are equally late.
+"""Modal fits to periodic records whose commands are equally late, quicker than those to records of any kind.
 
 Then all inputs of a mode have one response φ_i(z), and the columns φ_i U_j of W (`modal_fit.Problem`) factor line by line:
 
@@ -16,6 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.identify.modal import modal_candidate
+from hyst_control.identify.modal.modal_candidate import Candidate
+from hyst_control.identify.modal.modal_fit import Problem
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra, direct_response, mode_response
 
 LINES = 4096
@@ -121,3 +124,30 @@ def periodic_gram(
         rows, before = (m + 1) * i + np.arange(m), driven[: i * m]
         gram[np.ix_(rows, before)] = gram[np.ix_(before, rows)].conj().T
     return gram, moment, cost
+
+
+class PeriodicProblem(Problem):
+    """The least-squares problem, by the sums over all records where they allow it."""
+
+    @property
+    def alike(self) -> bool:
+        """True if all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
+        return self.records == 0 and not self.free_delay and bool(np.all(self.model.delay == self.model.delay[0]))
+
+    def cost(self) -> float:
+        """rᵀr over all data at the present model."""
+        if not self.alike:
+            return super().cost()
+        return self.irreducible + periodic_cost(self.data, self.model, self.branches)
+
+    def gram(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """W^H W (K, K), W^H r (K, p) and rᵀr at the present model."""
+        if not self.alike:
+            return super().gram()
+        gram, moment, cost = periodic_gram(self.data, self.model, self.branches)
+        return gram, moment, self.irreducible + cost
+
+
+def refined(data: Sequence[Spectra], start: ModalModel, iterations: int) -> Candidate:
+    """Refine a model of equally late commands by its output error."""
+    return modal_candidate.refined(data, start, True, False, iterations, PeriodicProblem)

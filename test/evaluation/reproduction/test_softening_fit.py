@@ -5,11 +5,11 @@
 import numpy as np
 import pytest
 
+from evaluation.reproduction.periodic_fit import refined
+from evaluation.reproduction.softening_modes import Level, fit_softening, schedule, spectra
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
-from hyst_control.identify.modal.modal_candidate import refined
 from hyst_control.identify.modal.modal_fit import subspace
-from hyst_control.identify.modal.softening_modes import Level, fit_softening, schedule, spectra
 
 PERIOD, SAMPLE_TIME, SUBSTEPS = 1024, 1e-3, 4
 FREQUENCY, DAMPING, SOFTENING = 120.0, 0.03, 0.05
@@ -67,7 +67,7 @@ def simulated_error(stage, level: Level, realisation: int) -> float:
 def test_one_softening_model_holds_at_every_level(levels):
     fitted = [part(level, [0, 1, 2]) for level in levels]
     middle = [spectra(fitted[1].command, fitted[1].measurement, 1.0)]
-    linear = refined(middle, subspace(middle, [2], np.zeros(1), "zoh")[0], True, False, 20).model
+    linear = refined(middle, subspace(middle, [2], np.zeros(1), "zoh")[0], 20).model
     errors = {}
     for force in (False, True):
         found = fit_softening(fitted, linear, fitted[1].amplitude, SAMPLE_TIME, force=force, memory=0.05)

@@ -18,6 +18,7 @@ from typing import Annotated, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.reproduction.periodic_fit import PeriodicProblem
 from hyst_control.base.arrays import Array, Mask
 from hyst_control.chain.hysteresis.softening_modal import SofteningModal
 from hyst_control.identify.modal.frequency_response import excited_lines
@@ -187,7 +188,7 @@ def refine_scheduled(
     data: Sequence[Spectra], g: Sequence[float], start: Scheduled, inputs: int, iterations: int, tolerance: float = 2e-5
 ) -> tuple[Scheduled, int, Array]:
     """Fit the center, and the changes of the poles and of the first `inputs` inputs' gains, by damped Gauss-Newton."""
-    problems = [Problem([part], start.centre) for part in data]
+    problems: list[Problem] = [PeriodicProblem([part], start.centre) for part in data]
     layout, free = problems[0].layout, problems[0].free
     n, m = start.centre.inputs.shape
     moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
