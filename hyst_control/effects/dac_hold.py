@@ -12,9 +12,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values
+
+C = c_texts(__file__)
 
 HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
 """Numbers of samples that are tried."""
@@ -81,43 +84,15 @@ class DacHoldFilter(Filter):
     def c_code(self) -> CCode:
         return CCode(
             "dac hold",
-            STEP,
-            SETTLE,
+            C["STEP"],
+            C["SETTLE"],
             constants={
                 "samples": integers(self.samples, "for which a value is held"),
                 "step": reals(self.step, "V, of the lattice; 0: none"),
             },
             state={"held": reals(self.held, "V"), "count": integers(np.zeros(len(self.held)), "samples since the last one taken")},
-            functions=(TAKEN,),
+            functions=(C["TAKEN"],),
         )
-
-
-TAKEN = """
-static real taken_value(real value, real step)
-{
-    return (step > R(0.0)) ? (step * M(rint)(value / step)) : value;
-}
-"""
-
-STEP = """
-for (int i = 0; i < AXES; i++) {
-    if (s->count[i] == 0) {
-        s->held[i] = taken_value(in[i], p->step[i]);
-    }
-    s->count[i] = ((s->count[i] + 1) < p->samples[i]) ? (s->count[i] + 1) : 0;
-    out[i] = s->held[i];
-}
-"""
-"""`take_and_hold` in C."""
-
-SETTLE = """
-for (int i = 0; i < AXES; i++) {
-    s->held[i] = taken_value(in[i], p->step[i]);
-    s->count[i] = 0;
-    out[i] = s->held[i];
-}
-"""
-"""`DacHoldFilter.settle` in C."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,6 +21,7 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
@@ -35,6 +36,9 @@ from hyst_control.chain.stage import (
     register,
     scaled,
 )
+
+C = c_texts(__file__)
+SETTLE = C["SETTLE"]
 
 
 @njit(cache=True, error_model="numpy")
@@ -78,41 +82,6 @@ def dynamic_prandtl_ishlinskii(
             previous[axis] = u
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
             output[row, axis] = w0[axis] * u + weighted + (rotation + k[axis] * u + b[axis]) * total
-
-
-STEP = """
-for (int axis = 0; axis < AXES; axis++) {
-    const real u = in[axis];
-    real total = R(0.0);
-    real weighted = R(0.0);
-    for (int i = 0; i < COUNT; i++) {
-        const real low = u - p->thresholds[axis][i];
-        const real high = u + p->release[axis][i];
-        real h = s->operators[axis][i];
-        h = (h > high) ? high : h;
-        h = (h < low) ? low : h;
-        s->operators[axis][i] = h;
-        total += h;
-        weighted += p->weights[axis][i] * h;
-    }
-    const real rate = (u - s->previous[axis]) * p->rate_factor;
-    s->previous[axis] = u;
-    const real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
-    out[axis] = ((p->w0[axis] * u) + weighted) + (((rotation + (p->k[axis] * u)) + p->b[axis]) * total);
-}
-"""
-"""`dynamic_prandtl_ishlinskii` in C."""
-
-SETTLE = """
-for (int axis = 0; axis < AXES; axis++) {
-    for (int i = 0; i < COUNT; i++) {
-        s->operators[axis][i] = R(0.0);
-    }
-    s->previous[axis] = in[axis];
-}
-SELF_step(s, in, out);
-"""
-"""Play operators come to rest from their virgin state, in C."""
 
 
 class PlayFilter(Filter):
@@ -166,7 +135,7 @@ class PlayFilter(Filter):
         w0, m1, m2, k, b = self.coefficients
         return CCode(
             "play operators",
-            STEP,
+            C["STEP"],
             SETTLE,
             {"COUNT": self.thresholds.shape[1]},
             {

@@ -19,9 +19,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
+
+C = c_texts(__file__)
 
 
 @njit(cache=True, error_model="numpy")
@@ -54,27 +57,6 @@ def rate_dependent_prandtl_ishlinskii(
             output[row, axis] = value
 
 
-STEP = """
-for (int axis = 0; axis < AXES; axis++) {
-    const real u = in[axis];
-    const real widening = (p->beta[axis] * M(fabs)(u - s->previous[axis])) * p->rate_factor;
-    real value = p->w0[axis] * u;
-    s->previous[axis] = u;
-    for (int i = 0; i < COUNT; i++) {
-        const real low = (u - p->thresholds[axis][i]) - widening;
-        const real high = (u + p->thresholds[axis][i]) + widening;
-        real h = s->operators[axis][i];
-        h = (h > high) ? high : h;
-        h = (h < low) ? low : h;
-        s->operators[axis][i] = h;
-        value += p->weights[axis][i] * h;
-    }
-    out[axis] = value;
-}
-"""
-"""`rate_dependent_prandtl_ishlinskii` in C."""
-
-
 class RateDependentFilter(Filter):
     """Streaming rate-dependent Prandtl-Ishlinskii model."""
 
@@ -104,7 +86,7 @@ class RateDependentFilter(Filter):
     def c_code(self) -> CCode:
         return CCode(
             "rate dependent play operators",
-            STEP,
+            C["STEP"],
             SETTLE,
             {"COUNT": self.thresholds.shape[1]},
             {

@@ -14,10 +14,12 @@ from scipy.linalg import block_diag
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import COMPLEX, CCode, reals
-from hyst_control.chain.c_code.softening_modal_c import ADVANCE, COME_TO_REST, MODES
+from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.chain.parameter import AllAxes, Scattering, all_axes
 from hyst_control.chain.stage import Filter, Sampling, Stage, register
+
+C = c_texts(__file__)
 
 
 @register
@@ -405,8 +407,8 @@ class SofteningModalFilter(Filter):
         names = Numbers._fields[2:]
         return CCode(
             "softening modal",
-            ADVANCE,
-            COME_TO_REST,
+            c_filled(C["ADVANCE"], {"COMMAND": "drive", "PLAY": "s->play[at]"}),
+            c_filled(C["COME_TO_REST"], {"COMMAND": "in", "PLAY": "R(0.0)"}),
             {
                 "MODES": memory.state.shape[1],
                 "FORCES": memory.force.size,
@@ -429,7 +431,7 @@ class SofteningModalFilter(Filter):
                 "force": reals(memory.force, "of the tick that begins the interval, with the stop operators and the products"),
                 "play": reals(memory.play, "V, command less what the stop operators hold"),
             },
-            (COMPLEX, MODES),
+            (COMPLEX, C["MODES"]),
         )
 
 
