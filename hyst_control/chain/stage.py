@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from enum import Flag, auto
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -95,6 +96,18 @@ class Filter:
         raise InputError(f"{type(self).__name__}: the stage brings no C (Filter.c_code): leave it out, or give it its C")
 
 
+class Role(Flag):
+    """Roles of a class of stages, as the properties of `Stage` say in full."""
+
+    NONE = 0
+    LINEAR = auto()
+    CHANGES_WITH_TIME = auto()  # does not commute with a delay
+    MIXES_AXES = auto()
+    HYSTERESIS = auto()
+    HAS_COMPENSATOR = auto()
+    MECHANICS = auto()
+
+
 @dataclass(frozen=True, eq=False)  # a stage that declares no fields equals itself alone
 class Stage:
     """Description of a stage: its fields are the model file's parameters, declared by `chain.parameter`.
@@ -117,6 +130,8 @@ class Stage:
     adds_hysteresis: ClassVar[bool] = False
     """True for a stage that is a chain's hysteresis where it has no other."""
 
+    ROLES: ClassVar[Role] = Role.NONE
+    """Answers of the properties below that are the same for every stage of the class; a stage may override a property instead."""
     only_limits: ClassVar[bool] = False
     """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
 
@@ -149,32 +164,32 @@ class Stage:
     @property
     def linear(self) -> bool:
         """True for a linear continuous-time system (see `chain.linear`), which may be merged with its neighbors."""
-        return False
+        return Role.LINEAR in self.ROLES
 
     @property
     def commutes_with_delay(self) -> bool:
         """True where delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
-        return True
+        return Role.CHANGES_WITH_TIME not in self.ROLES
 
     @property
     def mixes_axes(self) -> bool:
         """True where an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
-        return False
+        return Role.MIXES_AXES in self.ROLES
 
     @property
     def is_hysteresis(self) -> bool:
         """True for a stage that is, or contains, a plant's hysteresis."""
-        return False
+        return Role.HYSTERESIS in self.ROLES
 
     @property
     def has_compensator(self) -> bool:
         """True for a stage that is, or contains, a hysteresis that a feedforward compensator inverts by itself."""
-        return False
+        return Role.HAS_COMPENSATOR in self.ROLES
 
     @property
     def is_mechanics(self) -> bool:
         """True for a stage that may be a plant's mechanics."""
-        return False
+        return Role.MECHANICS in self.ROLES
 
     # The stage for other axes or other values.
 

@@ -14,7 +14,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values
 
 C = c_texts(__file__)
@@ -37,6 +37,7 @@ class DacHold(Stage):
 
     name: ClassVar[str] = "dac_hold"
     place: ClassVar[str] = "dac"
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
     samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
     phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
@@ -49,10 +50,6 @@ class DacHold(Stage):
         whole=True,
         scatter=Scattering.NONE,
     )
-
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
 
     def filter(self, sampling: Sampling) -> Filter:
         samples, step, phase, rounding = per_axis_scalars(self, sampling.axes, "samples", "step", "phase", "rounding")

@@ -25,7 +25,7 @@ from hyst_control.chain.command_features import (
 )
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
-from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Modifier, Role, Sampling, Stage, per_axis, per_axis_scalars, register
 
 C = c_texts(__file__)
 
@@ -67,11 +67,9 @@ class LearnedResidual(Modifier):
 class FromCommand(Stage):
     """The added part alone, from the command; part of a started chain only."""
 
-    of: LearnedResidual
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
 
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
+    of: LearnedResidual
 
     def filter(self, sampling: Sampling) -> Filter:
         return FromCommandFilter(self.of, sampling)

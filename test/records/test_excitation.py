@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.records.excitation.excitation import KINDS, build, multisine_lines
-from hyst_control.records.excitation.parameters import OF_KINDS, OF_SIGNALS, described
+from hyst_control.records.excitation.parameters import declarations, described
 from hyst_plant_sim.physics import PLANTS, load_plant
 
 STEP = 1e-4
@@ -216,4 +216,5 @@ def test_every_parameter_is_declared_and_every_declaration_used():
     used = {(kind, name) for kind, function in KINDS.items() for name in signature(function).parameters}
     used = {(kind, name) for kind, name in used if name not in ("sample_time", "axes")}
     assert all(described(kind, name).meaning for kind, name in used)
-    assert {name for _, name in used} == set(OF_SIGNALS) and set(OF_KINDS) <= used
+    own = {(kind, name) for kind, each in declarations()["kinds"].items() for name in each}
+    assert {name for _, name in used} == set(declarations()["signals"]) and own <= used

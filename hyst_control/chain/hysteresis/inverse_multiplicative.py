@@ -32,7 +32,7 @@ from hyst_control.chain.c_code.c_code import LARGER, SMALLER, CCode, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import check_operators, play_filter
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 
 C = c_texts(__file__)
 
@@ -269,6 +269,7 @@ class InverseMultiplicative(Stage):
     """
 
     name: ClassVar[str] = "inverse_multiplicative"
+    ROLES: ClassVar[Role] = Role.HAS_COMPENSATOR
     thresholds: VectorPerAxis = vector("V", "of the model's operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the model's operators")
     lower: ScalarPerAxis = scalar("V", "least command")
@@ -281,10 +282,6 @@ class InverseMultiplicative(Stage):
     one_sided: bool = flag("as in the model")
     gain: ScalarPerAxis | None = scalar("V / output unit", "of a step; default 1 / greatest slope", default=None, above=0.0)
     iterations: int = count("steps per sample, 0 for the exact solution", default=4)
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)

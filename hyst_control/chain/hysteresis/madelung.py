@@ -36,6 +36,7 @@ from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
+    Role,
     Sampling,
     Stage,
     depth,
@@ -362,6 +363,7 @@ class Madelung(Stage):
     """
 
     name: ClassVar[str] = "madelung"
+    ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
     ascending: VectorPerAxis = vector("", "polynomial p_n … p_1 of the ascending branch, or its values at the knots")
     descending: VectorPerAxis = vector("", "the descending branch likewise")
     input_scale: ScalarPerAxis = scalar("V", "length of the major loop: its upper end, where `input_offset` is 0", above=0.0)
@@ -371,14 +373,6 @@ class Madelung(Stage):
     input_offset: ScalarPerAxis = scalar(
         "V", "lower end of the major loop, below 0 for a bipolar drive", default=0.0, scatter=Scattering.NONE
     )
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def check(self) -> None:
         axes = max(len(value) if depth(value) == 2 else 1 for value in (self.ascending, self.descending))

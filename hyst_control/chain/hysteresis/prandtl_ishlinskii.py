@@ -26,6 +26,7 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
+    Role,
     Sampling,
     Stage,
     depth,
@@ -215,12 +216,9 @@ class PlayOperator(Stage):
 
     name: ClassVar[str] = "play_operator"
     equation: ClassVar[str] = r"y_k = \max\left(u_k - \mathrm{threshold}, \min\left(u_k + \mathrm{threshold}, y_{k-1}\right)\right)"
+    ROLES: ClassVar[Role] = Role.HYSTERESIS
     threshold: ScalarPerAxis = scalar("input unit", "half-width", lower=0.0)
     one_sided: bool = flag("whether it is pulled down without play")
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
 
     def mean_slope(self, axes: int) -> Array:
         return np.ones(axes)
@@ -241,19 +239,13 @@ class PlayOperator(Stage):
 class OperatorModel(Stage):
     """Common part of the models of weighted play operators, which have `w0` besides."""
 
+    ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
+
     thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the operators")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def with_operators(self, thresholds: Array, weights: Array) -> Stage:
         """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""

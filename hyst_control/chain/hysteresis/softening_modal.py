@@ -17,7 +17,7 @@ from hyst_control.chain.c_code.c_code import COMPLEX, CCode, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.chain.parameter import AllAxes, Scattering, all_axes
-from hyst_control.chain.stage import Filter, Sampling, Stage, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
 
 C = c_texts(__file__)
 
@@ -54,6 +54,7 @@ class SofteningModal(Stage):
     """
 
     name: ClassVar[str] = "softening_modal"
+    ROLES: ClassVar[Role] = Role.MIXES_AXES | Role.HYSTERESIS
     decay: AllAxes = all_axes("log(1/s)", "of every mode", 1, scatter=Scattering.POLES)
     frequency: AllAxes = all_axes("rad/s", "of every mode; 0: a real one", 0, 1, scatter=Scattering.POLES)
     outputs: AllAxes = all_axes("measurement unit", "c, [real, imaginary] of (modes, axes)", 3)
@@ -78,14 +79,6 @@ class SofteningModal(Stage):
     product_feedthrough: AllAxes = all_axes("measurement unit / V", "of the products", 0, 1, 2, default=0.0)
     product_mean: AllAxes = all_axes("", "average of the products, (pairs of axes)", 0, 1, default=0.0)
     memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
-
-    @property
-    def mixes_axes(self) -> bool:
-        return True
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
 
     def check(self) -> None:
         self.arrays(self.axes)
