@@ -25,6 +25,7 @@ import numpy as np
 from evaluation.reproduction import hampi_figures, hampi_tables
 from evaluation.reproduction.hampi_tables import SCORED_CYCLES, Place
 from evaluation.reproduction.mhl_robustness import robustness
+from evaluation.reproduction.open_loop import BLOCK, open_loop
 from evaluation.reproduction.papers import HAMPI
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
@@ -55,7 +56,6 @@ STROKE, OFFSET = 4.0, 1.0
 """um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""
 SECOND = "third"
 SEED = 4040
-BLOCK = 500
 
 
 @dataclass(frozen=True)
@@ -232,18 +232,7 @@ def _between_rests(
 
 def record(folder: Path, signal: Annotated[Array, "N 1"], seed: int, plant: str) -> Dataset:
     """Record the simulated actuator in open loop, through the five nodes."""
-    bag = run_processes(
-        folder,
-        signal,
-        SAMPLE_TIME,
-        {
-            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": seed},
-        },
-        block=BLOCK,
-    )
-    return datasets_of(read_bag(bag))[0]
+    return datasets_of(read_bag(open_loop(folder, signal, SAMPLE_TIME, plant, seed, RATING)))[0]
 
 
 def track(folder: Path, kind: str, model: Model, reference: Annotated[Array, "N 1"], plant: str) -> dict[str, Array]:

@@ -201,29 +201,10 @@ class InverseMultiplicativeFilter(Filter):
         return self._run(block, self.iterations)
 
     def _run(self, block: Array, iterations: int) -> Array:
-        output = np.empty_like(block)
-        w0, m1, m2, k, b = self.coefficients
-        inverse_multiplicative(
-            block,
-            self.previous,
-            self.rate_factor,
-            self.most,
-            self.thresholds,
-            self.release,
-            self.weights,
-            w0,
-            m1,
-            m2,
-            k,
-            b,
-            self.lower,
-            self.upper,
-            self.gain,
-            iterations,
-            self.state,
-            self.command,
-            output,
-        )
+        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
+        demand = (block, self.previous, self.rate_factor, self.most)
+        drive = (self.lower, self.upper, self.gain, iterations, self.state, self.command)
+        inverse_multiplicative(*demand, *operators, *self.coefficients, *drive, output)
         return output
 
     def c_code(self) -> CCode:

@@ -85,25 +85,17 @@ def dynamic_prandtl_ishlinskii(
             output[row, axis] = w0[axis] * u + weighted + (rotation + k[axis] * u + b[axis]) * total
 
 
-class PlayFilter(Filter):
-    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
+class OperatorFilter(Filter):
+    """Streaming play operators: thresholds, weights and state of all axes, at rest at 0."""
 
-    def __init__(
-        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
-    ) -> None:
-        axes = sampling.axes
-        count = max(len(r) for r in thresholds)
+    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array]) -> None:
+        axes, count = sampling.axes, max(len(r) for r in thresholds)
         self.hold = sampling.hold
         # Axes with fewer operators are filled up with operators of weight 0 that never leave 0: they must not enter the sum.
-        self.thresholds = np.full((axes, count), np.inf)
-        self.weights = np.zeros((axes, count))
+        self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
         for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, : len(r)] = r
-            self.weights[axis, : len(w)] = w
-        self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
-        self.state = np.zeros((axes, count))
-        self.previous = np.zeros(axes)
-        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
+        self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
         self.rate_factor = 1.0 / sampling.sample_time
 
     def settle(self, value: Array) -> Array:
@@ -112,24 +104,20 @@ class PlayFilter(Filter):
         first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
         return first
 
+
+class PlayFilter(OperatorFilter):
+    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
+
+    def __init__(
+        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
+    ) -> None:
+        super().__init__(sampling, thresholds, weights)
+        self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
+        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+
     def process(self, block: Array) -> Array:
-        output = np.empty_like(block)
-        w0, m1, m2, k, b = self.coefficients
-        dynamic_prandtl_ishlinskii(
-            block,
-            self.previous,
-            self.rate_factor,
-            self.thresholds,
-            self.release,
-            self.weights,
-            w0,
-            m1,
-            m2,
-            k,
-            b,
-            self.state,
-            output,
-        )
+        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
+        dynamic_prandtl_ishlinskii(block, self.previous, self.rate_factor, *operators, *self.coefficients, self.state, output)
         return output
 
     def c_code(self) -> CCode:

@@ -20,9 +20,9 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorFilter, OperatorModel, wider_operators
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, scalar, vector
-from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
+from hyst_control.chain.stage import Sampling, per_axis, per_axis_scalar, register, scaled
 
 C = c_texts(__file__)
 
@@ -57,24 +57,12 @@ def rate_dependent_prandtl_ishlinskii(
             output[row, axis] = value
 
 
-class RateDependentFilter(Filter):
+class RateDependentFilter(OperatorFilter):
     """Streaming rate-dependent Prandtl-Ishlinskii model."""
 
     def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array], w0: Array, beta: Array) -> None:
-        axes, count = sampling.axes, max(len(r) for r in thresholds)
-        self.hold = sampling.hold
-        self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
-        for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
+        super().__init__(sampling, thresholds, weights)
         self.w0, self.beta = w0, beta
-        self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
-        self.rate_factor = 1.0 / sampling.sample_time
-
-    def settle(self, value: Array) -> Array:
-        self.state[:] = 0.0
-        self.previous[:] = value
-        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
-        return first
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)

@@ -205,6 +205,26 @@ def softening_forces(
 
 
 @njit(cache=True)
+def softening_stops(command: Annotated[Array, "A"], numbers: Numbers, play: Array, force: Array) -> None:
+    """Stop operators of a command, from the play that they had."""
+    threshold, axes = numbers.threshold, command.size
+    for e in range(threshold.size):
+        for j in range(axes):
+            at = e * axes + j
+            play[at] = min(max(play[at], command[j] - threshold[e]), command[j] + threshold[e])
+            force[numbers.force_mean.size + at] = (command[j] - play[at]) - numbers.stop_mean[at] * command[j]
+
+
+@njit(cache=True)
+def softening_pole(i: int, g: float, numbers: Numbers) -> complex:
+    """Pole of a mode at a scheduled amplitude g; a real one of a mode that does not oscillate."""
+    decay = -np.exp(numbers.decay[i] + numbers.decay_change[i] * g)
+    if numbers.frequency[i] == 0.0:
+        return complex(decay, 0.0)
+    return complex(decay, numbers.frequency[i] + numbers.frequency_change[i] * g)
+
+
+@njit(cache=True)
 def advance_softening_modal(
     block: Annotated[Array, "N A"],
     smooth: float,
@@ -216,16 +236,8 @@ def advance_softening_modal(
 ) -> None:
     """Run the equations of `SofteningModal` over a block."""
     # last: (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated
-    amplitude = numbers.amplitude
-    decay, frequency, decay_change, frequency_change = (
-        numbers.decay,
-        numbers.frequency,
-        numbers.decay_change,
-        numbers.frequency_change,
-    )
     c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
-    state, mean_square, force, play = memory
+    frequency, (state, mean_square, force, play) = numbers.frequency, memory
     modes, axes = c.shape
     held = np.isnan(last[0])
     drive, linear, strain = np.empty(axes), np.empty(axes), np.empty(axes)
@@ -238,12 +250,8 @@ def advance_softening_modal(
                 last[j] = block[row, j]
         mean_square[0] += smooth * (power / axes - mean_square[0])
         a = np.sqrt(mean_square[0])
-        g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
-        for e in range(threshold.size):
-            for j in range(axes):
-                at = e * axes + j
-                play[at] = min(max(play[at], drive[j] - threshold[e]), drive[j] + threshold[e])
-                force[force_mean.size + at] = (drive[j] - play[at]) - stop_mean[at] * drive[j]
+        g = (np.sqrt(a / numbers.amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+        softening_stops(drive, numbers, play, force)
         for o in range(axes):
             linear[o] = 0.0
             output[row, o] = 0.0
@@ -252,9 +260,7 @@ def advance_softening_modal(
             for j in range(force.size):
                 output[row, o] += h_d[o, j] * force[j]
         for i in range(modes):
-            pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-            if frequency[i] == 0.0:
-                pole = complex(pole.real, 0.0)
+            pole = softening_pole(i, g, numbers)
             carry = np.exp(pole * step)
             gain = (carry - 1.0) / pole
             by_command, by_force = 0j, 0j
@@ -276,37 +282,24 @@ def advance_softening_modal(
 @njit(cache=True)
 def settle_softening_modal(value: Annotated[Array, "A"], numbers: Numbers, memory: Memory, output: Annotated[Array, "A"]) -> None:
     """Bring `SofteningModal` to rest at a constant command."""
-    amplitude = numbers.amplitude
-    decay, frequency, decay_change, frequency_change = (
-        numbers.decay,
-        numbers.frequency,
-        numbers.decay_change,
-        numbers.frequency_change,
-    )
     c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
-    state, mean_square, force, play = memory
+    frequency, (state, mean_square, force, play) = numbers.frequency, memory
     modes, axes = c.shape
     power = 0.0
     for j in range(axes):
         power += value[j] ** 2
     mean_square[0] = power / axes
     a = np.sqrt(mean_square[0])
-    g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
-    for e in range(threshold.size):
-        for j in range(axes):
-            at = e * axes + j
-            play[at] = min(max(0.0, value[j] - threshold[e]), value[j] + threshold[e])
-            force[force_mean.size + at] = (value[j] - play[at]) - stop_mean[at] * value[j]
+    g = (np.sqrt(a / numbers.amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+    play[:] = 0.0
+    softening_stops(value, numbers, play, force)
     linear, strain = np.empty(axes), np.empty(axes)
     for o in range(axes):
         linear[o] = 0.0
         for j in range(axes):
             linear[o] += d[o, j] * value[j]
     for i in range(modes):
-        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-        if frequency[i] == 0.0:
-            pole = complex(pole.real, 0.0)
+        pole = softening_pole(i, g, numbers)
         entering = 0j
         for j in range(axes):
             entering += (b[i, j] + b_change[i, j] * g) * value[j]
@@ -320,9 +313,7 @@ def settle_softening_modal(value: Annotated[Array, "A"], numbers: Numbers, memor
         for j in range(force.size):
             output[o] += h_d[o, j] * force[j]
     for i in range(modes):
-        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-        if frequency[i] == 0.0:
-            pole = complex(pole.real, 0.0)
+        pole = softening_pole(i, g, numbers)
         entering = 0j
         for j in range(force.size):
             entering += h[i, j] * force[j]
