@@ -11,7 +11,7 @@ from pathlib import Path
 from sources import ROOT
 
 LINES = ("Copyright 2026 The hyst_control authors", "SPDX-License-Identifier: Apache-2.0")
-COMMENTS = {".py": "# {}\n", ".sh": "# {}\n", "": "# {}\n", ".c": "/* {} */\n", ".h": "/* {} */\n"}
+COMMENTS = {".py": "# {}\n", ".sh": "# {}\n", "": "# {}\n", ".c": "/* {} */\n", ".h": "/* {} */\n", ".in": "/* {} */\n"}
 """How a line of a comment is written, by the ending of the file's name."""
 
 

@@ -48,53 +48,33 @@ DISCREPANCY_VERSION = 1
 
 @dataclass(frozen=True)
 class Model:
-    """A simulator: the chain from command to measurement, and what is known about it.
+    """A simulator: the chain from command to measurement, and what is known about it."""
 
-    Parameters
-    ----------
-    name
-        For people.
-    axes
-        Names of the axes.
-    units
-        {"command": "V", "measurement": "um"}, say: lengths are in um, angles in mrad or deg; other units are kept as they are.
-    sample_time
-        s, of the data it was fitted on.
-    chain
-        From command to measurement, in signal order.
-    hold
-        The command between samples, "zoh" or "foh".
-    valid
-        {"command": [V, V], "frequency": [Hz, Hz]}: the range it was fitted over.
-    noise
-        {"sigma": rms in the measurement unit}, a number or one per axis.
-    tolerance
-        Relative standard deviation by parameter name or "stage.parameter".
-    uncertainty
-        {"parameters": names as in `chain.coordinates`, "factor": a row (K,) for each}: value = nominal + factor @ z, z ~ N(0, I), in the
-        units of the parameters; it takes the place of `tolerance`, where there is one.
-    discrepancy
-        What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record, measurement
-        unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample, s, "zero": zero, drift
-        and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their means, "learned": by axis, the
-        error as a function of the command (`identify.learned_discrepancy`), absent where the command does not predict it, "spectrum":
-        by axis, the power of the error and of the output in bands of frequency (`identify.stated_spectrum`)}.
-    """
-
-    name: str
-    axes: tuple[str, ...]
+    name: str  # For people
+    axes: tuple[str, ...]  # Names of the axes
+    # {"command": "V", "measurement": "um"}, say: lengths are in um, angles in mrad or deg; other units are kept as they are
     units: Mapping[str, str]
-    sample_time: float
-    chain: Chain
-    hold: str = "zoh"
+    sample_time: float  # s, of the data it was fitted on
+    chain: Chain  # From command to measurement, in signal order
+    hold: str = "zoh"  # The command between samples, "zoh" or "foh"
+    # {"command": [V, V], "frequency": [Hz, Hz]}: the range it was fitted over
     valid: Mapping[str, Any] = field(default_factory=dict)
-    noise: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, Any] = field(default_factory=dict)  # {"sigma": rms in the measurement unit}, a number or one per axis
+    # Relative standard deviation by parameter name or "stage.parameter"
     tolerance: Mapping[str, float] = field(default_factory=dict)
+    # {"parameters": names as in `chain.coordinates`, "factor": a row (K,) for each}: value = nominal + factor @ z, z ~ N(0,
+    # I), in the units of the parameters; it takes the place of `tolerance`, where there is one
     uncertainty: Mapping[str, Any] = field(default_factory=dict)
+    # What the model leaves on the records it was identified from: {"version": 1, "rms": by axis, on the worst record,
+    # measurement unit, each record's own zero and drift taken off, "correlation": time of that error per independent sample,
+    # s, "zero": zero, drift and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their
+    # means, "learned": by axis, the error as a function of the command (`identify.learned_discrepancy`), absent where the
+    # command does not predict it, "spectrum": by axis, the power of the error and of the output in bands of frequency
+    # (`identify.stated_spectrum`)}
     discrepancy: Mapping[str, Any] = field(default_factory=dict)
 
     def filter(self, sample_time: float | None = None, hold: str | None = None) -> Filter:
-        """A running filter of the chain, at the model's own clock and hold unless given."""
+        """A running filter of the chain, at the model's own sample_time and hold unless given."""
         return self.chain.filter(Sampling(sample_time or self.sample_time, len(self.axes), hold or self.hold))
 
     def with_stages(self, stages: Sequence[Stage]) -> Model:

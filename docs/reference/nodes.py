@@ -14,10 +14,10 @@ from hyst_control.base.quantity import shown
 from hyst_control.nodes.execution.command_line import liveness
 from hyst_control.nodes.signal_node.common_parameters import COMMON
 from hyst_control.nodes.signal_node.parameters import Setting
-from hyst_control.nodes.signal_node.signal_settings import COMMON as OF_EVERY_SIGNAL
 from hyst_control.nodes.signal_node.signal_settings import signal_settings
 from hyst_control.processes.node_list import NODES, NodeEntry
 from hyst_control.records.excitation.excitation import KINDS
+from hyst_control.records.excitation.parameters import COMMON as OF_EVERY_SIGNAL
 
 HEAD = """# Nodes and their parameters
 

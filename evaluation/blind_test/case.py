@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.data_files import frozen
 from hyst_control.base.arrays import Array
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
@@ -125,7 +126,7 @@ def as_document(case: Case) -> dict[str, Any]:
 
 def from_document(document: Mapping[str, Any]) -> Case:
     """Read a case as `as_document` writes it."""
-    whole = _frozen(document)
+    whole = frozen(document)
     own = {name: value for name, value in whole["label"].items() if name not in _columns(whole)}
     return replace(Case(**{**whole, "label": None}), label=Label(**own))
 
@@ -141,9 +142,3 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_rounded(item) for item in value]
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
-
-
-def _frozen(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _frozen(item) for key, item in value.items()}
-    return tuple(map(_frozen, value)) if isinstance(value, list) else value

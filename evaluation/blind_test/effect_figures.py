@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from evaluation.blind_test.effect_sizes import FILE
 from hyst_control.base.arrays import Array
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
 
@@ -38,138 +39,7 @@ class Example:
     plant: str = "pea"  # Truth plant
 
 
-EXAMPLES: dict[str, Example] = {
-    "dac_hold": Example(
-        {"samples": 12},
-        0.008,
-        200.0,
-        "Stairs after every command, images of the motion above half the slower rate, on average a delay of half of what is held.",
-    ),
-    "clock_rate_mismatch": Example(
-        {"share": 0.005},
-        0.2,
-        100.0,
-        "A delay that grows from the first sample to the last: a fitted one is another in every stretch.",
-    ),
-    "delay": Example(
-        {"tau": 0.0004},
-        0.008,
-        100.0,
-        "The gap is the motion's own velocity times the delay: nothing at rest, growing with frequency, no change of amplitude.",
-    ),
-    "slew_limit": Example({"rate": 3e4}, 0.02, 200.0, "Ramps after large jumps only; small or slow motion has no gap at all."),
-    "saturation": Example(
-        {"lower": 15.0, "upper": 110.0},
-        0.02,
-        10.0,
-        "Flat tops at one voltage, whatever the frequency; harmonics when the range is used.",
-    ),
-    "crossover_dead_band": Example(
-        {"half_width": 6.0},
-        0.02,
-        10.0,
-        "A flat piece in the middle of the range, at every frequency, on the way up as on the way down.",
-    ),
-    "amplifier_lowpass": Example(
-        {"cutoff": 500.0},
-        0.01,
-        100.0,
-        "Less and later at high frequencies. Before the hysteresis: the loop's turning points move too.",
-    ),
-    "hysteresis_width": Example(
-        {"width": 0.5}, 0.02, 10.0, "Loops grow wider at every frequency; the curve through their middle stays."
-    ),
-    "hysteresis_shape": Example({"amount": 0.06}, 0.02, 10.0, "A bow over the range that both branches share; none at its ends."),
-    "hysteresis_rate": Example(
-        {"factor": 3.0}, 0.01, 200.0, "Slow loops stay; fast ones turn and widen, the more the higher the drive."
-    ),
-    "gain_scheduled_hysteresis": Example(
-        {"amount": 1.5},
-        0.2,
-        5.0,
-        "The loop's width follows where the drive was lately: loops at the bottom and at the top of the range differ.",
-    ),
-    "creep": Example(
-        {"gamma": 0.06}, 4, 1.0, "After a step the output goes on, by about the same every time the elapsed time is tenfold."
-    ),
-    "resonance": Example(
-        {"frequency": 600.0, "damping": 0.02, "gain": 0.08},
-        0.03,
-        100.0,
-        "A ringing after steps and a narrow peak that no nominal mode explains.",
-    ),
-    "added_mass": Example(
-        {"mass_ratio": 0.8}, 0.008, 300.0, "The main mode comes down in frequency and rings more; slow motion is untouched."
-    ),
-    "duffing_stiffness": Example(
-        {"share": 0.25},
-        0.01,
-        10.0,
-        "Less stroke at large displacements, at every frequency; the mode goes up in frequency where the displacement is large.",
-    ),
-    "guide_friction": Example(
-        {"share": 0.04},
-        0.02,
-        10.0,
-        "A wider loop with a soft start after every turning point, of one height for slow and fast motion.",
-    ),
-    "wandering_mode": Example(
-        {"change": 0.35, "period": 0.7},
-        0.008,
-        300.0,
-        "The peak is smeared: what fits one stretch of the record does not fit the next.",
-    ),
-    "backlash": Example(
-        {"half_width": 0.4}, 0.02, 10.0, "Standstill after every reversal, of one width for small and large motion."
-    ),
-    "vibration": Example(
-        {"amplitude": 0.3, "frequency": 173.0},
-        0.1,
-        10.0,
-        "A line in the spectrum a little wider than a tone, whether or not the drive moves.",
-    ),
-    "cross_coupling": Example(
-        {"coupling": 0.08, "corner": 2000.0},
-        0.02,
-        10.0,
-        "The axis moves while its own command rests, with the spectrum of the other axis.",
-        plant="fsm",
-    ),
-    "sensor_lowpass": Example(
-        {"cutoff": 500.0},
-        0.01,
-        100.0,
-        "Less and later at high frequencies, after the hysteresis: as if the motion were seen through a filter.",
-    ),
-    "sensor_nonlinearity": Example(
-        {"second": 0.3, "third": 0.2},
-        0.02,
-        10.0,
-        "An error that depends on the reading alone, at every frequency and on both branches.",
-    ),
-    "gain": Example({"gain": 0.08}, 0.02, 10.0, "A gap in proportion to the motion, at every frequency alike."),
-    "gain_drift": Example(
-        {"change": 0.1, "tau": 1.0}, 4, 1.0, "Nothing at the start, then a share of the motion that grows over the record."
-    ),
-    "offset": Example({"offset": 0.6}, 0.02, 10.0, "A constant, at rest too; nothing in the spectrum but its zero line."),
-    "offset_drift": Example({"change": 0.8, "tau": 1.0}, 4, 1.0, "A slow curve over the record that does not know the command."),
-    "mains_hum": Example(
-        {"amplitude": 0.25, "frequency": 50.0},
-        0.1,
-        10.0,
-        "Lines at 50 Hz, 150 Hz and 250 Hz, of one phase throughout, with and without drive.",
-    ),
-    "sensor_noise": Example({"rms": 0.08}, 0.02, 10.0, "Flat in the spectrum, the same at rest and in motion."),
-    "flicker_noise": Example({"rms": 0.15}, 0.2, 10.0, "Rises towards low frequencies, wanders at rest."),
-    "outliers": Example({"fraction": 0.01, "size": 2.0}, 0.02, 10.0, "Single samples far off, their neighbors untouched."),
-    "quantization": Example(
-        {"step": 0.25},
-        0.02,
-        10.0,
-        "Readings on a lattice, best seen at rest; flat in the spectrum when the motion crosses many steps.",
-    ),
-    "held_samples": Example({"fraction": 0.3}, 0.008, 200.0, "Readings that repeat; the gap is as large as the motion is fast."),
-}
+EXAMPLES = {name: Example(**values) for name, values in FILE["examples"].items()}
 
 
 def write(folder: Path) -> list[Path]:

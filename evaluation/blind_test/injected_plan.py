@@ -19,6 +19,7 @@ from evaluation.blind_test.case import Case
 from evaluation.blind_test.effect_sizes import NOISE_LIKE
 from evaluation.blind_test.injected_machines import SIMULATED, Machine
 from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, Injection
+from evaluation.data_files import table_file
 
 MODES = ("none", "other_command", "same_command")
 """Baseline records beside the new one."""
@@ -27,35 +28,7 @@ ALIKE = (("delay", "sensor_lowpass", "amplifier_lowpass"), ("gain", "resonance",
 
 Step = tuple[str, str, str, float]
 
-STACK: tuple[Step, ...] = (
-    ("stack", "single", "none", 3.0),
-    ("stack", "single", "same_command", 1.0),
-    ("stack", "single", "other_command", 3.0),
-    ("stack", "single", "same_command", 3.0),
-    ("stack", "single", "none", 10.0),
-    ("stack", "single", "other_command", 10.0),
-    ("stack", "pair", "same_command", 3.0),
-)
-OPEN: tuple[tuple[Step, ...], ...] = (
-    (("stack", "open_set", "none", 10.0),),
-    (("stack", "open_set", "same_command", 10.0),),
-    (("stack", "open_set", "other_command", 10.0),),
-)
-SIMULATIONS: tuple[Step, ...] = (
-    ("simulated", "single", "none", 3.0),
-    ("simulated", "single", "none", 10.0),
-)
-MIRROR: tuple[Step, ...] = (
-    ("mirror", "single", "none", 3.0),
-    ("mirror", "single", "same_command", 3.0),
-    ("mirror", "single", "other_command", 10.0),
-    ("mirror", "single", "none", 10.0),
-    ("mirror", "single", "same_command", 1.0),
-    ("mirror", "pair", "same_command", 3.0),
-    ("mirror", "single", "other_command", 3.0),
-    ("mirror", "open_set", "same_command", 10.0),
-)
-"""Of these every second round has one: a diagnosis of the mirror's three coupled axes takes as long as thirty of the stack."""
+STEPS: dict[str, tuple[Step, ...]] = table_file("blind_test/injected_plan.yaml")
 CLEAN = 2
 """Clean records in a round."""
 
@@ -72,8 +45,9 @@ def _rounds(machines: Sequence[Machine], seed: int) -> Iterator[Case]:
     clean = _clean_cells(machines, random)
     waiting: dict[str, list[str]] = {}
     for turn in count():
-        steps = [*STACK, *STACK, *OPEN[turn % len(OPEN)], *SIMULATIONS, *SIMULATIONS]
-        steps += [MIRROR[turn // 2 % len(MIRROR)]] if turn % 2 == 0 else []
+        stack, simulations, unknown, mirror = (STEPS[name] for name in ("stack", "simulations", "open", "mirror"))
+        steps = [*stack, *stack, unknown[turn % len(unknown)], *simulations, *simulations]
+        steps += [mirror[turn // 2 % len(mirror)]] if turn % 2 == 0 else []
         cells = [
             _cell(group[(turn + number) % len(group)], step, waiting, random)
             for number, step in enumerate(steps)

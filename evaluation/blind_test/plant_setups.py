@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.data_files import table_file
 from hyst_control.base.yaml_files import read_yaml
 from hyst_plant_sim.physics.plant_files import shipped
 
@@ -39,60 +40,10 @@ class Setup:
     gains: tuple[float, float]
 
 
-SETUPS = {
-    "pea_published": Setup(
-        "models/pea_hampi.yaml", 5e-5, (0.0, 50.0), 5.2, ("weights", "m1", "m2", "k", "b", "num", "den"), (1.0, 3000.0)
-    ),
-    "fsm_published": Setup(
-        "models/fsm_mhl.yaml",
-        1e-4,
-        (0.0, 100.0),
-        2.0,
-        ("ascending", "descending", "delay", "k1", "k2", "num", "den"),
-        (5.0, 9000.0),
-    ),
-    "third": Setup(
-        None,
-        5e-5,
-        (0.0, 100.0),
-        9.0,
-        ("slope", "alpha", "beta", "gamma", "ladder_shares", "mode_frequency", "mode_damping"),
-        (1.0, 2000.0),
-    ),
-    "pea": Setup(
-        None,
-        5e-5,
-        (0.0, 100.0),
-        10.8,
-        (
-            "elastic_slope",
-            "slip_slope",
-            "slip_decay",
-            "saturation",
-            "drag_rise",
-            "drag_fall",
-            "mode_frequency",
-            "mode_damping",
-            "slow_share",
-        ),
-        (1.0, 2000.0),
-    ),
-    "fsm": Setup(
-        None,
-        1e-4,
-        (0.0, 100.0),
-        2.0,
-        ("delay", "elastic_slope", "slip_slope", "slip_decay", "relaxation_share", "mode_frequency", "mode_damping"),
-        (5.0, 9000.0),
-    ),
-}
-
-IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = {
-    # By plant without a published model: the family, and the excitation that identifies it beside the diagnostic record.
-    "third": ("hampi", {"signal": "hampi_identification"}),
-    "pea": ("hampi", {"signal": "hampi_identification"}),
-    "fsm": ("mhl", {"signal": "mhl_identification", "sweep_time": 1.0}),
-}
+FILE: dict[str, dict[str, Any]] = table_file("blind_test/plants.yaml")
+SETUPS = {name: Setup(**values) for name, values in FILE["setups"].items()}
+IDENTIFICATION: dict[str, tuple[str, dict[str, Any]]] = FILE["identification"]
+"""By plant without a published model: the family, and the excitation that identifies it beside the diagnostic record."""
 
 
 def scatter(plant: str, seed: int, size: float) -> dict[str, Any]:

@@ -22,10 +22,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from evaluation.reproduction import claims, hampi_figures, hampi_tables
-from evaluation.reproduction.hampi_published import FREQUENCIES, TABLE_1, TABLE_5
+from evaluation.reproduction import hampi_figures, hampi_tables
 from evaluation.reproduction.hampi_tables import SCORED_CYCLES, Place
 from evaluation.reproduction.mhl_robustness import robustness
+from evaluation.reproduction.open_loop import BLOCK, open_loop
+from evaluation.reproduction.papers import HAMPI
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.control.feedforward.compensator import build_compensator
@@ -39,6 +40,7 @@ from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table
 
+GIVEN = HAMPI.published
 SAMPLE_TIME = 5e-5
 RATING = (0.0, 150.0)
 PEAKS = (50.0, 100.0, 140.0)
@@ -54,17 +56,16 @@ STROKE, OFFSET = 4.0, 1.0
 """um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""
 SECOND = "third"
 SEED = 4040
-BLOCK = 500
 
 
 @dataclass(frozen=True)
 class Extent:
     """Selection of what is run."""
 
-    frequencies: tuple[float, ...] = FREQUENCIES  # Frequencies of the held-out loops, Hz
+    frequencies: tuple[float, ...] = GIVEN["frequencies"]  # Frequencies of the held-out loops, Hz
     peaks: tuple[float, ...] = PEAKS  # Peaks of the held-out loops, V
-    lags: tuple[float, ...] = tuple(TABLE_1)  # Frequencies at which phase lags are measured, Hz
-    tracked: tuple[float, ...] = tuple(TABLE_5["HAMPI"])  # Frequencies of the tracked reference, Hz
+    lags: tuple[float, ...] = tuple(GIVEN["table_1"])  # Frequencies at which phase lags are measured, Hz
+    tracked: tuple[float, ...] = tuple(GIVEN["table_5"]["HAMPI"])  # Frequencies of the tracked reference, Hz
     excitation: tuple[tuple[str, Any], ...] = ()  # Options of the excitation, name and value
     methods: tuple[str, ...] = ("joint", "paper")  # Identification methods whose models track
     margins: bool = True  # True to measure the feedback's margins
@@ -122,7 +123,7 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
     hampi_tables.attenuation(table, tracked, parts, SAMPLE_TIME)
     if plant == "pea" and extent.margins:
         robustness(table, tune(wide["HAMPI"]), plant, "HAMPI model: feedback tuned on it")
-    table.notes += [*hampi_tables.NOTES, *claims.notes(claims.HAMPI)]
+    table.notes += [*HAMPI.notes, *HAMPI.not_scored]
     if json_path:
         table.write(json_path)
     if figures:
@@ -231,18 +232,7 @@ def _between_rests(
 
 def record(folder: Path, signal: Annotated[Array, "N 1"], seed: int, plant: str) -> Dataset:
     """Record the simulated actuator in open loop, through the five nodes."""
-    bag = run_processes(
-        folder,
-        signal,
-        SAMPLE_TIME,
-        {
-            "hampi_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": seed},
-        },
-        block=BLOCK,
-    )
-    return datasets_of(read_bag(bag))[0]
+    return datasets_of(read_bag(open_loop(folder, signal, SAMPLE_TIME, plant, seed, RATING)))[0]
 
 
 def track(folder: Path, kind: str, model: Model, reference: Annotated[Array, "N 1"], plant: str) -> dict[str, Array]:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from evaluation.reproduction.hampi_published import FIGURE_2, FREQUENCIES, TABLE_1, TABLE_2, TABLE_4, TABLE_4_RMSE, TABLE_5
+from evaluation.reproduction.papers import HAMPI
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import LinearStage
@@ -23,24 +23,10 @@ from hyst_control.identify.data.record_segmentation import select_stretches
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
 
+GIVEN = HAMPI.published
 SCORED_CYCLES = 4
 """Whole cycles of every held-out loop that count: its last ones."""
 METHODS_TABLE = "HAMPI models: identified jointly and in the paper's sequence"
-NOTES = [
-    "The truth actuator has a drag that grows with its polarization and is larger while it rises, which is what HAMPI's dynamic weights "
-    "describe: HAMPI's advantage over HAPI and RDPI is built in, in every row that compares them (Figs. 6, 11, 12 and 16, Tables 4 and "
-    "5). The second truth has Bouc-Wen hysteresis and a viscoelastic ladder instead, and nothing of the kind: its rows stand beside.",
-    "HAMPI Fig. 11 and Table 5, paper: models of the paper's own records, a step of 10 V, three cycles of 1 Hz and loops of 100 Hz, all "
-    "at 50 V, in its own three steps; RDPI, which has no steps, from the same records.",
-    "HAMPI Fig. 2: the fit divides by the deviation from the mean, which grows with the rest before the step that is counted; the paper "
-    "does not say how much that was. The shorter one is scored, the stricter.",
-    "HAMPI Table 4 and Figs. 12 and 13: models of one identification up to 145 V, at frequencies none of which is a held-out one. RDPI "
-    "has no dynamics, so the mode counts fully against it.",
-    "HAMPI Table 5: the reference runs from 1 to 5 um, not from 0: a drive that is never negative leaves the actuator short of 0 after "
-    "its first peak. HAPI tracks better here than in the paper: up to 50 V the simulated actuator depends less on the rate than the "
-    "paper's.",
-]
-"""Results of the experiment that the simulation cannot show, with the reason."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +76,13 @@ def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place
             ("actuator", value - lag[frequencies[0]], 1),
         ):
             table.add(
-                "HAMPI Table 1", f"{frequency:g} Hz", subject, "phase lag", "deg", own, published=TABLE_1[frequency][published]
+                "HAMPI Table 1",
+                f"{frequency:g} Hz",
+                subject,
+                "phase lag",
+                "deg",
+                own,
+                published=GIVEN["table_1"][frequency][published],
             )
 
 
@@ -117,7 +109,7 @@ def step_fit(table: Table, model: Model, data: Dataset) -> None:
         _, measured, answer = step_response(model, data, before)
         spread, left = float(measured.std()), float(np.sqrt(np.mean((measured - answer) ** 2)))
         case = f"step of 10 V, from {1e3 * before:g} ms before it"
-        table.add("HAMPI Fig. 2", case, "LTI model", "fit", "%", 100.0 * (1.0 - left / spread), published=FIGURE_2)
+        table.add("HAMPI Fig. 2", case, "LTI model", "fit", "%", 100.0 * (1.0 - left / spread), published=GIVEN["figure_2"])
         table.add("HAMPI Fig. 2", case, "noise at rest alone", "fit", "%", 100.0 * (1.0 - noise / spread))
 
 
@@ -144,7 +136,9 @@ def dynamic_weights(table: Table, model: Model) -> None:
     core = next(stage for stage in model.chain.stages if isinstance(stage, ModifiedPrandtlIshlinskii))
     for name, unit in (("m1", "s/V"), ("m2", "s/V"), ("k", "1/V"), ("b", "")):
         value = float(np.ravel(getattr(core, name))[0])
-        table.add("HAMPI Table 2", "dynamic weights", "HAMPI, paper's sequence", name, unit, value, published=TABLE_2[name])
+        table.add(
+            "HAMPI Table 2", "dynamic weights", "HAMPI, paper's sequence", name, unit, value, published=GIVEN["table_2"][name]
+        )
 
 
 def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place]) -> None:
@@ -211,28 +205,11 @@ def predictions(
     for name, model in models.items():
         for place, (rmse, nrmse, _) in zip(places, errors(model, data, places), strict=True):
             title = where or {50.0: "HAMPI Fig. 11", 100.0: "HAMPI Fig. 12"}.get(place.height, "HAMPI Table 4")
-            index = FREQUENCIES.index(place.frequency) if title == "HAMPI Table 4" else None
-            case = f"{place.height:g} V, {place.frequency:g} Hz"
-            table.add(
-                title,
-                case,
-                name,
-                "nrmse",
-                "%",
-                nrmse,
-                published=None if index is None else TABLE_4[name][index],
-                n=place.end - place.begin,
-            )
-            table.add(
-                title,
-                case,
-                name,
-                "rmse",
-                data.unit,
-                rmse,
-                published=None if index is None else TABLE_4_RMSE[name][index],
-                n=place.end - place.begin,
-            )
+            case, rows = f"{place.height:g} V, {place.frequency:g} Hz", place.end - place.begin
+            for quantity, unit, value, known in (("nrmse", "%", nrmse, "table_4"), ("rmse", data.unit, rmse, "table_4_rmse")):
+                at = GIVEN["frequencies"].index(place.frequency) if title == "HAMPI Table 4" else None
+                published = None if at is None else GIVEN[known][name][at]
+                table.add(title, case, name, quantity, unit, value, published=published, n=rows)
 
 
 def methods(
@@ -263,15 +240,8 @@ def pooled(
                     found += errors((joint if subject == "joint" else sequence)[name], data, places)
             together = np.sqrt(np.mean(np.array(found) ** 2, axis=0))
             for quantity, value in (("nrmse", together[1]), ("nrmse, means removed", together[2])):
-                table.add(
-                    METHODS_TABLE,
-                    "all held-out loops",
-                    f"{name}, {subject}",
-                    f"{quantity}, rms over loops",
-                    "%",
-                    float(value),
-                    n=len(found),
-                )
+                what = f"{quantity}, rms over loops"
+                table.add(METHODS_TABLE, "all held-out loops", f"{name}, {subject}", what, "%", float(value), n=len(found))
 
 
 def attenuation(table: Table, tracked: Mapping[str, Mapping[str, Array]], places: Sequence[Place], sample_time: float) -> None:
@@ -284,16 +254,12 @@ def attenuation(table: Table, tracked: Mapping[str, Mapping[str, Array]], places
 
 
 def tracking(
-    table: Table,
-    tracked: Mapping[str, Mapping[str, Array]],
-    places: Sequence[Place],
-    stroke: float,
-    title: str = "HAMPI Table 5",
+    table: Table, tracked: Mapping[str, Mapping[str, Array]], places: Sequence[Place], stroke: float, title: str = "HAMPI Table 5"
 ) -> None:
     """Add Table 5: open-loop tracking errors, means kept; the published values are of the paper's own sequence."""
     for name, signals in tracked.items():
         error = (signals["measurement"] - signals["reference"])[:, 0]
-        published = TABLE_5[name.split(",")[0]]
+        published = GIVEN["table_5"][name.split(",")[0]]
         for place in places:
             rmse = float(np.sqrt(np.mean(error[place.rows] ** 2)))
             case = f"{place.frequency:g} Hz"

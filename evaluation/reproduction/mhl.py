@@ -29,7 +29,7 @@ from typing import Annotated
 
 import numpy as np
 
-from evaluation.reproduction import claims, mhl_figures, mhl_learning, mhl_responses, mhl_robustness, mhl_tables
+from evaluation.reproduction import mhl_figures, mhl_learning, mhl_responses, mhl_robustness, mhl_tables
 from evaluation.reproduction.mhl_runs import (
     AXES,
     CENTRE,
@@ -41,6 +41,7 @@ from evaluation.reproduction.mhl_runs import (
     record,
     track,
 )
+from evaluation.reproduction.papers import MHL
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import CrossCoupling
 from hyst_control.control.feedforward.compensator import build_compensator
@@ -124,7 +125,7 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
         fits = {"paper": identify([fine], "mhl", "paper"), "joint": identify([training], "mhl", "joint")}
         inverses = {
             "inverse": inverse_model([training]),
-            "slower": inverse_model([training], k2=mhl_tables.TABLE_2["k2'"]),
+            "slower": inverse_model([training], k2=MHL.published["table_2"]["k2'"]),
             "ahead": inverse_model([training], smoothing=SMOOTHING),
         }
 
@@ -177,7 +178,7 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
     table.rows += learning.rows
     mhl_robustness.robustness(table, tuning)
-    table.notes += [*mhl_tables.NOTES, *claims.notes(claims.MHL)]
+    table.notes += [*MHL.notes, *MHL.not_scored]
     if json_path:
         table.write(json_path)
     if figures:

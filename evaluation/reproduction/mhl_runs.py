@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from evaluation.reproduction.open_loop import BLOCK, open_loop
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
@@ -26,26 +27,13 @@ SLEW_LIMIT = 1e6
 CENTRE, REACH = 1.0, 0.9
 """mrad; of 0 … 2 mrad the last twentieth at either end is left, where remanence keeps the mirror from its end."""
 SEED = 626
-BLOCK = 500
+MIRROR: dict[str, Any] = {"axes": AXES, "unit": "mrad", "feedforward": "mhl_feedforward"}
+"""What a run of the mirror's nodes needs besides."""
 
 
 def record(folder: Path, signal: Annotated[Array, "N 2"], sample_time: float, seed: int) -> Dataset:
     """Record the simulated mirror in open loop, through the five nodes."""
-    bag = run_processes(
-        folder,
-        signal,
-        sample_time,
-        {
-            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1], "start": "first_command"},
-            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": seed},
-        },
-        AXES,
-        "mrad",
-        BLOCK,
-        feedforward="mhl_feedforward",
-    )
-    return datasets_of(read_bag(bag))[0]
+    return datasets_of(read_bag(open_loop(folder, signal, sample_time, "fsm", seed, RATING, **MIRROR)))[0]
 
 
 def track(
@@ -68,11 +56,9 @@ def track(
             "pi_feedback": feedback_parameters(tuning),
             "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4, **(plant or {})},
         },
-        AXES,
-        "mrad",
-        1 if tuning else BLOCK,
-        preview + 1,
-        "mhl_feedforward",
+        block=1 if tuning else BLOCK,
+        lead=preview + 1,
+        **MIRROR,
     )
     return signals_of(bag)
 
@@ -86,20 +72,7 @@ def feedback_parameters(tuning: Tuning | None) -> dict[str, Any]:
 def lifted(folder: Path, model: Model, reference: Annotated[Array, "N 2"]) -> dict[str, Array]:
     """Track open loop with the whole model inverted over the whole reference by iteration: the limit of any feedforward."""
     command = lifted_inverse(model, reference, sample_time=SAMPLE_TIME, limits=RATING).command
-    bag = run_processes(
-        folder,
-        command,
-        SAMPLE_TIME,
-        {
-            "mhl_feedforward": {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
-            "plant": {"plant": str(config_path("plants/fsm.yaml")), "seed": SEED + 4},
-        },
-        AXES,
-        "mrad",
-        BLOCK,
-        feedforward="mhl_feedforward",
-    )
+    bag = open_loop(folder, command, SAMPLE_TIME, "fsm", SEED + 4, RATING, start="rest", **MIRROR)
     return {**signals_of(bag), "reference": reference}
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 
 from evaluation.reproduction.mhl_responses import bandwidth, fundamental, open_loop_responses, response, settling_time
+from evaluation.reproduction.papers import MHL
 from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
@@ -17,52 +18,7 @@ from hyst_control.identify.data.dataset import Dataset, Fit
 from hyst_control.model_file import Model, simulate
 from hyst_control.reporting.tables import Table
 
-TABLE_1 = {
-    ("ascending", "model"): (-0.4624, 1.788, -2.398, 2.037, 2.228),
-    ("descending", "model"): (0.9457, -3.005, 3.248, -2.083, 4.104),
-    ("ascending", "inverse"): (0.4523, -1.422, 1.7, -1.125, 1.397),
-    ("descending", "inverse"): (-0.04333, 0.3898, -0.5418, 0.4221, 0.7696),
-}
-"""Paper Table 1, signs by closure and monotony; the model's curves end at 3.193 and 3.210 sensor volts."""
-TABLE_2 = {"k1": -0.001265 / 3.2, "b1": 0.021 / 3.2, "k2": 0.0007, "k1'": 0.00036, "b1'": 0.0005, "k2'": 0.000522}
-"""Paper Table 2; k1 in s and b1 relative to the curves' full output, k1's sign by the loop's lag; k1' in s and b1' relative to 100 V."""
-TABLE_3 = {
-    500.0: (2.65, 1.46),
-    1000.0: (8.47, 4.84),
-    1500.0: (8.96, 4.88),
-    2000.0: (8.99, 4.44),
-    3000.0: (6.28, 2.85),
-    4000.0: (4.29, 1.87),
-}
-TABLE_4 = {
-    "single": {"traditional composite": (2.43, 1.59), "proposed composite": (0.52, 0.22)},
-    "decreasing": {"traditional composite": (2.56, 1.47), "proposed composite": (0.97, 0.58)},
-    "multi": {"traditional composite": (1.87, 1.02), "proposed composite": (0.96, 0.58)},
-}
-"""(NME, NRMSE) in %."""
-LOWER = {"single": 86.16, "decreasing": 60.54, "multi": 43.14}
-"""Reduction of the NRMSE in % (paper §4.4)."""
-NME_LOWER = {"single": 78.6, "decreasing": 62.11, "multi": 48.66}
-"""Reduction of the NME in % (paper §4.4)."""
-PI_LOWER = 40.0
-"""Reduction of the feedback's output in % (paper §3)."""
-LAGS = {"open loop": 14.4, "lead of Ψ'": 61.0, "lag of N(s)": 39.0}
-"""Degrees at 100 Hz (paper §4.4)."""
-NOTES = [
-    "MHL records of models (Figs. 9 to 13) move one axis at a time, as the paper's do: its model has no cross-coupling.",
-    "MHL feedback: tuned on the joint model with a roll-off, alike for all that is compared. The paper's PI has none: the published "
-    "composite and the traditional one run with such a PI, tuned likewise, too, and the published figures are held against those runs.",
-    "MHL Table 4: the composites take the inverse identified from the loop's own sweep to 100 Hz, as published; the whole inverse and "
-    "the lifted one invert the model of all records together, the former of the reference behind a low-pass without phase.",
-    "MHL Table 4, N without phase: past the paper, for a reference that is known ahead. In place of N(s) symmetric weights over 9 samples, "
-    "-3 dB at 460 Hz, one tick ahead, with Ψ' identified behind them; H_S^-1 looks no further ahead than in the others.",
-    "MHL Table 4, k2' as published: Ψ' identified with the k2' of Table 2. Its peak, its gain at 100 Hz and its settling time without "
-    "N(s) may be held against 5.22 dB, 0.2 dB and 2 ms of the paper.",
-    "MHL Fig. 18: the lifted inverse has no such low-pass: a jump makes it ring near half the sampling rate, where a model of sampled "
-    "records knows least.",
-    "MHL learning: a sine of 100 Hz on both axes, which repeats; from trial to trial on the traditional composite, which leaves most to "
-    "learn, and from the feedback on the whole inverse. The noise of the sensor alone is 0.017 %.",
-]
+GIVEN = MHL.published
 TRADITIONAL = "traditional composite"
 PUBLISHED = "proposed composite, N as published"
 MOVED = "proposed composite, N at 1 kHz"
@@ -79,6 +35,11 @@ COMPOSITES = (PUBLISHED, MOVED, WITHOUT, AHEAD, SLOWER, "whole inverse", OWN_LOO
 def rival_of(name: str) -> str:
     """The traditional composite with the same feedback as the composite `name`."""
     return TRADITIONAL + PLAIN if name.endswith(PLAIN) else TRADITIONAL
+
+
+def against_traditional(name: str) -> str:
+    """Subject of the rows that compare the composite `name` with the traditional one."""
+    return f"{name} against the traditional one"
 
 
 def errors(wanted: Annotated[Array, "N"], actual: Annotated[Array, "N"]) -> tuple[float, float, float]:
@@ -110,7 +71,8 @@ def parameters(table: Table, fit: Fit, inverse: Model) -> None:
     k1, b1, k2 = (cast(Sequence[float], value) for value in (correction.k1, correction.b1, correction.k2))  # per axis
     for index, axis in enumerate(fit.model.axes):
         rows = {row["name"]: row["value"] for row in fit.report["parameters"] if row["axis"] == axis}
-        for (curve, kind), published in TABLE_1.items():
+        for branch, published in GIVEN["table_1"].items():
+            curve, kind = branch.split()
             own = np.array(getattr(core if kind == "model" else curves, curve)[index], dtype=float)
             for power, value, theirs in zip(range(5, 0, -1), own / own.sum(), np.array(published) / sum(published), strict=True):
                 table.add(
@@ -130,7 +92,7 @@ def parameters(table: Table, fit: Fit, inverse: Model) -> None:
             ("inverse", "b1'", "", b1[index] / RATING_OVER),
             ("inverse", "k2'", "s", k2[index]),
         ):
-            table.add("MHL Table 2", name, subject, key, unit, value, published=TABLE_2[key])
+            table.add("MHL Table 2", name, subject, key, unit, value, published=GIVEN["table_2"][key])
         delay = fit.report["steps"][index]["delay"]["tau"]
         table.add("MHL Fig. 5", name, "model", "delay", "us", 1e6 * delay, published=68.0)
 
@@ -172,7 +134,7 @@ def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float
     for frequency, *scored in places:
         for index, (axis, rows) in enumerate(zip(model.axes, scored, strict=True)):
             found = errors(data.measurement[rows, index], predicted[rows, index])
-            add_errors(table, "MHL Table 3", f"{frequency:g} Hz, axis {axis}", "MHL, paper", found, TABLE_3[frequency])
+            add_errors(table, "MHL Table 3", f"{frequency:g} Hz, axis {axis}", "MHL, paper", found, GIVEN["table_3"][frequency])
 
 
 def open_loop(table: Table, model: Model, data: Dataset) -> None:
@@ -185,17 +147,10 @@ def open_loop(table: Table, model: Model, data: Dataset) -> None:
         frequency, measured, modelled = open_loop_responses(model, data, index)
         inside = (frequency > 60.0) & (frequency < 3500.0)
         ratio = (modelled / measured)[inside]
-        theirs = 2.0 * np.sqrt(2.0) * max(nrmse for _, nrmse in TABLE_3.values())
+        theirs = 2.0 * np.sqrt(2.0) * max(nrmse for _, nrmse in GIVEN["table_3"].values())
         case = f"60 to 3500 Hz, axis {axis}"
-        table.add(
-            "MHL Fig. 10",
-            case,
-            "MHL, paper",
-            "relative error of the response, rms",
-            "%",
-            100 * np.sqrt(np.mean(np.abs(ratio - 1) ** 2)),
-            published=theirs,
-        )
+        off, what = 100 * np.sqrt(np.mean(np.abs(ratio - 1) ** 2)), "relative error of the response, rms"
+        table.add("MHL Fig. 10", case, "MHL, paper", what, "%", off, published=theirs)
         table.add("MHL Fig. 10", case, "MHL, paper", "largest gain error", "dB", np.abs(20 * np.log10(np.abs(ratio))).max())
         table.add("MHL Fig. 10", case, "MHL, paper", "largest phase error", "deg", np.abs(np.degrees(np.angle(ratio))).max())
 
@@ -211,7 +166,7 @@ def add_errors(
 
 def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
     """Add Table 4, the reductions of §4.4, and the spiral of Fig. 17."""
-    for case, published in TABLE_4.items():
+    for case, published in GIVEN["table_4"].items():
         part = parts[case]
         found = {}
         for name, signals in tracked.items():
@@ -219,46 +174,34 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
             theirs = published["proposed composite"] if name in COMPOSITES else published.get(name.removesuffix(PLAIN))
             add_errors(table, "MHL Table 4", case, name, found[name], theirs)
         for name in COMPOSITES:
-            for quantity, at, published_lower in (("nme", 0, NME_LOWER), ("nrmse", 1, LOWER)):
+            for quantity, at, published_lower in (("nme", 0, GIVEN["nme_lower"]), ("nrmse", 1, GIVEN["lower"])):
                 lower = 100.0 * (1.0 - found[name][at] / found[rival_of(name)][at])
-                table.add(
-                    "MHL Table 4",
-                    case,
-                    f"{name} against the traditional one",
-                    f"{quantity} lower by",
-                    "%",
-                    lower,
-                    published=published_lower[case] if name.startswith("proposed") else None,
-                )
+                known = published_lower[case] if name.startswith("proposed") else None
+                table.add("MHL Table 4", case, against_traditional(name), f"{quantity} lower by", "%", lower, published=known)
     part = parts["spiral"]
     for name, signals in tracked.items():
         for index, axis in enumerate("xy"):
-            add_errors(
-                table,
-                "MHL Fig. 17",
-                f"spiral, axis {axis}",
-                name,
-                errors(*(signals[key][part.scored : part.end, index] for key in ("reference", "measurement"))),
-                None,
-            )
+            own = errors(*(signals[key][part.scored : part.end, index] for key in ("reference", "measurement")))
+            add_errors(table, "MHL Fig. 17", f"spiral, axis {axis}", name, own, None)
 
 
 def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
     """Add the rms of the PI feedback's output, axis x, mean removed (paper §3: 40 % less with the proposed composite)."""
-    for case in TABLE_4:
+    for case in GIVEN["table_4"]:
         rows = slice(parts[case].scored, parts[case].end)
         effort = {name: float(np.std(signals["feedback"][rows, 0])) for name, signals in tracked.items()}
         for name in (TRADITIONAL, TRADITIONAL + PLAIN, *COMPOSITES):
             table.add("MHL feedback", case, name, "output of the PI feedback, rms", "V", effort[name])
         for name in COMPOSITES:
+            lower, known = 1.0 - effort[name] / effort[rival_of(name)], GIVEN["pi_lower"] if name.startswith("proposed") else None
             table.add(
                 "MHL feedback",
                 case,
-                f"{name} against the traditional one",
+                against_traditional(name),
                 "output of the PI feedback lower by",
                 "%",
-                100.0 * (1.0 - effort[name] / effort[rival_of(name)]),
-                published=PI_LOWER if name.startswith("proposed") else None,
+                100.0 * lower,
+                published=known,
             )
 
 
@@ -273,46 +216,25 @@ def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model,
         turn = np.exp(-s * data.sample_time * np.arange(count))
         lag = -np.degrees(np.angle((turn @ data.measurement[rows, index]) / (turn @ data.command[rows, index])))
         lead = np.degrees(np.angle(s / (k2[index] * s + 1.0)))
-        table.add("MHL lags", f"100 Hz, axis {axis}", "mirror", "open loop", "deg", lag, published=LAGS["open loop"])
-        table.add("MHL lags", f"100 Hz, axis {axis}", "inverse", "lead of Ψ'", "deg", lead, published=LAGS["lead of Ψ'"])
+        table.add("MHL lags", f"100 Hz, axis {axis}", "mirror", "open loop", "deg", lag, published=GIVEN["lags"]["open loop"])
+        table.add("MHL lags", f"100 Hz, axis {axis}", "inverse", "lead of Ψ'", "deg", lead, published=GIVEN["lags"]["lead of Ψ'"])
     lag = -np.degrees(np.angle(1.0 / np.polyval(np.asarray(rate_filter, dtype=float), s)))
-    table.add("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)", "deg", lag, published=LAGS["lag of N(s)"])
+    table.add("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)", "deg", lag, published=GIVEN["lags"]["lag of N(s)"])
 
 
 def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any], sample_time: float) -> None:
     """Add Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time."""
     for name, signals in tracked.items():
-        composite = name in COMPOSITES
         frequency, value = response(signals, parts["response"], sample_time)
-        table.add(
-            "MHL Fig. 18",
-            "closed loop",
-            name,
-            "bandwidth",
-            "Hz",
-            bandwidth(frequency, value),
-            published=1500.0 if composite else None,
-        )
-        table.add(
-            "MHL Fig. 18",
-            "closed loop",
-            name,
-            "peak",
-            "dB",
-            20 * np.log10(np.abs(value).max()),
-            published=(5.22 if name in (WITHOUT, SLOWER) else 2.94) if composite else None,
-        )
         at = fundamental(signals, parts["single"], sample_time, 100.0)
-        table.add("MHL Fig. 18", "100 Hz", name, "gain", "dB", 20 * np.log10(abs(at)), published=0.2 if composite else None)
-        table.add("MHL Fig. 18", "100 Hz", name, "lag", "deg", -np.degrees(np.angle(at)), published=0.69 if composite else None)
-        table.add(
-            "MHL Fig. 18",
-            "step",
-            name,
-            "settling_time",
-            "ms",
-            1e3 * settling_time(signals, parts["step"], sample_time),
-            published=2.0 if composite else None,
-        )
+        for case, quantity, unit, found, published in (
+            ("closed loop", "bandwidth", "Hz", bandwidth(frequency, value), 1500.0),
+            ("closed loop", "peak", "dB", 20 * np.log10(np.abs(value).max()), 5.22 if name in (WITHOUT, SLOWER) else 2.94),
+            ("100 Hz", "gain", "dB", 20 * np.log10(abs(at)), 0.2),
+            ("100 Hz", "lag", "deg", -np.degrees(np.angle(at)), 0.69),
+            ("step", "settling_time", "ms", 1e3 * settling_time(signals, parts["step"], sample_time), 2.0),
+        ):
+            known = published if name in COMPOSITES else None
+            table.add("MHL Fig. 18", case, name, quantity, unit, found, published=known)
         for case in (case for case in parts if case.startswith("step of")):
             table.add("MHL Fig. 18", case, name, "settling_time", "ms", 1e3 * settling_time(signals, parts[case], sample_time))

@@ -8,21 +8,18 @@ from evaluation.reproduction import mhl_learning
 from evaluation.reproduction.mhl_tables import (
     AHEAD,
     COMPOSITES,
-    LAGS,
-    LOWER,
     MOVED,
-    NME_LOWER,
     OWN_LOOP,
-    PI_LOWER,
     PUBLISHED,
     SLOWER,
-    TABLE_3,
-    TABLE_4,
     TRADITIONAL,
     WITHOUT,
+    against_traditional,
 )
+from evaluation.reproduction.papers import MHL
 from evaluation.reproduction.targets import OURS, Rows, Target, TargetList, margin_targets
 
+GIVEN, WHY = MHL.published, MHL.causes
 STATED = (PUBLISHED, MOVED, WITHOUT, AHEAD)
 """The composites with N(s) as published, at 1 kHz, without, and without phase."""
 SCORED = (OWN_LOOP, MOVED, WITHOUT, AHEAD)
@@ -33,38 +30,6 @@ WHOLE = 0.15
 """% NRMSE, of the whole inverse."""
 LEARNED, FEEDBACK_LEARNED = 0.03, 0.12
 """% NRMSE, of what is learned from trial to trial, and from the feedback."""
-
-FAST = (
-    "the identification's sweep ends at 4 kHz, whose neighborhood it passes in a few milliseconds; with a sweep that goes on to 5.5 kHz "
-    "this axis keeps the bound, and axis y misses that of its NRMSE by a tenth"
-)
-OWN_LAGS = (
-    "k2' is identified at its lower bound: what has to be made up for here is a delay, the hold and a mode, whose lag goes on growing "
-    "with the frequency, so that a pure rate fits best. The printed k1' and k2' lead by 72 degrees, not 61, either"
-)
-PRINTED_FILTER = (
-    "the printed coefficients of N(s) lag 33 degrees at 100 Hz whatever the mirror; half a held sample of 200 us adds less than 4"
-)
-RATIO = "with equal feedback the ratio of two feedforwards does not depend on its gains: this is what the identified Ψ' leaves at 100 Hz"
-PUBLISHED_FILTER = (
-    "N(s) as published takes 33 degrees off a lead that was identified without it and turns the rest into amplitude. The printed numbers "
-    "cannot do better: with equal feedback the ratio of two feedforwards does not depend on its gains, and the printed Ψ' behind the "
-    "printed N(s) fits a mirror of 0.86 at -6.3 degrees behind H_S^-1 at 100 Hz, while the printed model is one of 1.02 at -4.8 degrees"
-)
-AMPLITUDE = (
-    "N(s) turns a part of the lead into amplitude, 2 % at 100 Hz, and the integral action, whose sensitivity leads there, turns that into "
-    "phase; three times the integral gain, with the roll-off, hardly changes it"
-)
-PEAK = (
-    "Ψ' was identified up to 100 Hz and goes on rising: near half the sampling rate it asks for k1'/k2', several times the static command. "
-    "That is what N(s) is for; placed at 1 kHz it leaves some of it, and left out all. The mirror's linear parts alone give the same "
-    "peaks. No causal N(s) of second order keeps both this bound and the reduction at 100 Hz: where it holds the gain back it turns "
-    "the lead, and one that looks ahead does both"
-)
-SETTLING = (
-    "what N(s) holds back of a step, or Ψ' without it overshoots, is left to the integral action, which by itself is no faster (row of the "
-    "tuned feedback)"
-)
 
 
 def mhl_targets(rows: Rows) -> list[Target]:
@@ -87,44 +52,61 @@ def mhl_targets(rows: Rows) -> list[Target]:
         value = rows.value("MHL Fig. 10", own, "MHL, paper", "relative error of the response, rms")
         published = next(row.published for row in rows.rows if row.table == "MHL Fig. 10" and row.case == own and row.published)
         add("MHL Fig. 10", f"{case}: relative error of the response, rms", value, published, "%", origin=OURS)
-        for frequency, (nme, nrmse) in TABLE_3.items():
+        for frequency, (nme, nrmse) in GIVEN["table_3"].items():
             place = f"{frequency:g} Hz, {case}"
-            add("MHL Table 3", f"{place}: NME", rows.value("MHL Table 3", place, "MHL, paper", "nme"), nme, "%", cause=FAST)
-            add("MHL Table 3", f"{place}: NRMSE", rows.value("MHL Table 3", place, "MHL, paper", "nrmse"), nrmse, "%", cause=FAST)
+            add("MHL Table 3", f"{place}: NME", rows.value("MHL Table 3", place, "MHL, paper", "nme"), nme, "%", cause=WHY["fast"])
+            add(
+                "MHL Table 3",
+                f"{place}: NRMSE",
+                rows.value("MHL Table 3", place, "MHL, paper", "nrmse"),
+                nrmse,
+                "%",
+                cause=WHY["fast"],
+            )
         for quantity, subject in (("open loop", "mirror"), ("lead of Ψ'", "inverse")):
-            off = abs(rows.value("MHL lags", f"100 Hz, {case}", subject, quantity) - LAGS[quantity])
-            add("MHL §4.4, lags", f"{case}: {quantity} away from {LAGS[quantity]:g} deg", off, 15.0, "deg", False, OWN_LAGS, OURS)
-    off = abs(rows.value("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)") - LAGS["lag of N(s)"])
-    add("MHL §4.4, lags", "lag of N(s) away from 39 deg", off, 1.0, "deg", False, PRINTED_FILTER, OURS)
+            off = abs(rows.value("MHL lags", f"100 Hz, {case}", subject, quantity) - GIVEN["lags"][quantity])
+            add(
+                "MHL §4.4, lags",
+                f"{case}: {quantity} away from {GIVEN['lags'][quantity]:g} deg",
+                off,
+                15.0,
+                "deg",
+                False,
+                WHY["own_lags"],
+                OURS,
+            )
+    off = abs(rows.value("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)") - GIVEN["lags"]["lag of N(s)"])
+    add("MHL §4.4, lags", "lag of N(s) away from 39 deg", off, 1.0, "deg", False, WHY["printed_filter"], OURS)
 
-    for case in LOWER:
+    for case in GIVEN["lower"]:
         against = {
             quantity: {
-                name: rows.value("MHL Table 4", case, _against(name), f"{quantity} lower by") for name in (*STATED, OWN_LOOP)
+                name: rows.value("MHL Table 4", case, against_traditional(name), f"{quantity} lower by")
+                for name in (*STATED, OWN_LOOP)
             }
             for quantity in ("nrmse", "nme")
         }
         of_each = {name: rows.value("MHL Table 4", case, name, "nrmse") for name in (*STATED, OWN_LOOP, "whole inverse")}
         for claim, quantity, bound in (
-            ("MHL §4.4, NRMSE lower", "nrmse", LOWER[case]),
-            ("MHL §4.4, NME lower", "nme", NME_LOWER[case]),
+            ("MHL §4.4, NRMSE lower", "nrmse", GIVEN["lower"][case]),
+            ("MHL §4.4, NME lower", "nme", GIVEN["nme_lower"][case]),
         ):
             best = max(STATED, key=lambda name: against[quantity][name])
-            add(claim, f"{case}: by at least, {best}", against[quantity][best], bound, "%", True, RATIO)
-            add(claim, f"{case}: by at least, {OWN_LOOP}", against[quantity][OWN_LOOP], bound, "%", True, PUBLISHED_FILTER)
+            add(claim, f"{case}: by at least, {best}", against[quantity][best], bound, "%", True, WHY["ratio"])
+            add(claim, f"{case}: by at least, {OWN_LOOP}", against[quantity][OWN_LOOP], bound, "%", True, WHY["published_filter"])
         best = min(STATED, key=lambda name: of_each[name])
-        add("MHL Table 4", f"{case}: NRMSE, {best}", of_each[best], ABSOLUTE[case], "%", False, RATIO, OURS)
-        theirs = TABLE_4[case]["proposed composite"][1]
-        add("MHL Table 4", f"{case}: NRMSE, {OWN_LOOP}", of_each[OWN_LOOP], theirs, "%", cause=PUBLISHED_FILTER)
+        add("MHL Table 4", f"{case}: NRMSE, {best}", of_each[best], ABSOLUTE[case], "%", False, WHY["ratio"], OURS)
+        theirs = GIVEN["table_4"][case]["proposed composite"][1]
+        add("MHL Table 4", f"{case}: NRMSE, {OWN_LOOP}", of_each[OWN_LOOP], theirs, "%", cause=WHY["published_filter"])
         add("MHL Table 4", f"{case}: NRMSE, whole inverse", of_each["whole inverse"], WHOLE, "%", origin=OURS)
         lower = {
-            name: rows.value("MHL feedback", case, _against(name), "output of the PI feedback lower by")
+            name: rows.value("MHL feedback", case, against_traditional(name), "output of the PI feedback lower by")
             for name in (*STATED, OWN_LOOP)
         }
         best = max(STATED, key=lambda name: lower[name])
         claim = "MHL §3, output of the feedback"
-        add(claim, f"{case}: lower by at least, {best}", lower[best], PI_LOWER, "%", True)
-        add(claim, f"{case}: lower by at least, {OWN_LOOP}", lower[OWN_LOOP], PI_LOWER, "%", True, PUBLISHED_FILTER)
+        add(claim, f"{case}: lower by at least, {best}", lower[best], GIVEN["pi_lower"], "%", True)
+        add(claim, f"{case}: lower by at least, {OWN_LOOP}", lower[OWN_LOOP], GIVEN["pi_lower"], "%", True, WHY["published_filter"])
         add("MHL §4.5, errors", f"{case}: NRMSE below 0.6 %, {best}", of_each[best], 0.6, "%")
         add("MHL §4.5, errors", f"{case}: NME below 1 %, {best}", rows.value("MHL Table 4", case, best, "nme"), 1.0, "%")
         if case == "single":
@@ -138,26 +120,21 @@ def mhl_targets(rows: Rows) -> list[Target]:
                 add("MHL Fig. 17", f"spiral, axis {axis}: {quantity.upper()}, {name}", value, bound, "%")
     peak = {name: rows.value("MHL Fig. 18", "closed loop", name, "peak") for name in (TRADITIONAL, *COMPOSITES)}
     for name in ("whole inverse", *SCORED):
-        add("MHL §4.4, peak", f"{name}: peak", peak[name], 2.94, "dB", cause=PEAK)
-    add("MHL §4.4, peak", f"{SLOWER}: peak away from 5.22 dB", abs(peak[SLOWER] - 5.22), 1.0, "dB", False, PEAK, OURS)
+        add("MHL §4.4, peak", f"{name}: peak", peak[name], 2.94, "dB", cause=WHY["peak"])
+    add("MHL §4.4, peak", f"{SLOWER}: peak away from 5.22 dB", abs(peak[SLOWER] - 5.22), 1.0, "dB", False, WHY["peak"], OURS)
     add("MHL §4.4, peak", "by as much N(s) as published takes it down", peak[WITHOUT] - peak[PUBLISHED], 5.22 - 2.94, "dB", True)
     for name in ("whole inverse", *SCORED):
         value = rows.value("MHL Fig. 18", "closed loop", name, "bandwidth")
         add("MHL §4.5, closed loop", f"bandwidth, {name}", value, 1500.0, "Hz", True)
         value = rows.value("MHL Fig. 18", "step", name, "settling_time")
-        add("MHL §4.5, closed loop", f"settling time, {name}", value, 2.0, "ms", cause=SETTLING)
+        add("MHL §4.5, closed loop", f"settling time, {name}", value, 2.0, "ms", cause=WHY["settling"])
     for name in ("whole inverse", *SCORED):
-        cause = PUBLISHED_FILTER if name == OWN_LOOP else AMPLITUDE
+        cause = WHY["published_filter"] if name == OWN_LOOP else WHY["amplitude"]
         value = abs(rows.value("MHL Fig. 18", "100 Hz", name, "gain"))
         add("MHL Fig. 18", f"100 Hz: gain away from 0 dB, {name}", value, 0.2, "dB", cause=cause)
         value = abs(rows.value("MHL Fig. 18", "100 Hz", name, "lag"))
         add("MHL Fig. 18", f"100 Hz: phase away from 0, {name}", value, 0.69, "deg", cause=cause)
     return targets.found + _learning_targets(rows) + margin_targets(rows, "MHL robustness", "")
-
-
-def _against(name: str) -> str:
-    """Subject of the rows that compare a composite with the traditional one."""
-    return f"{name} against the traditional one"
 
 
 def _learning_targets(rows: Rows) -> list[Target]:

@@ -19,6 +19,7 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import Member, reals
+from hyst_control.chain.c_code.texts import c_texts
 
 PLAYS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Half widths of the play operators, as shares of the command's range; together they approximate the memory of any hysteresis."""
@@ -96,6 +97,8 @@ POWERS, FIRST_PLAY = 3, 15
 """Features that are powers of the level, and the place of the first play operator."""
 FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)
 """Number of features."""
+SIZES = {"PLAY_COUNT": len(PLAYS), "LAG_COUNT": len(LAGS), "CREEP_COUNT": len(CREEPS), "FIRST_PLAY": FIRST_PLAY}
+FEATURES_IN_C = c_texts(__file__, **SIZES, MIN_REVERSAL=MIN_REVERSAL)["FEATURES_IN_C"]
 
 
 @njit(cache=True, error_model="numpy")
@@ -140,84 +143,6 @@ def features_of_tick(
     for k in range(keeps.size):
         slow[k] = keeps[k] * slow[k] + (1.0 - keeps[k]) * u
         features[at + k] = slow[k] - u
-
-
-FEATURES_IN_C = """
-/* Advance the memories of the features by one tick and compute them, from a ring of scaled commands. */
-static void features_of_tick(const double ring[], int length, int now, double rate, const int lags[], const double half_widths[],
-                             const double keeps[], double turning[], double plays[], double slow[], double features[])
-{
-    enum { PLAYS = PLAY_COUNT, LAGS = LAG_COUNT, CREEPS = CREEP_COUNT, FIRST = FIRST_PLAY };
-    const double u = ring[now % length];
-    if (((turning[2] > 0.0) && (u > turning[1])) || ((turning[2] <= 0.0) && (u < turning[1]))) {
-        turning[1] = u;
-    }
-    if (fabs(u - turning[1]) > MIN_REVERSAL) { /* it has come back */
-        turning[0] = turning[1];
-        turning[1] = u;
-        turning[2] = 1.0 - turning[2];
-    }
-    const double distance = u - turning[0];
-    const double size = fabs(distance);
-    const double speed = fabs(rate);
-    features[0] = u;
-    features[1] = u * u;
-    features[2] = (u * u) * u;
-    features[3] = rate;
-    features[4] = speed;
-    features[5] = u * rate;
-    features[6] = u * speed;
-    features[7] = (u * u) * rate;
-    features[8] = distance * speed;
-    features[9] = distance;
-    features[10] = size;
-    features[11] = distance * size;
-    features[12] = u * distance;
-    features[13] = u * size;
-    features[14] = tanh(20.0 * distance);
-    for (int k = 0; k < PLAYS; k++) {
-        const double low = u - half_widths[k];
-        const double high = u + half_widths[k];
-        const double raised = (plays[k] < low) ? low : plays[k];
-        plays[k] = (raised > high) ? high : raised;
-        features[FIRST + k] = plays[k];
-    }
-    for (int k = 0; k < LAGS; k++) {
-        features[FIRST + PLAYS + k] = ring[(now - lags[k]) % length] - u;
-    }
-    for (int k = 0; k < CREEPS; k++) {
-        slow[k] = (keeps[k] * slow[k]) + ((1.0 - keeps[k]) * u);
-        features[FIRST + PLAYS + LAGS + k] = slow[k] - u;
-    }
-}
-
-/* The memories at rest at a scaled command. */
-static void features_at_rest(double u, double ring[], int length, double turning[], double plays[], double slow[])
-{
-    enum { PLAYS = PLAY_COUNT, CREEPS = CREEP_COUNT };
-    for (int k = 0; k < length; k++) {
-        ring[k] = u;
-    }
-    for (int k = 0; k < PLAYS; k++) {
-        plays[k] = u;
-    }
-    for (int k = 0; k < CREEPS; k++) {
-        slow[k] = u;
-    }
-    turning[0] = u;
-    turning[1] = u;
-    turning[2] = 1.0;
-}
-"""
-for _name, _value in (
-    ("PLAY_COUNT", len(PLAYS)),
-    ("LAG_COUNT", len(LAGS)),
-    ("CREEP_COUNT", len(CREEPS)),
-    ("FIRST_PLAY", FIRST_PLAY),
-):
-    FEATURES_IN_C = FEATURES_IN_C.replace(_name, str(_value))
-FEATURES_IN_C = FEATURES_IN_C.replace("MIN_REVERSAL", repr(MIN_REVERSAL))
-"""`features_of_tick` in C, and the memories at rest; in double also where signals are float."""
 
 
 def feature_memory(axes: int, length: int) -> dict[str, Member]:

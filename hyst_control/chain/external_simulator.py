@@ -20,7 +20,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.parameter import Coordinate
-from hyst_control.chain.stage import Filter, Sampling, Stage
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage
 
 Simulate: TypeAlias = Callable[..., Any]
 
@@ -35,18 +35,11 @@ class ExternalSimulator(Stage):
     """A Python function from command to measurement, as the plant; effects go before and behind it."""
 
     name: ClassVar[str] = "external_simulator"
+    ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.MIXES_AXES
     simulate: Simulate
     names: tuple[str, ...]
     values: tuple[float, ...]
     units: tuple[str, ...]
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True  # whatever memory the plant has is inside: drive and sensor are on its two sides
-
-    @property
-    def mixes_axes(self) -> bool:
-        return True  # nobody can tell, and it is called with all axes
 
     def parameters(self) -> dict[str, Any]:
         raise InputError(f"simulator {title_of(self.simulate)}: a Python function is no model file: keep function and parameters")

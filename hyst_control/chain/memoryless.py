@@ -15,9 +15,12 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, each_axis
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
+
+C = c_texts(__file__)
 
 
 class StaticFilter(Filter):
@@ -113,33 +116,6 @@ def gradual_limits(
     return output
 
 
-KNEE = """
-/* log(1 + e^x). */
-static real rectified(real x)
-{
-    return (x > R(0.0)) ? (x + M(log1p)(M(exp)(-x))) : M(log1p)(M(exp)(x));
-}
-
-/* Within the limits, which set in over the width of the knee. */
-static real gradual_limit(real u, real lower, real upper, real knee)
-{
-    real value = u;
-    if (knee > R(0.0)) {
-        if (isfinite(upper)) {
-            value = upper - (knee * rectified((upper - value) / knee));
-        }
-        if (isfinite(lower)) {
-            value = lower + (knee * rectified((value - lower) / knee));
-        }
-    } else {
-        value = minimum_of(maximum_of(value, lower), upper);
-    }
-    return value;
-}
-"""
-"""`gradual_limits` in C."""
-
-
 @register
 @dataclass(frozen=True)
 class Saturation(Stage):
@@ -171,7 +147,7 @@ class Saturation(Stage):
                 "gradual_limit(u, p->lower[i], p->upper[i], p->knee[i])",
                 "knee",
                 {**limits, "knee": (knee, "signal unit, width of a limit; 0: at once")},
-                (MAXIMUM, MINIMUM, KNEE),
+                (MAXIMUM, MINIMUM, C["KNEE"]),
             )
             return StaticFilter(
                 lambda u: gradual_limits(np.atleast_2d(u), lower, upper, knee).reshape(u.shape), sampling.hold, code

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from enum import Flag, auto
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -44,29 +45,13 @@ SLOW = 1e9
 
 @dataclass(frozen=True)
 class Sampling:
-    """Clock of a filter.
+    """Clock of a filter. Raises `InputError` when a value makes no sense."""
 
-    Parameters
-    ----------
-    sample_time
-        s.
-    axes
-        Their number.
-    hold
-        Of the signal that enters, `zoh` or `foh`.
-    ahead
-        Ticks from `Filter.settle` to the first value of `Filter.process`, by the command's hold: 1 under `zoh`, where that
-        value is the one at the end of the first interval, 0 under `foh`. The same for every stage of a chain.
-
-    Raises
-    ------
-    InputError
-        When a value makes no sense.
-    """
-
-    sample_time: float
+    sample_time: float  # s
     axes: int
-    hold: str = "zoh"
+    hold: str = "zoh"  # Of the signal that enters: `zoh` or `foh`
+    # Ticks from `Filter.settle` to the first value of `Filter.process`, by the command's hold: 1 under `zoh`, where that
+    # value is the one at the end of the first interval, 0 under `foh`. The same for every stage of a chain
     ahead: int | None = None
 
     def __post_init__(self) -> None:
@@ -111,6 +96,18 @@ class Filter:
         raise InputError(f"{type(self).__name__}: the stage brings no C (Filter.c_code): leave it out, or give it its C")
 
 
+class Role(Flag):
+    """Roles of a class of stages, as the properties of `Stage` say in full."""
+
+    NONE = 0
+    LINEAR = auto()
+    CHANGES_WITH_TIME = auto()  # does not commute with a delay
+    MIXES_AXES = auto()
+    HYSTERESIS = auto()
+    HAS_COMPENSATOR = auto()
+    MECHANICS = auto()
+
+
 @dataclass(frozen=True, eq=False)  # a stage that declares no fields equals itself alone
 class Stage:
     """Description of a stage: its fields are the model file's parameters, declared by `chain.parameter`.
@@ -133,6 +130,8 @@ class Stage:
     adds_hysteresis: ClassVar[bool] = False
     """True for a stage that is a chain's hysteresis where it has no other."""
 
+    ROLES: ClassVar[Role] = Role.NONE
+    """Answers of the properties below that are the same for every stage of the class; a stage may override a property instead."""
     only_limits: ClassVar[bool] = False
     """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
 
@@ -165,32 +164,32 @@ class Stage:
     @property
     def linear(self) -> bool:
         """True for a linear continuous-time system (see `chain.linear`), which may be merged with its neighbors."""
-        return False
+        return Role.LINEAR in self.ROLES
 
     @property
     def commutes_with_delay(self) -> bool:
         """True where delaying the input is the same as delaying the output, as it is for every time-invariant stage."""
-        return True
+        return Role.CHANGES_WITH_TIME not in self.ROLES
 
     @property
     def mixes_axes(self) -> bool:
         """True where an axis' output depends on other axes' inputs: delays that differ between the axes then stay on their side."""
-        return False
+        return Role.MIXES_AXES in self.ROLES
 
     @property
     def is_hysteresis(self) -> bool:
         """True for a stage that is, or contains, a plant's hysteresis."""
-        return False
+        return Role.HYSTERESIS in self.ROLES
 
     @property
     def has_compensator(self) -> bool:
         """True for a stage that is, or contains, a hysteresis that a feedforward compensator inverts by itself."""
-        return False
+        return Role.HAS_COMPENSATOR in self.ROLES
 
     @property
     def is_mechanics(self) -> bool:
         """True for a stage that may be a plant's mechanics."""
-        return False
+        return Role.MECHANICS in self.ROLES
 
     # The stage for other axes or other values.
 
@@ -205,23 +204,7 @@ class Stage:
         return self
 
     def for_axis(self, axis: int) -> Stage:
-        """The stage of one axis.
-
-        Parameters
-        ----------
-        axis
-            Index of the axis.
-
-        Returns
-        -------
-        Stage
-            A stage for a chain of one axis.
-
-        Raises
-        ------
-        InputError
-            Where the stage mixes the axes.
-        """
+        """The stage of one axis, by its index, for a chain of one axis. Raises `InputError` where the stage mixes the axes."""
         if self.inner_chains:
             return self.with_inner_chains([[member.for_axis(axis) for member in chain] for chain in self.inner_chains])
         if self.mixes_axes:
@@ -233,61 +216,31 @@ class Stage:
         return self
 
     def spread(self, names: Sequence[str], axes: int) -> Stage:
-        """The stage with some parameters as one value per axis where they were one for all.
-
-        Parameters
-        ----------
-        names
-            Of the parameters.
-        axes
-            Number of axes.
-        """
+        """The stage on so many axes, with the parameters of some names as one value per axis where they were one for all."""
         known = self.declarations()
         changed = {key: known[key].spread(getattr(self, key), axes) for key in names}
         return replace(self, **changed) if changed else self
 
     def with_values(self, values: Mapping[str, Array]) -> Stage:
-        """The stage with scattered values of some parameters.
+        """The stage with scattered values of some parameters, by name, in the form that the stage has them.
 
-        A stage whose parameters depend on each other brings them together again here. `tolerance` scatters every number by itself;
-        an uncertainty stated in other coordinates (`Parameter.scatter`) comes back to the stage's own parameters here too.
-
-        Parameters
-        ----------
-        values
-            By name, in the form that the stage has them.
+        A stage whose parameters depend on each other brings them together again here. `tolerance` scatters every number by
+        itself; an uncertainty stated in other coordinates (`Parameter.scatter`) comes back to the stage's own parameters here
+        too.
         """
         return replace(self, **values)
 
     def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
         """Numbers in which the uncertainty of the stage is stated: its own parameters, or what is known better one by one.
 
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        dict
-            By name, as `weights[3]`, and axis; None for what belongs to all axes together.
+        By name, as `weights[3]`, and axis; None for what belongs to all axes together.
         """
         return stage_coordinates.of_parameters(self.declarations(), self._values(), axes)
 
     def with_coordinates(self, values: Mapping[tuple[str, int | None], float], axes: int) -> Stage:
         """The stage with other values of some of its `coordinates`, moved inside their bounds.
 
-        Parameters
-        ----------
-        values
-            By name and axis.
-        axes
-            Number of axes.
-
-        Raises
-        ------
-        InputError
-            The values together make no such stage.
+        Raises `InputError` where the values together make no such stage on so many axes.
         """
         return self.with_values(stage_coordinates.changed(self.declarations(), self._values(), values, axes))
 
@@ -301,109 +254,37 @@ class Stage:
         return 1.0
 
     def with_loop_width(self, width: Array) -> Stage | None:
-        """The stage with wider or narrower loops.
-
-        Parameters
-        ----------
-        width
-            (A,): the memory part is scaled by 1 + width, the mean curve kept.
-
-        Returns
-        -------
-        Stage or None
-            None where the stage has no loop.
-        """
+        """The stage with loops wider by 1 + width (A,), the mean curve kept; None where it has no loop."""
         return None
 
     def with_rate_part(self, factor: Array) -> Stage | None:
-        """The stage with another dependence on the command's rate.
-
-        Parameters
-        ----------
-        factor
-            (A,), of the rate-dependent part.
-
-        Returns
-        -------
-        Stage or None
-            None where the stage has no such part.
-        """
+        """The stage with its rate-dependent part times a factor (A,); None where it has no such part."""
         return None
 
     def with_rate_parts(self, rising: Array, falling: Array) -> Stage | None:
-        """The stage with another dependence on the command's rate, by the direction of motion.
-
-        Parameters
-        ----------
-        rising, falling
-            (A,), of the rate-dependent part; their mean where a stage makes no difference.
-
-        Returns
-        -------
-        Stage or None
-            None where the stage has no such part.
-        """
+        """The same by direction, with factors rising and falling (A,); their mean where a stage makes no difference."""
         return self.with_rate_part(0.5 * (rising + falling))
 
     def with_operators(self, thresholds: Array, weights: Array) -> Stage | None:
-        """The stage with other operators with memory.
+        """The stage with other operators with memory; None where it has none.
 
-        Parameters
-        ----------
-        thresholds
-            (A,), factor of all thresholds.
-        weights
-            (A,), factor of the weights of all operators but the narrowest, which follows the command at once.
-
-        Returns
-        -------
-        Stage or None
-            None where the stage has no operators.
+        thresholds (A,) is the factor of all thresholds, weights (A,) that of all weights but the narrowest operator's, which
+        follows the command at once.
         """
         return None
 
     def mean_slope(self, axes: int) -> Array | None:
-        """Mean slope of a hysteresis.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        ndarray or None
-            (A,), output unit per input unit; None for any other stage.
-        """
+        """Mean slope (A,) of a hysteresis on so many axes, output unit per input unit; None for any other stage."""
         return None
 
     def linearized(self, axes: int) -> tuple[Stage, ...] | None:
-        """Linear stages in place of the stage, for small signals.
-
-        Parameters
-        ----------
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        tuple of Stage or None
-            None where the stage has no linear description, as a hysteresis has none; empty where it changes no small signal.
-        """
+        """Linear stages in its place for small signals on so many axes; empty where it changes none, None where none does."""
         return () if self.only_limits else None
 
     def at_rest(self, signal: Array) -> Array:
-        """Output of the stage without rates, delays and dynamics.
+        """Output without rates, delays and dynamics, rows (N, A).
 
-        Parameters
-        ----------
-        signal
-            (N, A), every value of which is held until all has settled, from rest at 0.
-
-        Returns
-        -------
-        ndarray
-            (N, A).
+        Every value of the signal (N, A) is held until all has settled, from rest at 0.
         """
         running = self.filter(Sampling(SLOW, signal.shape[1], "foh"))
         running.settle(signal[0])
@@ -434,24 +315,9 @@ class Modifier(Stage):
     """
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
-        """Change the stages before this one.
+        """The stages before this one, in signal order, changed.
 
-        Parameters
-        ----------
-        before
-            Stages in signal order.
-        axes
-            Number of axes.
-
-        Returns
-        -------
-        tuple of Stage
-            The stages, changed.
-
-        Raises
-        ------
-        InputError
-            There is nothing among them that it could change.
+        Raises `InputError` where it could change none of them on so many axes.
         """
         raise NotImplementedError
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import argparse
 
+from hyst_control.cli.validate import add_bag_options
+
 NAME = "diagnose"
 HELP = "explain the gap between a model and recorded bags"
 JSON = "gap report"
@@ -73,16 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
     parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
-    )
-    parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+    add_bag_options(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from hyst_control.records.excitation.parameters import COMMON
 from hyst_control.reporting.result import CommandResult
 
 NAME = "excite"
@@ -105,8 +106,6 @@ def plant_limits(name: str, unit: str) -> tuple[dict[str, float], int]:
 class Kinds:
     """List of all kinds of signals with their parameters and a sentence each."""
 
-    COMMON = ("lower", "upper", "slew_limit", "axis", "idle")
-
     def document(self) -> dict[str, Any]:
         """JSON document: kinds by name, each with parameters (a default of null must be given) and a sentence."""
         import inspect
@@ -121,7 +120,7 @@ class Kinds:
                 if key not in ("sample_time", "axes")
             }
             kinds[name] = {"parameters": parameters, "text": (inspect.getdoc(KINDS[name]) or "").splitlines()[0]}
-        return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(self.COMMON)}
+        return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(COMMON)}
 
     def text(self) -> str:
         """Text for people: two lines per kind."""
@@ -129,7 +128,7 @@ class Kinds:
         for name, kind in self.document()["kinds"].items():
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
             lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
-        lower, upper, slew_limit, *others = self.COMMON
+        lower, upper, slew_limit, *others = COMMON
         return "\n".join(
             [
                 *lines,

@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from hyst_control.cli.validate import add_hold_and_start
+from hyst_control.cli.validate import add_bag_options, add_hold_and_start
 from hyst_control.reporting.result import CommandResult
 
 NAME = "identify"
@@ -46,16 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",
     )
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
-    )
-    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+    add_bag_options(parser)
     _add_when_needed(parser)
 
 

@@ -29,6 +29,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from hyst_control.cli.validate import add_shift
 from hyst_control.reporting.result import CommandResult
 
 if TYPE_CHECKING:
@@ -65,13 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("zoh", "foh"),
         help="command between samples: zoh, held by a DAC (default, but for a bag that states it); foh, a sampled smooth source",
     )
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
-    )
+    add_shift(parser)
     parser.add_argument("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
 
 

@@ -24,6 +24,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser)
 
 
+def add_bag_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options on reading bags with command and measurement."""
+    add_shift(parser)
+    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
+    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+
+
+def add_shift(parser: argparse.ArgumentParser) -> None:
+    """Add the option on the time between the two recordings."""
+    parser.add_argument(
+        "--shift",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
+    )
+
+
 def add_hold_and_start(parser: argparse.ArgumentParser) -> None:
     """Add the options on the command between samples and on the state at the start."""
     parser.add_argument(
@@ -44,21 +63,12 @@ def add_hold_and_start(parser: argparse.ArgumentParser) -> None:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `validate` and `compare` share."""
     add_hold_and_start(parser)
-    parser.add_argument(
-        "--shift",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="take the measurement later by this time, where its recording did not start with the command's (below 0: earlier)",
-    )
+    add_bag_options(parser)
     parser.add_argument(
         "--strict",
         action="store_true",
         help="exit status 3 where a record is no measurement of its command, or the model does not describe it",
     )
-    parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

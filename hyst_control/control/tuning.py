@@ -94,17 +94,7 @@ class Tuning:
         }
 
     def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
-        """Greatest sensitivity |1 / (1 + L)| (F,) of all axes of the nominal model.
-
-        Parameters
-        ----------
-        model
-            Model of the plant.
-        frequency
-            Frequencies (F,), Hz.
-        loop_delay
-            Further delay of the loop, ticks.
-        """
+        """Greatest |1 / (1 + L)| (F,) of all axes of a nominal model at a frequency, Hz, with a loop_delay of further ticks."""
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
         plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
         loops = plants * controller_response(self.law, z)

@@ -13,7 +13,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.chain.linear.linear_system import LinearSystem, block_diagonal, stacked
 from hyst_control.chain.parameter import AllAxes, all_axes
-from hyst_control.chain.stage import Modifier, Stage, register
+from hyst_control.chain.stage import Modifier, Role, Stage, register
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import with_mechanics
 
@@ -21,9 +21,7 @@ from hyst_control.effects.placement import with_mechanics
 class CoupledModifier(Modifier):
     """A change of the mechanics before it that lets the axes drive each other."""
 
-    @property
-    def mixes_axes(self) -> bool:
-        return True
+    ROLES: ClassVar[Role] = Role.MIXES_AXES
 
     def check_shapes(self, axes: int) -> None:
         """Raise `InputError` for coefficients that do not fit the number of axes."""
@@ -83,6 +81,4 @@ class CoupledResonance(CoupledModifier):
 class ChangedTogether(Changed):
     """A linear stage whose axes drive each other once it is changed."""
 
-    @property
-    def mixes_axes(self) -> bool:
-        return True
+    ROLES: ClassVar[Role] = Changed.ROLES | Role.MIXES_AXES

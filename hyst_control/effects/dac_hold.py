@@ -12,9 +12,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surroundings, Values
+
+C = c_texts(__file__)
 
 HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
 """Numbers of samples that are tried."""
@@ -34,6 +37,7 @@ class DacHold(Stage):
 
     name: ClassVar[str] = "dac_hold"
     place: ClassVar[str] = "dac"
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
     samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
     phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
@@ -46,10 +50,6 @@ class DacHold(Stage):
         whole=True,
         scatter=Scattering.NONE,
     )
-
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
 
     def filter(self, sampling: Sampling) -> Filter:
         samples, step, phase, rounding = per_axis_scalars(self, sampling.axes, "samples", "step", "phase", "rounding")
@@ -81,43 +81,15 @@ class DacHoldFilter(Filter):
     def c_code(self) -> CCode:
         return CCode(
             "dac hold",
-            STEP,
-            SETTLE,
+            C["STEP"],
+            C["SETTLE"],
             constants={
                 "samples": integers(self.samples, "for which a value is held"),
                 "step": reals(self.step, "V, of the lattice; 0: none"),
             },
             state={"held": reals(self.held, "V"), "count": integers(np.zeros(len(self.held)), "samples since the last one taken")},
-            functions=(TAKEN,),
+            functions=(C["TAKEN"],),
         )
-
-
-TAKEN = """
-static real taken_value(real value, real step)
-{
-    return (step > R(0.0)) ? (step * M(rint)(value / step)) : value;
-}
-"""
-
-STEP = """
-for (int i = 0; i < AXES; i++) {
-    if (s->count[i] == 0) {
-        s->held[i] = taken_value(in[i], p->step[i]);
-    }
-    s->count[i] = ((s->count[i] + 1) < p->samples[i]) ? (s->count[i] + 1) : 0;
-    out[i] = s->held[i];
-}
-"""
-"""`take_and_hold` in C."""
-
-SETTLE = """
-for (int i = 0; i < AXES; i++) {
-    s->held[i] = taken_value(in[i], p->step[i]);
-    s->count[i] = 0;
-    out[i] = s->held[i];
-}
-"""
-"""`DacHoldFilter.settle` in C."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -47,49 +47,26 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Record that the size of an effect is judged by.
+    """Record that the size of an effect is judged by."""
 
-    Parameters
-    ----------
-    sample_time
-        s.
-    duration
-        s.
-    command
-        (lower, upper) V of the record.
-    slew
-        V/s, the largest of the command.
-    measurement
-        (lower, upper) of the record, in its unit.
-    axes
-        Their number.
-    slowest
-        Lowest frequency (Hz) that the command excites, where clean records keep the model's own error apart, so that effects may be
-        as large as physics allows; None where they do not.
-    modes
-        Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above 1
-        stands for two real poles.
-    begin
-        s from the start of the record to the first sample that is compared.
-    moved
-        s from the start of the record to the first sample that is compared at which the command has moved.
-    modeled
-        Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known.
-    poles
-        Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order of size.
-    """
-
-    sample_time: float
-    duration: float
-    command: tuple[float, float]
-    slew: float
-    measurement: tuple[float, float]
+    sample_time: float  # s
+    duration: float  # s
+    command: tuple[float, float]  # (lower, upper) V of the record
+    slew: float  # V/s, the largest of the command
+    measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
+    # Lowest frequency (Hz) that the command excites, where clean records keep the model's own error apart, so that effects
+    # may be as large as physics allows; None where they do not
     lowest_frequency: float | None = None
+    # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above
+    # 1 stands for two real poles
     modes: tuple[tuple[float, float], ...] = ()
-    begin: float = 0.0
-    moved: float = 0.0
+    begin: float = 0.0  # s from the start of the record to the first sample that is compared
+    moved: float = 0.0  # s from the start of the record to the first sample that is compared at which the command has moved
+    # Range of what the nominal model simulates on the record, in the measurement's unit; None where that is not known
     modeled: tuple[float, float] | None = None
+    # Of the nominal mechanics, 1/s, where these drive the axes together: real ones, and one of every conjugate pair, in order
+    # of size
     poles: tuple[complex, ...] = ()
 
     @property
@@ -100,75 +77,39 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: where fits begin, its bounds and its prior.
+    """A parameter of an effect: where fits begin, its bounds and its prior."""
 
-    Parameters
-    ----------
-    name
-        By which the gap report has it.
-    unit
-        "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement.
-    absent
-        Value at which the effect is not there.
-    starts
-        Where fits begin.
-    lower, upper
-        Bounds.
-    scale
-        A usual deviation from `absent` (of its natural logarithm where `logarithmic`): the standard deviation of a broad prior.
-    logarithmic
-        Whether its logarithm is what is fitted.
-    told
-        Whether the gap report has it; otherwise it only stands in the augmented model.
-    suggested
-        Whether its starts are what the effect's record check suggests, where that suggests any; each then stands for values
-        nearby, of which the one that comes closest to the record is where a fit begins.
-    sensor
-        Index of the one sensor that sees it, of a parameter in which the mechanics' output is linear; None of any other.
-    response
-        Of such a parameter: those of one response differ in their sensor only, and one simulation shows them all.
-    smooth
-        Change over which the output is nearly straight in it, in its unit, where that is less than a fiftieth of the scale; 0 otherwise.
-    is_size
-        Whether it is a size of the effect, as the first parameter always is: at an end of its range the effect is not known.
-    """
-
-    name: str
-    unit: str
-    absent: float
-    starts: tuple[float, ...]
+    name: str  # By which the gap report has it
+    unit: str  # "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement
+    absent: float  # Value at which the effect is not there
+    starts: tuple[float, ...]  # Where fits begin
     lower: float
     upper: float
+    # A usual deviation from `absent` (of its natural logarithm where `logarithmic`): the standard deviation of a broad prior
     scale: float
-    logarithmic: bool = False
-    told: bool = True
+    logarithmic: bool = False  # Whether its logarithm is what is fitted
+    told: bool = True  # Whether the gap report has it; otherwise it only stands in the augmented model
+    # Whether its starts are what the effect's record check suggests, where that suggests any; each then stands for values
+    # nearby, of which the one that comes closest to the record is where a fit begins
     suggested: bool = False
+    # Index of the one sensor that sees it, of a parameter in which the mechanics' output is linear; None of any other
     sensor: int | None = None
-    response: str = ""
+    response: str = ""  # Of such a parameter: those of one response differ in their sensor only, and one simulation shows them all
+    # Change over which the output is nearly straight in it, in its unit, where that is less than a fiftieth of the scale; 0
+    # otherwise
     smooth: float = 0.0
+    # Whether it is a size of the effect, as the first parameter always is: at an end of its range the effect is not known
     is_size: bool = False
 
 
 @dataclass(frozen=True)
 class Line:
-    """An effect that is lines in the residual's spectrum, whose amplitudes and phases are fitted at frequencies seen there.
+    """An effect that is lines in the residual's spectrum, whose amplitudes and phases are fitted at frequencies seen there."""
 
-    Parameters
-    ----------
-    harmonics
-        Those that are fitted, each with its own amplitude and phase.
-    swells
-        Number of Legendre polynomials over the record by which amplitude and phase may change.
-    skirt
-        Share of the frequency on either side that is the effect's own.
-    overtones
-        Harmonics that are not fitted, about which a skirt is the effect's own as well.
-    """
-
-    harmonics: tuple[int, ...] = (1,)
-    swells: int = 1
-    skirt: float = 0.0
-    overtones: tuple[int, ...] = ()
+    harmonics: tuple[int, ...] = (1,)  # Those that are fitted, each with its own amplitude and phase
+    swells: int = 1  # Number of Legendre polynomials over the record by which amplitude and phase may change
+    skirt: float = 0.0  # Share of the frequency on either side that is the effect's own
+    overtones: tuple[int, ...] = ()  # Harmonics that are not fitted, about which a skirt is the effect's own as well
 
 
 @dataclass(frozen=True)
@@ -182,100 +123,49 @@ class Companion:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect by its name in the gap report.
+    """An effect by its name in the gap report."""
 
-    Parameters
-    ----------
-    name
-        In the gap report's vocabulary.
-    place
-        One of `PLACES`; an effect that may be at several has its usual one.
-    meaning
-        One sentence for people.
-    parameters
-        Of a record's surroundings.
-    stage
-        The stage for parameter values and surroundings.
-    exercised
-        Whether a record could show the effect at all.
-    repeats_values
-        Whether the measurement repeats a value while the effect holds it, which is then no sample that was held.
-    ends_as
-        Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better.
-    waveform
-        Whether it has one that a simulation can be compared with; noise, lattices and repeated samples have none and are found by
-        looking at the record.
-    couples
-        Whether it needs a second axis.
-    shared
-        Whether coupled axes have it in common, as they have their modes.
-    apart
-        Whether each of the axes that a plant mixes may have a size of its own, of one cause: their amplifiers or sensors differ.
-    coupled_parameters
-        On all axes of a plant that mixes them, where these are others.
-    summary
-        What the gap report has of parameters that are not told.
-    line
-        Of an effect that is one in the spectrum.
-    further_lines
-        Other shapes that it may have there.
-    record_check
-        The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the check
-        that suggests its frequencies, or the starts of its `suggested` parameter.
-    random_check
-        The check that finds an effect with a waveform where it is at random, and has none.
-    variants
-        Realizations that differ in numbers that are not fitted, such as an order, a phase or a manner of rounding: values of
-        these numbers, each tried with the effect's other parameters fitted. Values of all parameters leave nothing to fit.
-    separating_record
-        What to record besides where no excitation tells it from another effect; None: another sensor.
-    companion
-        Of an effect that differs from session to session, and so is free in every hypothesis where clean records are at hand.
-    also_at
-        Further places that an engineer would call by the same name.
-    also_beside_clean
-        The same, where the signatures differ only beside clean records, whose own error does not go through the drive.
-    phrase
-        The effect in the middle of a sentence, with parameters that the gap report has in braces: "a slew limit of {rate}"; "": its
-        name.
-    """
-
-    name: str
-    place: str
-    meaning: str
-    parameters: Callable[[Surroundings], tuple[Parameter, ...]]
-    stage: Callable[[Values, Surroundings], Stage]
-    exercised: Callable[[Surroundings], bool] = lambda _: True
+    name: str  # In the gap report's vocabulary
+    place: str  # One of `PLACES`; an effect that may be at several has its usual one
+    meaning: str  # One sentence for people
+    parameters: Callable[[Surroundings], tuple[Parameter, ...]]  # Of a record's surroundings
+    stage: Callable[[Values, Surroundings], Stage]  # The stage for parameter values and surroundings
+    exercised: Callable[[Surroundings], bool] = lambda _: True  # Whether a record could show the effect at all
+    # Whether the measurement repeats a value while the effect holds it, which is then no sample that was held
     repeats_values: bool = False
+    # Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better
     ends_as: str | None = None
+    # Whether it has a waveform that a simulation can be compared with; noise, lattices and repeated samples have none and are found
+    # by looking at the record
     waveform: bool = True
-    couples: bool = False
-    shared: bool = False
+    couples: bool = False  # Whether it needs a second axis
+    shared: bool = False  # Whether coupled axes have it in common, as they have their modes
+    # Whether each of the axes that a plant mixes may have a size of its own, of one cause: their amplifiers or sensors differ
     separate_sizes: bool = False
+    # Parameters on all axes of a plant that mixes them, where these are others
     coupled_parameters: Callable[[Surroundings], tuple[Parameter, ...]] | None = None
+    # Realizations that differ in numbers that are not fitted, such as an order, a phase or a manner of rounding: values of
+    # these numbers, each tried with the effect's other parameters fitted. Values of all parameters leave nothing to fit
     variants: Callable[[Surroundings], tuple[Mapping[str, float], ...]] = lambda _: ({},)
-    summary: Callable[[Values], dict[str, float]] = lambda _: {}
-    line: Line | None = None
-    further_lines: tuple[Line, ...] = ()
+    summary: Callable[[Values], dict[str, float]] = lambda _: {}  # What the gap report has of parameters that are not told
+    line: Line | None = None  # Of an effect that is one in the spectrum
+    further_lines: tuple[Line, ...] = ()  # Other shapes that it may have there
+    # The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the
+    # check that suggests its frequencies, or the starts of its `suggested` parameter
     record_check: RecordCheck | None = None
-    random_check: RecordCheck | None = None
+    random_check: RecordCheck | None = None  # The check that finds an effect with a waveform where it is at random, and has none
+    # What to record besides where no excitation tells it from another effect; None: another sensor
     separating_record: str | None = None
+    # Of an effect that differs from session to session, and so is free in every hypothesis where clean records are at hand
     companion: Companion | None = None
-    also_at: tuple[str, ...] = ()
+    also_at: tuple[str, ...] = ()  # Further places that an engineer would call by the same name
+    # The same, where the signatures differ only beside clean records, whose own error does not go through the drive
     also_beside_clean: tuple[str, ...] = ()
+    # The effect in the middle of a sentence, with parameters that the gap report has in braces: "a slew limit of {rate}"; "":
+    # its name
     phrase: str = ""
 
     def checked_parameter(self, around: Surroundings) -> Parameter:
-        """Select the parameter that the effect's record check measures: the one that a check suggests, or its first.
-
-        Parameters
-        ----------
-        around
-            Record that the sizes are judged by.
-
-        Returns
-        -------
-        Parameter
-        """
+        """The parameter that the record check measures around a record: the one that a check suggests, or its first."""
         every = self.parameters(around)
         return next((parameter for parameter in every if parameter.suggested), every[0])

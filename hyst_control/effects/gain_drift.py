@@ -15,10 +15,13 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, each_axis
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.time_dependent import TimedStage
+
+C = c_texts(__file__)
 
 STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
 """Places of the time constants in their decades."""
@@ -32,24 +35,6 @@ TIME_CONSTANT = "time constant, the geometric mean of several; negative of a dri
 """The parameter `tau` of a drift's stage."""
 FASTEST = 8.0
 """Length of the record, in time constants, of a drift that goes ever faster."""
-
-ARRIVED = """
-/* Share of a drift that has come at a time in s: the mean over its time constants. */
-static real arrived_share(double t, double onset, double lasts, double smooth, const double times[], int count)
-{
-    double sum = 0.0;
-    t = t > onset ? t - onset : 0.0;
-    if (lasts > 0.0) {
-        const double x = t < lasts ? t / lasts : 1.0;
-        t = lasts * (x + (smooth * x * (1.0 - x) * (2.0 * x - 1.0)));
-    }
-    for (int k = 0; k < count; k++) {
-        sum -= expm1(-t / times[k]);
-    }
-    return (real)(sum / (double)count);
-}
-"""
-"""`arrived` in C."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +128,7 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
         ),
         title,
         {"change": (change, "in the end"), "initial": (initial, "part of the change that is there at the start")},
-        (ARRIVED,),
+        (C["ARRIVED"],),
         {
             "times": (times, "s, time constants"),
             "course": (np.column_stack(course), "s, s and 1: onset, how long it goes on if not 0, smoothness"),

@@ -12,6 +12,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.command_features import (
     FEATURES,
@@ -24,7 +25,9 @@ from hyst_control.chain.command_features import (
 )
 from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
-from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Modifier, Role, Sampling, Stage, per_axis, per_axis_scalars, register
+
+C = c_texts(__file__)
 
 
 @register
@@ -64,11 +67,9 @@ class LearnedResidual(Modifier):
 class FromCommand(Stage):
     """The added part alone, from the command; part of a started chain only."""
 
-    of: LearnedResidual
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
 
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
+    of: LearnedResidual
 
     def filter(self, sampling: Sampling) -> Filter:
         return FromCommandFilter(self.of, sampling)
@@ -104,8 +105,8 @@ class FromCommandFilter(Filter):
         length = max(len(one.ring) for one in all_of)
         return CCode(
             "learned residual",
-            STEP,
-            SETTLE,
+            C["STEP"],
+            C["SETTLE"],
             {"LENGTH": length, "FEATURES": FEATURES, "FIRST": FIRST_PLAY, "PLAYS": len(PLAYS)},
             {
                 "scale": reals(scale, "center V, span V, change of the scaled command at the largest rate", wide=True),
@@ -119,42 +120,3 @@ class FromCommandFilter(Filter):
             {**feature_memory(axes, length), "position": integers(0, "of the newest command in the ring")},
             (FEATURES_IN_C,),
         )
-
-
-SUM = """
-    double total = p->added[i];
-    for (int f = 0; f < FEATURES; f++) {
-        total = total + (p->weights[i][f] * features[f]);
-    }
-    out[i] = (real)total;
-"""
-
-STEP = """
-const int place = ((s->position + 1) < LENGTH) ? (s->position + 1) : 0;
-s->position = place;
-for (int i = 0; i < AXES; i++) {
-    const double *scale = p->scale[i];
-    const double u = ((double)in[i] - scale[0]) / scale[1];
-    s->ring[i][place] = u;
-    const int now = place + LENGTH;
-    const double rate = (u - s->ring[i][(now - p->rate_ticks[i]) % LENGTH]) / scale[2];
-    double features[FEATURES];
-    features_of_tick(s->ring[i], LENGTH, now, rate, p->lags[i], p->half_widths, p->keeps[i], s->turning[i], s->plays[i],
-                     s->slow[i], features);
-SUM}
-""".replace("SUM", SUM.lstrip("\n"))
-
-SETTLE = """
-s->position = 0;
-for (int i = 0; i < AXES; i++) {
-    const double u = ((double)in[i] - p->scale[i][0]) / p->scale[i][1];
-    features_at_rest(u, s->ring[i], LENGTH, s->turning[i], s->plays[i], s->slow[i]);
-    double features[FEATURES];
-    for (int f = 0; f < FEATURES; f++) {
-        features[f] = ((f >= FIRST) && (f < (FIRST + PLAYS))) ? u : 0.0;
-    }
-    features[0] = u;
-    features[1] = u * u;
-    features[2] = (u * u) * u;
-SUM}
-""".replace("SUM", SUM.lstrip("\n"))

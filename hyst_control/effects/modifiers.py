@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
-from hyst_control.chain.stage import Sampling, Stage
+from hyst_control.chain.stage import Role, Sampling, Stage
 
 
 def beside(stage: Stage, added: Stage) -> Parallel:
@@ -21,6 +22,8 @@ def beside(stage: Stage, added: Stage) -> Parallel:
 @dataclass(frozen=True)
 class Changed(LinearStage):
     """A linear stage whose systems a modifier changes: change(systems, axes) -> systems; part of a started chain only."""
+
+    ROLES: ClassVar[Role] = LinearStage.ROLES | Role.MECHANICS
 
     base: LinearStage
     change: Callable[[list[LinearSystem], int], list[LinearSystem]]
@@ -34,10 +37,6 @@ class Changed(LinearStage):
     @property
     def mixes_axes(self) -> bool:
         return self.base.mixes_axes
-
-    @property
-    def is_mechanics(self) -> bool:
-        return True
 
     def systems(self, axes: int) -> list[LinearSystem]:
         return self.change(self.base.systems(axes), axes)

@@ -13,16 +13,14 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import ScalarPerAxis, count, scalar
-from hyst_control.chain.stage import Filter, Stage, per_axis_scalar
+from hyst_control.chain.stage import Filter, Role, Stage, per_axis_scalar
 
 
 @dataclass(frozen=True)
 class RandomStage(Stage):
     """A stage that draws from a generator of its own, which starts at a seed whenever the stage is settled."""
 
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
 
 
 def seed() -> Any:

@@ -12,34 +12,13 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, each_axis
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.memoryless import StaticFilter
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 
-BENT = """
-static real bent_value(real u, real lower, real upper, real second, real third, real zero)
-{
-    const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
-    const real even = (second * R(0.5)) * (((R(3.0) * x) * x) - R(1.0));
-    const real odd = ((third * R(0.5)) * (((R(5.0) * x) * x) - R(3.0))) * x;
-    return (even + odd) + zero;
-}
-"""
-"""The second and third Legendre polynomial in C, in the order of `SensorNonlinearity.filter`."""
-
-
-HIGHER = """
-static real higher_bend(real bend, real u, real lower, real upper, real fourth, real fifth, real first)
-{
-    const real x = ((R(2.0) * (u - lower)) / (upper - lower)) - R(1.0);
-    const real square = minimum_of(maximum_of(x * x, R(0.0)), R(2.25));
-    const real even = (fourth * ((((R(35.0) * square) - R(30.0)) * square) + R(3.0))) / R(8.0);
-    const real odd = ((fifth * ((((R(63.0) * square) - R(70.0)) * square) + R(15.0))) * x) / R(8.0);
-    return ((bend + even) + odd) + (first * x);
-}
-"""
-"""The bend with the fourth, the fifth and the first polynomial added."""
+C = c_texts(__file__)
 
 
 @register
@@ -83,11 +62,11 @@ class SensorNonlinearity(Stage):
         unit = "measurement unit"
         constants = {"second": second, "third": third, "lower": lower, "upper": upper, "zero": zero}
         bend = "bent_value(u, p->lower[i], p->upper[i], p->second[i], p->third[i], p->zero[i])"
-        functions: tuple[str, ...] = (BENT,)
+        functions: tuple[str, ...] = (C["BENT"],)
         if higher:
             constants |= {"fourth": fourth, "fifth": fifth, "first": first}
             bend = f"higher_bend({bend}, u, p->lower[i], p->upper[i], p->fourth[i], p->fifth[i], p->first[i])"
-            functions = (BENT, MAXIMUM, MINIMUM, HIGHER)
+            functions = (C["BENT"], MAXIMUM, MINIMUM, C["HIGHER"])
         code = each_axis(
             f"u + {bend}", "sensor nonlinearity", {name: (value, unit) for name, value in constants.items()}, functions
         )

@@ -12,9 +12,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
+
+C = c_texts(__file__)
 
 
 @register
@@ -58,7 +61,7 @@ class SlewFilter(Filter):
     def c_code(self) -> CCode:
         return CCode(
             "slew limit",
-            STEP,
+            C["STEP"],
             "for (int i = 0; i < AXES; i++) {\n    s->value[i] = in[i];\n    out[i] = in[i];\n}",
             {"MEAN": int(self.hold == "zoh")},
             {
@@ -67,23 +70,6 @@ class SlewFilter(Filter):
             },
             {"value": reals(self.state, "signal unit, at the end of the interval")},
         )
-
-
-STEP = """
-for (int i = 0; i < AXES; i++) {
-    const real distance = in[i] - s->value[i];
-    const real most = (distance > R(0.0)) ? p->rising[i] : p->falling[i];
-    if (M(fabs)(distance) <= most) {
-        s->value[i] = in[i];
-        out[i] = s->value[i] - ((MEAN != 0) ? (((R(0.5) * distance) * M(fabs)(distance)) / most) : R(0.0));
-    } else {
-        const real step = (distance > R(0.0)) ? most : -most;
-        s->value[i] += step;
-        out[i] = s->value[i] - ((MEAN != 0) ? (R(0.5) * step) : R(0.0));
-    }
-}
-"""
-"""`follow` in C."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -15,12 +15,15 @@ from hyst_control.base.arrays import Array, Complex, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import COMPLEX, LARGER, CCode, integers, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, TransferFunction
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.placement import mechanics_index
+
+C = c_texts(__file__)
 
 MEMORY = 0.1  # s, over which the amplitude is averaged
 DEFECTIVE = 1e9
@@ -182,8 +185,8 @@ class ModesMovedFilter(Filter):
 
         return CCode(
             "softening modes",
-            ADVANCE,
-            COME_TO_REST,
+            C["ADVANCE"],
+            C["COME_TO_REST"],
             {
                 "MODES": len(self.poles),
                 "SQUARES": len(self.square),
@@ -207,7 +210,7 @@ class ModesMovedFilter(Filter):
                 "square": reals(self.square, "about the mean"),
                 "last": reals(self.last, "input before"),
             },
-            (LARGER, COMPLEX, PAIR),
+            (LARGER, COMPLEX, C["PAIR"]),
         )
 
 
@@ -234,85 +237,6 @@ def by_mode(name: str, factors: tuple[float, ...], modes: int) -> Annotated[Arra
 @njit(cache=True)
 def _carried(pole: complex, step: float) -> Any:
     return np.exp(pole * step)
-
-
-PAIR = """
-static complex_number complex_of_pair(const real pair[])
-{
-    return complex_of(pair[0], pair[1]);
-}
-"""
-
-ADVANCE = """
-real drive[AXES];
-for (int j = 0; j < AXES; j++) {
-    drive[j] = (HELD != 0) ? in[j] : (R(0.5) * (in[j] + s->last[j]));
-    s->last[j] = in[j];
-    out[j] = R(0.0);
-}
-for (int q = 0; q < SQUARES; q++) {
-    real power = R(0.0);
-    for (int o = q * SHARED; o < ((q + 1) * SHARED); o++) {
-        real deflection = R(0.0);
-        for (int j = 0; j < AXES; j++) {
-            deflection += p->statics[o][j] * drive[j];
-        }
-        const real beside = deflection - s->mean[o];
-        power += beside * beside;
-        s->mean[o] += p->smooth * (deflection - s->mean[o]);
-    }
-    s->square[q] += p->smooth * ((power / (real)SHARED) - s->square[q]);
-}
-for (int i = 0; i < MODES; i++) {
-    complex_number entering = complex_of(R(0.0), R(0.0));
-    for (int j = 0; j < AXES; j++) {
-        entering = complex_plus(entering, complex_times(complex_of_pair(p->inputs[i][j]), complex_of(drive[j], R(0.0))));
-    }
-    const complex_number own = complex_of_pair(p->poles[i]);
-    const complex_number rest = complex_over(complex_of(-entering.re, -entering.im), own);
-    const real root = M(pow)(s->square[p->whose[i]], R(0.25));
-    const complex_number pole = complex_of(own.re * larger_of(R(1.0) + (p->change[i][1] * root), R(0.0)),
-                                           own.im * (R(1.0) - (p->change[i][0] * root)));
-    const complex_number carry = complex_exp(complex_times(pole, complex_of(p->time, R(0.0))));
-    const complex_number still = complex_plus(
-        rest, complex_times(complex_of_pair(p->as_it_is[i]), complex_minus(complex_of_pair(s->x[0][i]), rest)));
-    const complex_number moved = complex_plus(rest, complex_times(carry, complex_minus(complex_of_pair(s->x[1][i]), rest)));
-    s->x[0][i][0] = still.re;
-    s->x[0][i][1] = still.im;
-    s->x[1][i][0] = moved.re;
-    s->x[1][i][1] = moved.im;
-    for (int o = 0; o < AXES; o++) {
-        out[o] += complex_times(complex_of_pair(p->outputs[o][i]), complex_minus(moved, still)).re;
-    }
-}
-"""
-"""`advance_modes_moved` in C."""
-
-COME_TO_REST = """
-for (int q = 0; q < SQUARES; q++) {
-    s->square[q] = R(0.0);
-}
-for (int o = 0; o < AXES; o++) {
-    s->mean[o] = R(0.0);
-    for (int j = 0; j < AXES; j++) {
-        s->mean[o] += p->statics[o][j] * in[j];
-    }
-    s->last[o] = in[o];
-    out[o] = R(0.0);
-}
-for (int i = 0; i < MODES; i++) {
-    complex_number entering = complex_of(R(0.0), R(0.0));
-    for (int j = 0; j < AXES; j++) {
-        entering = complex_plus(entering, complex_times(complex_of_pair(p->inputs[i][j]), complex_of(in[j], R(0.0))));
-    }
-    const complex_number rest = complex_over(complex_of(-entering.re, -entering.im), complex_of_pair(p->poles[i]));
-    for (int which = 0; which < 2; which++) {
-        s->x[which][i][0] = rest.re;
-        s->x[which][i][1] = rest.im;
-    }
-}
-"""
-"""`settle_modes_moved` in C."""
 
 
 @njit(cache=True)

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.stage import Filter, Sampling, Stage
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage
 
 STEP = """
 const double t = (s->count + p->ahead) * p->sample_time;
@@ -30,9 +31,7 @@ BODY
 class TimedStage(Stage):
     """A function of the signal and of the time t (s); settling is t = 0. `function` gives it for a number of axes."""
 
-    @property
-    def commutes_with_delay(self) -> bool:
-        return False
+    ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         """f(values (N, A), times (N, 1)) -> (N, A)."""

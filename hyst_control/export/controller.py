@@ -22,11 +22,14 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
+from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.control.feedback import pi_c_code, sensor_watch_c_code
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety
 from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
 from hyst_control.export.c_source import Slot
+
+C = c_texts(__file__)
 
 FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)
 """Faults by their code."""
@@ -198,18 +201,15 @@ class Controller(Filter):
             if parts
             else "/* no feedforward */",
             "STEP_FEEDFORWARD": "PART0_step(&s->part0, s->reference, feedforward);" if parts else "/* no feedforward */",
-            "ADD_LEARNED": "/* nothing is learned */" if learned is None else ADD_LEARNED,
+            "ADD_LEARNED": "/* nothing is learned */" if learned is None else C["LEARNED"],
             "RESUME": pi_c_code.resume(self.controller),
             "STEP_PI": pi_c_code.step(self.controller),
-            "WATCH": sensor_watch_c_code.WATCH.strip(),
+            "WATCH": sensor_watch_c_code.WATCH,
         }
-        step = STEP
-        for name, text in texts.items():
-            step = step.replace(f"@{name}@", text)
         return CCode(
             "controller",
-            step,
-            SETTLE + sensor_watch_c_code.SETTLE.lstrip() + pi_c_code.reset(self.controller),
+            c_filled(C["STEP"], texts),
+            C["SETTLE"] + sensor_watch_c_code.SETTLE + pi_c_code.reset(self.controller),
             {
                 "AHEAD": self.ahead,
                 "TIMEOUT": self.timeout,
@@ -223,7 +223,7 @@ class Controller(Filter):
             },
             {**pi_c_code.constants(self.controller), **limits, **table},
             state,
-            (*pi_c_code.functions(self.controller), pi_c_code.RAMPED, FINITE, sensor_watch_c_code.RANGES),
+            (*pi_c_code.functions(self.controller), pi_c_code.RAMPED, C["FINITE"], sensor_watch_c_code.RANGES),
             parts,
         )
 
@@ -238,171 +238,3 @@ class Controller(Filter):
             Slot("fault", f"of the first axis that has one, {', '.join(f'{code}: {text}' for code, text in enumerate(FAULTS))}")
         )
         return tuple(inputs), tuple(outputs)
-
-
-FINITE = """
-static int all_finite(const real values[], int count)
-{
-    int finite = 1;
-    for (int i = 0; i < count; i++) {
-        if (!isfinite(values[i])) {
-            finite = 0;
-        }
-    }
-    return finite;
-}
-"""
-
-ADD_LEARNED = """for (int i = 0; i < AXES; i++) {
-    feedforward[i] = feedforward[i] + p->learned[s->row][i];
-}
-s->row = ((s->row + 1) < ROWS) ? (s->row + 1) : 0;"""
-
-SETTLE = """
-(void)in;
-for (int i = 0; i < AXES; i++) {
-    s->integral[i] = R(0.0);
-    s->command[i] = R(0.0);
-    s->rolled[i] = R(0.0);
-}
-for (int i = 0; i < ((3 * AXES) + 1); i++) {
-    out[i] = R(0.0);
-}
-for (int i = 0; i < 2; i++) {
-    s->age[i] = 0;
-    s->known[i] = 0;
-}
-for (int i = 0; i < AXES; i++) {
-    s->overflowed[i] = R(0.0);
-    s->away[i] = 0;
-    s->overflow[i] = 0;
-    s->fault[i] = 0;
-    s->well[i] = 0;
-}
-s->saturated = 0;
-s->begun = 0;
-s->enabled = 0;
-s->place = 0;
-s->row = 0;
-"""
-"""`Controller.settle` in C."""
-
-STEP = """
-/* A row that is not finite is left out. */
-if (all_finite(in, AXES) != 0) {
-    for (int i = 0; i < AXES; i++) {
-        s->reference[i] = in[i];
-    }
-    s->known[0] = 1;
-    s->age[0] = 0;
-} else {
-    s->age[0] = (s->age[0] <= TIMEOUT) ? (s->age[0] + 1) : s->age[0];
-}
-if (all_finite(&in[AXES], AXES) != 0) {
-    for (int i = 0; i < AXES; i++) {
-        s->measurement[i] = in[AXES + i];
-    }
-    s->known[1] = 1;
-    s->age[1] = 0;
-} else {
-    s->age[1] = (s->age[1] <= TIMEOUT) ? (s->age[1] + 1) : s->age[1];
-}
-const int enabled = (in[2 * AXES] > R(0.5)) ? 1 : 0;
-if ((enabled != 0) && (s->enabled == 0)) {
-    for (int i = 0; i < AXES; i++) {
-        s->fault[i] = 0;
-        s->well[i] = 0;
-    }
-}
-s->enabled = enabled;
-real feedback[AXES];
-real feedforward[AXES];
-for (int i = 0; i < AXES; i++) {
-    feedback[i] = R(0.0);
-    feedforward[i] = R(0.0);
-}
-int shown = 0;
-if ((s->known[0] != 0) && (s->known[1] != 0)) {
-    /* Feedforward; the feedback has the reference of this tick. */
-    if (s->begun == 0) {
-        s->begun = 1;
-        for (int row = 0; row <= AHEAD; row++) {
-            for (int i = 0; i < AXES; i++) {
-                s->ring[row][i] = s->reference[i];
-            }
-        }
-        @SETTLE_FEEDFORWARD@
-    }
-    for (int i = 0; i < AXES; i++) {
-        s->ring[s->place][i] = s->reference[i];
-    }
-    s->place = (s->place < AHEAD) ? (s->place + 1) : 0;
-    const real *reference = s->ring[s->place];
-    const real *measurement = s->measurement;
-    @STEP_FEEDFORWARD@
-    @ADD_LEARNED@
-    /* Faults of the axes, and which of them run. */
-    const int stale = (s->age[0] > TIMEOUT) ? 1 : ((s->age[1] > TIMEOUT) ? 2 : 0);
-    real last[AXES];
-    int back[AXES];
-    int running[AXES];
-    int stopped = 0;
-    for (int i = 0; i < AXES; i++) {
-        last[i] = s->command[i];
-        @WATCH@
-        const int found = (stale != 0) ? stale : ((watched != 0) ? watched : ((s->overflow[i] != 0) ? 5 : 0));
-        s->overflow[i] = 0;
-        if (found != 0) {
-            s->fault[i] = found;
-            s->well[i] = 0;
-        } else if (s->fault[i] != 0) {
-            s->well[i] = (s->well[i] <= RECOVERY) ? (s->well[i] + 1) : s->well[i];
-            if ((AUTOMATIC != 0) && (s->well[i] >= RECOVERY)) {
-                s->fault[i] = 0;
-            }
-        } else {
-            /* it has none */
-        }
-        stopped += (s->fault[i] != 0) ? 1 : 0;
-        shown = (shown == 0) ? s->fault[i] : shown;
-    }
-    int run = 0;
-    for (int i = 0; i < AXES; i++) {
-        const int held = ((enabled == 0) || (s->fault[i] != 0) || ((STOP_ALL != 0) && (stopped > 0))) ? 1 : 0;
-        running[i] = 1 - held;
-        back[i] = ((held == 0) && (s->away[i] != 0)) ? 1 : 0;
-        run += running[i];
-    }
-    if (run == 0) {
-        for (int i = 0; i < AXES; i++) {
-            s->away[i] = 1;
-            s->command[i] = ramped_command(last[i], p->safe[i], p->lower, p->upper, p->safe_step);
-        }
-    } else {
-        @RESUME@
-        @STEP_PI@
-        real wanted[AXES];
-        for (int i = 0; i < AXES; i++) {
-            wanted[i] = s->command[i];
-            s->overflow[i] = ((running[i] != 0) && (s->overflowed[i] > R(0.0))) ? 1 : 0;
-            s->overflowed[i] = R(0.0);
-        }
-        for (int i = 0; i < AXES; i++) {
-            s->command[i] = wanted[i];
-            if ((running[i] == 0) || ((p->ki_step == R(0.0)) && (back[i] != 0))) {
-                const real target = (running[i] != 0) ? wanted[i] : p->safe[i];
-                s->command[i] = ramped_command(last[i], target, p->lower, p->upper, p->safe_step);
-            }
-            feedback[i] = (running[i] != 0) ? feedback[i] : R(0.0);
-            s->away[i] = ((running[i] == 0) || (s->command[i] != wanted[i])) ? 1 : 0;
-        }
-    }
-}
-for (int i = 0; i < AXES; i++) {
-    out[i] = s->command[i];
-    out[AXES + i] = feedback[i];
-    out[(2 * AXES) + i] = feedforward[i];
-}
-out[3 * AXES] = (real)shown;
-"""
-"""`Controller._step` in C."""

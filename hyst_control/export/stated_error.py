@@ -21,6 +21,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.command_features import (
     CREEPS,
     FEATURES,
@@ -35,6 +36,8 @@ from hyst_control.chain.command_features import (
 )
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy
 from hyst_control.model_file import Model
+
+C = c_texts(__file__)
 
 
 @njit(cache=True, error_model="numpy")
@@ -158,56 +161,4 @@ class StatedError(Filter):
             "POWERS": POWERS,
             "FIRST": FIRST_PLAY,
         }
-        return CCode("stated error", STEP, SETTLE, sizes, constants, state, (FEATURES_IN_C,), outputs=2 * axes)
-
-
-STEP = """
-const int place = ((s->position + 1) < LENGTH) ? (s->position + 1) : 0;
-s->position = place;
-for (int i = 0; i < AXES; i++) {
-    const double *scale = p->scale[i];
-    double *ring = s->ring[i];
-    ring[place] = ((double)in[i] - scale[0]) / scale[1];
-    const int now = (place + LENGTH) - p->ticks[i][0];
-    const int width = p->ticks[i][1];
-    const double rate = (ring[(now + width) % LENGTH] - ring[(now - width) % LENGTH]) / scale[2];
-    double features[FEATURES];
-    features_of_tick(ring, LENGTH, now, rate, p->lags[i], p->half_widths, p->keeps[i], s->turning[i], s->plays[i], s->slow[i],
-                     features);
-    double total = 0.0;
-    for (int f = 0; f < FEATURES; f++) {
-        features[f] -= s->begin[i][f];
-        total += features[f] * p->mean[i][f];
-    }
-    double square = p->rest[i] * p->rest[i];
-    for (int k = 0; k < COLUMNS; k++) {
-        double part = 0.0;
-        for (int f = 0; f < FEATURES; f++) {
-            part += features[f] * p->factor[i][f][k];
-        }
-        square += part * part;
-    }
-    out[i] = (real)total;
-    out[AXES + i] = (real)sqrt(square);
-}
-"""
-"""`stated_errors` in C, in double also where signals are float."""
-
-SETTLE = """
-s->position = 0;
-for (int i = 0; i < AXES; i++) {
-    const double u = ((double)in[i] - p->scale[i][0]) / p->scale[i][1];
-    features_at_rest(u, s->ring[i], LENGTH, s->turning[i], s->plays[i], s->slow[i]);
-    double power = u;
-    for (int f = 0; f < FEATURES; f++) {
-        s->begin[i][f] = ((f >= FIRST) && (f < (FIRST + PLAYS))) ? u : 0.0;
-    }
-    for (int f = 0; f < POWERS; f++) {
-        s->begin[i][f] = power;
-        power = power * u;
-    }
-    out[i] = R(0.0);
-    out[AXES + i] = (real)p->rest[i];
-}
-"""
-"""`StatedError.settle` in C."""
+        return CCode("stated error", C["STEP"], C["SETTLE"], sizes, constants, state, (FEATURES_IN_C,), outputs=2 * axes)

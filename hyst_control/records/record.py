@@ -199,22 +199,9 @@ class Record:
         return self.signals[topic]
 
     def between(self: Cut, begin: float | None, end: float | None) -> Cut:
-        """The part of the record between two sample times.
+        """The part of the record from begin to end, its own where None.
 
-        Parameters
-        ----------
-        begin, end
-            First and last sample time, s; None for the record's own.
-
-        Returns
-        -------
-        Record
-            The part, with the record's own times.
-
-        Raises
-        ------
-        InputError
-            No signal has a sample there.
+        Sample times in s. Raises `InputError` where no signal has a sample there.
         """
         if begin is None and end is None:
             return self
@@ -296,17 +283,9 @@ class Record:
         return first
 
     def not_followed(self, step: float) -> list[range]:
-        """Stretches of ticks at which the actuator did not follow the command, as said on `applied`; see `ticks_not_followed`.
+        """Stretches of ticks round(t / step) at which the actuator did not follow the command, as said on `applied`.
 
-        Parameters
-        ----------
-        step
-            Sample time of the command, s.
-
-        Returns
-        -------
-        list[range]
-            Ticks round(t / step); none where nothing was said, or with the times of reception, which tell no ticks.
+        None where nothing was said, or with the times of reception, which tell no ticks; see `ticks_not_followed`.
         """
         command, applied = self.signals.get("command"), self.signals.get(APPLIED)
         if command is None or applied is None or "receive" in (command.timing, applied.timing):
@@ -316,28 +295,12 @@ class Record:
         return ticks_not_followed((command.time, command.values), (applied.time, applied.values), step)
 
     def aligned(self, topics: Sequence[str], allow_gaps: bool = False) -> list[Aligned]:
-        """Stretches without a gap in which every topic has every tick of the common clock.
+        """Stretches without a gap in which each of the topics has every tick of the common clock, in order of time.
 
-        Ticks are round(t / sample time). Where command and measurement are both wanted, ticks at which the actuator did not follow the
-        command are left out.
-
-        Parameters
-        ----------
-        topics
-            Topics to align.
-        allow_gaps
-            True to split the record at missing ticks, False to refuse them.
-
-        Returns
-        -------
-        list[Aligned]
-            One item per stretch, in order of time.
-
-        Raises
-        ------
-        InputError
-            Values are not finite, times do not increase, topics share no tick, the actuator never followed its command, or ticks are
-            missing, or not followed amid the record, and gaps are not allowed.
+        Ticks are round(t / sample time). Where command and measurement are both wanted, ticks at which the actuator did not
+        follow the command are left out. allow_gaps splits the record at missing ticks, which are refused otherwise. Raises
+        `InputError` where values are not finite, times do not increase, topics share no tick, the actuator never followed its
+        command, or ticks are missing and gaps not allowed.
         """
         self.check(topics)
         step = self.sample_time(topics)

@@ -13,11 +13,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
+from pathlib import Path
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.yaml_files import read_yaml
 from hyst_control.records.averaged_spectra import FEWEST_LINES, LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra, segment_length
 from hyst_control.records.record_against_model import LONGEST as LONGEST_SIMULATED
 from hyst_control.records.record_against_model import MIN_SHIFT, Simulation, best_order, meant, time_shift
@@ -174,49 +176,7 @@ class Finding:
         return {"name": self.name, "record": self.record, "axis": self.axis, "value": self.value, "limit": self.limit}
 
 
-NAMES = {
-    "dead_sensor": ("the measurement does not move while the command does", "check the sensor and its cable"),
-    "noise_alone": (
-        "the measurement is noise that no command explains",
-        "check that the stage is driven and the sensor looks at it",
-    ),
-    "unplugged_sensor": ("the measurement drifts or hums and follows no command", "plug the sensor in"),
-    "shuffled_command": (
-        "the command's samples are in no order that the measurement knows",
-        "check the columns and how they were sorted",
-    ),
-    "unrelated_measurement": ("no part of the measurement follows the command", "check that both are of one run and one stage"),
-    "reversed_command": ("the command explains the measurement when it is read backwards", "turn the command's time around"),
-    "reversed_time": ("the measurement leads the command: time runs backwards", "turn the record's time around"),
-    "early_measurement": ("the measurement leads the command", "check that both recordings start together, or pass --shift"),
-    "swapped_signals": ("the measurement leads the command and is the cleaner of the two", "swap command and measurement"),
-    "swapped_axes": ("the axes follow each other's commands", "swap the columns of the axes"),
-    "scaled_measurement": (
-        "the measured range is another than the model's or another record's",
-        "check the unit of the measurement",
-    ),
-    "scaled_command": ("the command's range is another than the model's", "check the unit of the command"),
-    "sign_turned": ("the measurement moves against the model, or against another record", "check the sign of command and sensor"),
-    "wrong_rate": ("the record's time scale is another than the model's", "check the sample rate (--rate)"),
-    "different_plants": ("the records respond as different plants do", "give the records of one plant at a time"),
-    "late_measurement": ("the measurement is late", "if the machine has no such delay, pass --shift"),
-    "lost_rows": ("rows are missing and the gaps are closed up", "record again, or import with a column of times"),
-    "at_range_end": ("the measurement stands at the end of the sensor's range (rail)", "widen the range, or drive less"),
-    "clipped_command": (
-        "the command stops acting (saturation of the amplifier or the stage)",
-        "drive less, or record the amplifier's output",
-    ),
-    "copied_command": (
-        "the measurement is proportional to the command, without lag or hysteresis: a copy of the command, such as the amplifier's monitor",
-        "check the column of the measurement",
-    ),
-    "held_command": ("the command is held while the machine moves on", "log the command at the rate of the measurement"),
-    "implausible_range": ("the range is implausible for a piezo stage", "check the unit"),
-    "slow_sampling": (
-        "the sample rate is too low for the model's modes, whose motion is aliased",
-        "sample faster, or filter before sampling",
-    ),
-}
+NAMES: dict[str, list[str]] = read_yaml(Path(__file__).with_name("findings.yaml"))
 """Text of each finding, and the remedy."""
 
 NOTES = (

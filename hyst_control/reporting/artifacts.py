@@ -17,58 +17,26 @@ MAX_NAMED = 4
 
 @dataclass(frozen=True)
 class Fact:
-    """One number on an artifact.
+    """One number on an artifact."""
 
-    Parameters
-    ----------
-    case
-        Topic or file it is about, "" for the whole.
-    quantity
-        Name of the quantity.
-    unit
-        Unit of the value.
-    value
-        The value.
-    """
-
-    case: str
-    quantity: str
-    unit: str
-    value: float
+    case: str  # Topic or file it is about, "" for the whole
+    quantity: str  # Name of the quantity
+    unit: str  # Unit of the value
+    value: float  # The value
 
 
 @dataclass
 class Artifacts:
-    """Artifacts of one command.
+    """Artifacts of one command."""
 
-    Parameters
-    ----------
-    source
-        The command, such as "simulate".
-    files
-        Files or folders written.
-    facts
-        Numbers on them.
-    lines
-        Lines of the summary.
-    exit_status
-        Exit status of the command.
-    """
-
-    source: str
-    files: Sequence[str | Path]
-    facts: list[Fact] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
-    exit_status: int = 0
+    source: str  # The command, such as "simulate"
+    files: Sequence[str | Path]  # Files or folders written
+    facts: list[Fact] = field(default_factory=list)  # Numbers on them
+    lines: list[str] = field(default_factory=list)  # Lines of the summary
+    exit_status: int = 0  # Exit status of the command
 
     def add(self, case: str, quantity: str, unit: str, value: float) -> None:
-        """Append one fact; numpy numbers become Python ones.
-
-        Parameters
-        ----------
-        case, quantity, unit, value
-            As in `Fact`.
-        """
+        """Append one `Fact` of case, quantity, unit and value; numpy numbers become Python ones."""
         self.facts.append(Fact(case, quantity, unit, value if isinstance(value, int) else float(value)))
 
     def document(self) -> dict[str, Any]:

@@ -20,62 +20,28 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Row:
-    """One figure.
+    """One figure."""
 
-    Parameters
-    ----------
-    table
-        Table it belongs to, such as "HAMPI Table 5".
-    case
-        Operating point, such as "100 Hz".
-    subject
-        Model, controller, executor or effect it is about.
-    quantity, unit
-        Quantity and unit of the value.
-    value
-        The value.
-    published
-        Published value to compare with.
-    n
-        Number of repetitions.
-    ci95
-        95 % confidence interval [lower, upper].
-    """
-
-    table: str
-    case: str
-    subject: str
+    table: str  # Table it belongs to, such as "HAMPI Table 5"
+    case: str  # Operating point, such as "100 Hz"
+    subject: str  # Model, controller, executor or effect it is about
     quantity: str
     unit: str
     value: float
-    published: float | None = None
-    n: int | None = None
-    ci95: tuple[float, float] | None = None
+    published: float | None = None  # Published value to compare with
+    n: int | None = None  # Number of repetitions
+    ci95: tuple[float, float] | None = None  # 95 % confidence interval [lower, upper]
 
 
 @dataclass
 class Table:
-    """Rows of one source, in the order in which they are printed.
+    """Rows of one source, in the order in which they are printed."""
 
-    Parameters
-    ----------
-    source
-        The source, such as "reproduce hampi".
-    rows
-        The rows.
-    machine
-        Description of the machine, where the figures depend on it.
-    notes
-        Sentences on the limits of the figures.
-    exit_status
-        Exit status of the command that prints it.
-    """
-
-    source: str
+    source: str  # Such as "reproduce hampi"
     rows: list[Row] = field(default_factory=list)
-    machine: str = ""
-    notes: list[str] = field(default_factory=list)
-    exit_status: int = 0
+    machine: str = ""  # Description of the machine, where the figures depend on it
+    notes: list[str] = field(default_factory=list)  # Sentences on the limits of the figures
+    exit_status: int = 0  # Exit status of the command that prints it
 
     def add(
         self,
@@ -90,12 +56,9 @@ class Table:
         n: int | None = None,
         ci95: tuple[float, float] | None = None,
     ) -> None:
-        """Append one row; numpy numbers become Python ones.
+        """Append one `Row`; numpy numbers become Python ones.
 
-        Parameters
-        ----------
-        table, case, subject, quantity, unit, value, published, n, ci95
-            As in `Row`.
+        Arguments as its fields: table, case, subject, quantity, unit, value, published, n, ci95.
         """
         self.rows.append(
             Row(
@@ -112,22 +75,9 @@ class Table:
         )
 
     def value(self, case: str, subject: str, quantity: str) -> float:
-        """Return the value of the one row with these three.
+        """Value of the one row with this case, subject and quantity.
 
-        Parameters
-        ----------
-        case, subject, quantity
-            As in `Row`.
-
-        Returns
-        -------
-        float
-            The value.
-
-        Raises
-        ------
-        KeyError
-            There is no such row, or more than one.
+        Raises `KeyError` where there is no such row, or more than one.
         """
         found = [row.value for row in self.rows if (row.case, row.subject, row.quantity) == (case, subject, quantity)]
         if len(found) != 1:
@@ -179,18 +129,7 @@ class Table:
         return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
 
     def write(self, path: str | Path) -> None:
-        """Write the table as JSON.
-
-        Parameters
-        ----------
-        path
-            File to write.
-
-        Raises
-        ------
-        InputError
-            The file cannot be written.
-        """
+        """Write the table as JSON to a path; raises `InputError` where the file cannot be written."""
         write_json(path, self.document())
 
 

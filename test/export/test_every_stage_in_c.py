@@ -11,7 +11,7 @@ from test_every_stage import CASES, SAMPLE_TIME, command, started
 from hyst_control.base.errors import InputError
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.c_code.madelung_c import CAPACITY
+from hyst_control.chain.hysteresis.madelung import CAPACITY
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.stage import Filter
 from hyst_control.effects.softening_modes import SofteningModes

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Excitation signals: their spectra, bounds, periods and joints, from closed forms."""
 
+from inspect import signature
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.records.excitation.excitation import KINDS, build, multisine_lines
+from hyst_control.records.excitation.parameters import declarations, described
 from hyst_plant_sim.physics import PLANTS, load_plant
 
 STEP = 1e-4
@@ -207,3 +210,11 @@ def test_unusable_descriptions_are_named(spec, words):
 
 def test_every_kind_says_what_it_is():
     assert all(function.__doc__ for function in KINDS.values())
+
+
+def test_every_parameter_is_declared_and_every_declaration_used():
+    used = {(kind, name) for kind, function in KINDS.items() for name in signature(function).parameters}
+    used = {(kind, name) for kind, name in used if name not in ("sample_time", "axes")}
+    assert all(described(kind, name).meaning for kind, name in used)
+    own = {(kind, name) for kind, each in declarations()["kinds"].items() for name in each}
+    assert {name for _, name in used} == set(declarations()["signals"]) and own <= used

@@ -18,6 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers
+from hyst_control.chain.c_code.texts import c_texts
+
+C = c_texts(__file__)
+MAXIMUM, MINIMUM, LARGER, SMALLER, COMPLEX = (C[name] for name in ("MAXIMUM", "MINIMUM", "LARGER", "SMALLER", "COMPLEX"))
 
 Values = Array | Integers
 
@@ -79,91 +83,6 @@ for (int i = 0; i < AXES; i++) {{
     members = {name: reals(value, text) for name, (value, text) in constants.items()}
     members.update((name, reals(value, text, wide=True)) for name, (value, text) in (wide or {}).items())
     return CCode(title, step, constants=members, functions=tuple(functions))
-
-
-MAXIMUM = """
-/* The greater one; NaN where one is NaN. */
-static real maximum_of(real a, real b)
-{
-    return ((a >= b) || isnan(a)) ? a : b;
-}
-"""
-
-MINIMUM = """
-/* The lesser one; NaN where one is NaN. */
-static real minimum_of(real a, real b)
-{
-    return ((a <= b) || isnan(a)) ? a : b;
-}
-"""
-
-LARGER = """
-/* The greater one; the first where one is NaN. */
-static real larger_of(real a, real b)
-{
-    return (b > a) ? b : a;
-}
-"""
-
-SMALLER = """
-/* The lesser one; the first where one is NaN. */
-static real smaller_of(real a, real b)
-{
-    return (b < a) ? b : a;
-}
-"""
-
-COMPLEX = """
-/* Complex numbers: products and quotients as Python computes them. */
-typedef struct {
-    real re;
-    real im;
-} complex_number;
-
-static complex_number complex_of(real re, real im)
-{
-    const complex_number z = {re, im};
-    return z;
-}
-
-static complex_number complex_times(complex_number a, complex_number b)
-{
-    return complex_of((a.re * b.re) - (a.im * b.im), (a.re * b.im) + (a.im * b.re));
-}
-
-static complex_number complex_over(complex_number a, complex_number b)
-{
-    complex_number z = {(real)NAN, (real)NAN};
-    if (M(fabs)(b.re) >= M(fabs)(b.im)) {
-        const real ratio = b.im / b.re;
-        const real whole = b.re + (b.im * ratio);
-        z = complex_of((a.re + (a.im * ratio)) / whole, (a.im - (a.re * ratio)) / whole);
-    } else if (M(fabs)(b.im) >= M(fabs)(b.re)) {
-        const real ratio = b.re / b.im;
-        const real whole = (b.re * ratio) + b.im;
-        z = complex_of(((a.re * ratio) + a.im) / whole, ((a.im * ratio) - a.re) / whole);
-    } else {
-        /* one is NaN */
-    }
-    return z;
-}
-
-static complex_number complex_plus(complex_number a, complex_number b)
-{
-    return complex_of(a.re + b.re, a.im + b.im);
-}
-
-static complex_number complex_minus(complex_number a, complex_number b)
-{
-    return complex_of(a.re - b.re, a.im - b.im);
-}
-
-static complex_number complex_exp(complex_number z)
-{
-    const real size = M(exp)(z.re);
-    return complex_of(size * M(cos)(z.im), size * M(sin)(z.im));
-}
-"""
 
 
 def series(parts: Sequence[CCode]) -> CCode:

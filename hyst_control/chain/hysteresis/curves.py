@@ -17,6 +17,10 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
+from hyst_control.chain.c_code.texts import c_texts
+
+C = c_texts(__file__)
+EVALUATE, SOLVE = (C[name] for name in ("EVALUATE", "SOLVE"))
 
 
 @dataclass(frozen=True)
@@ -68,86 +72,6 @@ def knot_curve(knots: Array, values: Array, field: str) -> Curve:
     from scipy.interpolate import PchipInterpolator  # here, not above: it takes longer to import than all that a node needs
 
     return Curve(knots, np.ascontiguousarray(PchipInterpolator(knots, values).c.T))
-
-
-EVALUATE = """
-typedef struct {
-    const real *breaks;
-    const real *coefficients; /* [piece][order], descending powers */
-    int pieces;
-    int order;
-} curve;
-
-static int curve_piece(curve f, real x)
-{
-    int piece = 0;
-    while ((piece < (f.pieces - 1)) && (x >= f.breaks[piece + 1])) {
-        piece++;
-    }
-    return piece;
-}
-
-static real curve_value(curve f, real x)
-{
-    const int piece = curve_piece(f, x);
-    const real d = x - f.breaks[piece];
-    const real *c = &f.coefficients[piece * f.order];
-    real value = c[0];
-    for (int i = 1; i < f.order; i++) {
-        value = (value * d) + c[i];
-    }
-    return value;
-}
-"""
-"""`evaluate_curve` in C."""
-
-SOLVE = """
-/* Argument in [0, 1] at which the curve is y; at most 100 turns. */
-static real curve_argument(curve f, real y)
-{
-    real low = R(0.0);
-    real high = R(1.0);
-    real x = R(0.5);
-    if (y <= curve_value(f, low)) {
-        x = low;
-    } else if (y >= curve_value(f, high)) {
-        x = high;
-    } else {
-        for (int turn = 0; turn < 100; turn++) {
-            const int piece = curve_piece(f, x);
-            const real d = x - f.breaks[piece];
-            const real *c = &f.coefficients[piece * f.order];
-            real value = c[0];
-            real slope = R(0.0);
-            for (int i = 1; i < f.order; i++) {
-                slope = (slope * d) + value;
-                value = (value * d) + c[i];
-            }
-            const real error = value - y;
-            if (error == R(0.0)) {
-                break;
-            }
-            if (error > R(0.0)) {
-                high = x;
-            } else {
-                low = x;
-            }
-            real following = (slope > R(0.0)) ? (x - (error / slope)) : (R(0.5) * (low + high));
-            if (!((low < following) && (following < high))) {
-                following = R(0.5) * (low + high);
-            }
-            const real moved = M(fabs)(following - x);
-            const real small = LAST_DIGIT + ((R(2.0) * LAST_DIGIT) * M(fabs)(x));
-            x = following;
-            if (moved <= small) {
-                break;
-            }
-        }
-    }
-    return x;
-}
-"""
-"""`solve_curve` in C."""
 
 
 @njit(cache=True, error_model="numpy", inline="always")

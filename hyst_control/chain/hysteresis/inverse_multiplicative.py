@@ -29,9 +29,12 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import LARGER, SMALLER, CCode, reals
+from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import check_operators, play_filter
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
+
+C = c_texts(__file__)
 
 
 @njit(cache=True)
@@ -154,155 +157,6 @@ def inverse_multiplicative(
             output[row, axis] = u
 
 
-TRIAL = """
-typedef struct {
-    const real *thresholds;
-    const real *release;
-    const real *weights;
-    const real *operators;
-    int count;
-    real w0;
-    real rotation;
-    real k;
-    real b;
-} play_model;
-
-typedef struct {
-    real output;
-    real slope;
-} play_answer;
-
-/* Output and slope of the model without touching its memory. */
-static play_answer play_trial(const play_model *model, real u)
-{
-    real total = R(0.0);
-    real weighted = R(0.0);
-    real active_weight = R(0.0);
-    int active = 0;
-    for (int i = 0; i < model->count; i++) {
-        real h = model->operators[i];
-        if ((u - model->thresholds[i]) > h) {
-            h = u - model->thresholds[i];
-            active++;
-            active_weight += model->weights[i];
-        } else if ((u + model->release[i]) < h) {
-            h = u + model->release[i];
-            active++;
-            active_weight += model->weights[i];
-        } else {
-            /* it rests */
-        }
-        total += h;
-        weighted += model->weights[i] * h;
-    }
-    const real dynamic = (model->rotation + (model->k * u)) + model->b;
-    const play_answer answer = {((model->w0 * u) + weighted) + (dynamic * total),
-                                ((model->w0 + active_weight) + (dynamic * (real)active)) + (model->k * total)};
-    return answer;
-}
-"""
-"""`trial` in C."""
-
-SOLVE = """
-/* Command nearest to start, in the direction of the difference, at which the output is v; bounded loops. */
-static real play_command(const play_model *model, real v, real start, real lower, real upper, real resolution)
-{
-    real u = smaller_of(larger_of(start, lower), upper);
-    real y = play_trial(model, u).output;
-    if (y != v) {
-        const int rising = (y < v) ? 1 : 0;
-        real near = u;
-        real far = u;
-        real step = R(64.0) * resolution;
-        int found = 0;
-        int bracketed = 0;
-        for (int turn = 0; (turn < 64) && (found == 0) && (bracketed == 0); turn++) {
-            far = (rising != 0) ? smaller_of(near + step, upper) : larger_of(near - step, lower);
-            y = play_trial(model, far).output;
-            if (y == v) {
-                found = 1;
-            } else if (((y > v) ? 1 : 0) == rising) {
-                bracketed = 1;
-            } else if ((far == upper) || (far == lower)) {
-                found = 1;
-            } else {
-                near = far;
-                step *= R(4.0);
-            }
-        }
-        u = far;
-        if (found == 0) {
-            real below = (rising != 0) ? near : far;
-            real above = (rising != 0) ? far : near;
-            u = R(0.5) * (below + above);
-            for (int turn = 0; turn < 200; turn++) {
-                const play_answer now = play_trial(model, u);
-                if (now.output == v) {
-                    break;
-                }
-                if (now.output < v) {
-                    below = u;
-                } else {
-                    above = u;
-                }
-                if ((above - below) <= resolution) {
-                    u = R(0.5) * (below + above);
-                    break;
-                }
-                const real following = ((now.slope > R(0.0)) && ((turn % 3) != 2)) ? (u - ((now.output - v) / now.slope)) : below;
-                u = ((below < following) && (following < above)) ? following : (R(0.5) * (below + above));
-            }
-        }
-    }
-    return u;
-}
-"""
-"""`solve_command` in C."""
-
-RUN = """
-for (int axis = 0; axis < AXES; axis++) {
-    const real v = in[axis];
-    const real rate = (v - s->previous[axis]) * p->rate_factor[axis];
-    real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
-    s->previous[axis] = v;
-    rotation = smaller_of(larger_of(rotation, -p->most[axis]), p->most[axis]);
-    real *h = s->operators[axis];
-    const play_model model = {p->thresholds[axis], p->release[axis], p->weights[axis], h, COUNT,
-                              p->w0[axis], rotation, p->k[axis], p->b[axis]};
-    real u = s->command[axis];
-    SOLUTION
-    for (int i = 0; i < COUNT; i++) {
-        h[i] = larger_of(u - p->thresholds[axis][i], smaller_of(u + p->release[axis][i], h[i]));
-    }
-    s->command[axis] = u;
-    out[axis] = u;
-}
-"""
-"""`inverse_multiplicative` in C."""
-
-EXACT = """
-u = play_command(&model, v, u, p->lower[axis], p->upper[axis], RESOLUTION * (p->upper[axis] - p->lower[axis]));
-"""
-
-ITERATED = """
-for (int turn = 0; turn < ITERATIONS; turn++) {
-    const real y = play_trial(&model, u).output;
-    u = smaller_of(larger_of(u + (p->gain[axis] * (v - y)), p->lower[axis]), p->upper[axis]);
-}
-"""
-
-BEGIN = """
-for (int axis = 0; axis < AXES; axis++) {
-    for (int i = 0; i < COUNT; i++) {
-        s->operators[axis][i] = R(0.0);
-    }
-    s->previous[axis] = in[axis];
-    s->command[axis] = smaller_of(larger_of(R(0.0), p->lower[axis]), p->upper[axis]);
-}
-"""
-"""Beginning of `InverseMultiplicativeFilter.settle` in C."""
-
-
 class InverseMultiplicativeFilter(Filter):
     """Streaming inverse multiplicative structure."""
 
@@ -347,38 +201,19 @@ class InverseMultiplicativeFilter(Filter):
         return self._run(block, self.iterations)
 
     def _run(self, block: Array, iterations: int) -> Array:
-        output = np.empty_like(block)
-        w0, m1, m2, k, b = self.coefficients
-        inverse_multiplicative(
-            block,
-            self.previous,
-            self.rate_factor,
-            self.most,
-            self.thresholds,
-            self.release,
-            self.weights,
-            w0,
-            m1,
-            m2,
-            k,
-            b,
-            self.lower,
-            self.upper,
-            self.gain,
-            iterations,
-            self.state,
-            self.command,
-            output,
-        )
+        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
+        demand = (block, self.previous, self.rate_factor, self.most)
+        drive = (self.lower, self.upper, self.gain, iterations, self.state, self.command)
+        inverse_multiplicative(*demand, *operators, *self.coefficients, *drive, output)
         return output
 
     def c_code(self) -> CCode:
         w0, m1, m2, k, b = self.coefficients
-        exact = RUN.replace("SOLUTION", EXACT)
+        exact, iterated = (c_filled(C["RUN"], {"SOLUTION": C[solution]}) for solution in ("EXACT", "ITERATED"))
         return CCode(
             "inverse of play operators",
-            RUN.replace("SOLUTION", ITERATED) if self.iterations else exact,
-            BEGIN + exact,
+            iterated if self.iterations else exact,
+            C["BEGIN"] + exact,
             {"COUNT": self.thresholds.shape[1], "ITERATIONS": self.iterations},
             {
                 "thresholds": reals(self.thresholds, "V"),
@@ -400,7 +235,7 @@ class InverseMultiplicativeFilter(Filter):
                 "previous": reals(self.previous, "demand unit, demand before"),
                 "command": reals(self.command, "V, command before"),
             },
-            (LARGER, SMALLER, TRIAL, SOLVE),
+            (LARGER, SMALLER, C["TRIAL"], C["SOLVE"]),
         )
 
 
@@ -415,6 +250,7 @@ class InverseMultiplicative(Stage):
     """
 
     name: ClassVar[str] = "inverse_multiplicative"
+    ROLES: ClassVar[Role] = Role.HAS_COMPENSATOR
     thresholds: VectorPerAxis = vector("V", "of the model's operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the model's operators")
     lower: ScalarPerAxis = scalar("V", "least command")
@@ -427,10 +263,6 @@ class InverseMultiplicative(Stage):
     one_sided: bool = flag("as in the model")
     gain: ScalarPerAxis | None = scalar("V / output unit", "of a step; default 1 / greatest slope", default=None, above=0.0)
     iterations: int = count("steps per sample, 0 for the exact solution", default=4)
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)

@@ -29,13 +29,14 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
-from hyst_control.chain.c_code.madelung_c import BACKWARD, CAPACITY, FORGET, FORWARD, MEAN, SETTLE, STEP
+from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.hysteresis.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
+    Role,
     Sampling,
     Stage,
     depth,
@@ -45,6 +46,12 @@ from hyst_control.chain.stage import (
     per_axis_scalars,
     register,
 )
+
+C = c_texts(__file__)
+CAPACITY = 48
+"""Turning points that the C of an axis keeps beside those of rest, which are constants. Up to there it is the Python filter to the last
+bit; where more are nested, it forgets the loop whose end comes closest to its begin, and counts that in `forgotten`: then the loops
+outside the forgotten one are still exact, and those inside it close where it would have. The Python filter keeps all."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -245,8 +252,8 @@ class MadelungFilter(Filter):
         falling, falling_breaks, falling_size = _padded(self.falling)
         return CCode(
             "madelung",
-            STEP.replace("FOLLOW", BACKWARD if self.inverse else FORWARD),
-            SETTLE,
+            c_filled(C["STEP"], {"FOLLOW": C["BACKWARD" if self.inverse else "FORWARD"]}),
+            C["SETTLE"],
             {"CAPACITY": CAPACITY, "INVERSE": int(self.inverse), "KEY": int(self.inverse)},
             {
                 "rising_breaks": reals(rising_breaks, "normalized input"),
@@ -273,7 +280,7 @@ class MadelungFilter(Filter):
                 "moved": integers(np.zeros(axes), "1 where another branch is entered"),
                 "forgotten": integers(np.zeros(axes), "loops that found no room"),
             },
-            (FORGET, EVALUATE, SOLVE) if self.inverse else (FORGET, EVALUATE),
+            (C["FORGET"], EVALUATE, SOLVE) if self.inverse else (C["FORGET"], EVALUATE),
         )
 
     def _follow(self, axis: int, block: Array, output: Array, inverse: bool, scales: Scales) -> None:
@@ -356,6 +363,7 @@ class Madelung(Stage):
     """
 
     name: ClassVar[str] = "madelung"
+    ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
     ascending: VectorPerAxis = vector("", "polynomial p_n … p_1 of the ascending branch, or its values at the knots")
     descending: VectorPerAxis = vector("", "the descending branch likewise")
     input_scale: ScalarPerAxis = scalar("V", "length of the major loop: its upper end, where `input_offset` is 0", above=0.0)
@@ -365,14 +373,6 @@ class Madelung(Stage):
     input_offset: ScalarPerAxis = scalar(
         "V", "lower end of the major loop, below 0 for a bipolar drive", default=0.0, scatter=Scattering.NONE
     )
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def check(self) -> None:
         axes = max(len(value) if depth(value) == 2 else 1 for value in (self.ascending, self.descending))
@@ -453,7 +453,7 @@ class Madelung(Stage):
             "span": reals(span, "V"),
             "scale": reals(scale, "output unit"),
         }
-        return CCode("mean curve", MEAN, constants=constants, functions=(MAXIMUM, MINIMUM, EVALUATE))
+        return CCode("mean curve", C["MEAN"], constants=constants, functions=(MAXIMUM, MINIMUM, EVALUATE))
 
     def filter(self, sampling: Sampling) -> MadelungFilter:
         axes = sampling.axes

@@ -21,10 +21,12 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
+from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
 from hyst_control.chain.stage import (
     Filter,
+    Role,
     Sampling,
     Stage,
     depth,
@@ -35,6 +37,9 @@ from hyst_control.chain.stage import (
     register,
     scaled,
 )
+
+C = c_texts(__file__)
+SETTLE = C["SETTLE"]
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,60 +85,17 @@ def dynamic_prandtl_ishlinskii(
             output[row, axis] = w0[axis] * u + weighted + (rotation + k[axis] * u + b[axis]) * total
 
 
-STEP = """
-for (int axis = 0; axis < AXES; axis++) {
-    const real u = in[axis];
-    real total = R(0.0);
-    real weighted = R(0.0);
-    for (int i = 0; i < COUNT; i++) {
-        const real low = u - p->thresholds[axis][i];
-        const real high = u + p->release[axis][i];
-        real h = s->operators[axis][i];
-        h = (h > high) ? high : h;
-        h = (h < low) ? low : h;
-        s->operators[axis][i] = h;
-        total += h;
-        weighted += p->weights[axis][i] * h;
-    }
-    const real rate = (u - s->previous[axis]) * p->rate_factor;
-    s->previous[axis] = u;
-    const real rotation = (rate >= R(0.0)) ? (-p->m1[axis] * rate) : (p->m2[axis] * rate);
-    out[axis] = ((p->w0[axis] * u) + weighted) + (((rotation + (p->k[axis] * u)) + p->b[axis]) * total);
-}
-"""
-"""`dynamic_prandtl_ishlinskii` in C."""
+class OperatorFilter(Filter):
+    """Streaming play operators: thresholds, weights and state of all axes, at rest at 0."""
 
-SETTLE = """
-for (int axis = 0; axis < AXES; axis++) {
-    for (int i = 0; i < COUNT; i++) {
-        s->operators[axis][i] = R(0.0);
-    }
-    s->previous[axis] = in[axis];
-}
-SELF_step(s, in, out);
-"""
-"""Play operators come to rest from their virgin state, in C."""
-
-
-class PlayFilter(Filter):
-    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
-
-    def __init__(
-        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
-    ) -> None:
-        axes = sampling.axes
-        count = max(len(r) for r in thresholds)
+    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array]) -> None:
+        axes, count = sampling.axes, max(len(r) for r in thresholds)
         self.hold = sampling.hold
         # Axes with fewer operators are filled up with operators of weight 0 that never leave 0: they must not enter the sum.
-        self.thresholds = np.full((axes, count), np.inf)
-        self.weights = np.zeros((axes, count))
+        self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
         for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, : len(r)] = r
-            self.weights[axis, : len(w)] = w
-        self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
-        self.state = np.zeros((axes, count))
-        self.previous = np.zeros(axes)
-        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
+        self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
         self.rate_factor = 1.0 / sampling.sample_time
 
     def settle(self, value: Array) -> Array:
@@ -142,31 +104,27 @@ class PlayFilter(Filter):
         first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
         return first
 
+
+class PlayFilter(OperatorFilter):
+    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
+
+    def __init__(
+        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
+    ) -> None:
+        super().__init__(sampling, thresholds, weights)
+        self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
+        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+
     def process(self, block: Array) -> Array:
-        output = np.empty_like(block)
-        w0, m1, m2, k, b = self.coefficients
-        dynamic_prandtl_ishlinskii(
-            block,
-            self.previous,
-            self.rate_factor,
-            self.thresholds,
-            self.release,
-            self.weights,
-            w0,
-            m1,
-            m2,
-            k,
-            b,
-            self.state,
-            output,
-        )
+        output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
+        dynamic_prandtl_ishlinskii(block, self.previous, self.rate_factor, *operators, *self.coefficients, self.state, output)
         return output
 
     def c_code(self) -> CCode:
         w0, m1, m2, k, b = self.coefficients
         return CCode(
             "play operators",
-            STEP,
+            C["STEP"],
             SETTLE,
             {"COUNT": self.thresholds.shape[1]},
             {
@@ -246,12 +204,9 @@ class PlayOperator(Stage):
 
     name: ClassVar[str] = "play_operator"
     equation: ClassVar[str] = r"y_k = \max\left(u_k - \mathrm{threshold}, \min\left(u_k + \mathrm{threshold}, y_{k-1}\right)\right)"
+    ROLES: ClassVar[Role] = Role.HYSTERESIS
     threshold: ScalarPerAxis = scalar("input unit", "half-width", lower=0.0)
     one_sided: bool = flag("whether it is pulled down without play")
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
 
     def mean_slope(self, axes: int) -> Array:
         return np.ones(axes)
@@ -272,19 +227,13 @@ class PlayOperator(Stage):
 class OperatorModel(Stage):
     """Common part of the models of weighted play operators, which have `w0` besides."""
 
+    ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
+
     thresholds: VectorPerAxis = vector("V", "of the operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the operators")
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
-
-    @property
-    def has_compensator(self) -> bool:
-        return True
 
     def with_operators(self, thresholds: Array, weights: Array) -> Stage:
         """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""

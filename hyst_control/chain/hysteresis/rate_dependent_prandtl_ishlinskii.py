@@ -19,9 +19,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorModel, wider_operators
+from hyst_control.chain.c_code.texts import c_texts
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorFilter, OperatorModel, wider_operators
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, scalar, vector
-from hyst_control.chain.stage import Filter, Sampling, per_axis, per_axis_scalar, register, scaled
+from hyst_control.chain.stage import Sampling, per_axis, per_axis_scalar, register, scaled
+
+C = c_texts(__file__)
 
 
 @njit(cache=True, error_model="numpy")
@@ -54,45 +57,12 @@ def rate_dependent_prandtl_ishlinskii(
             output[row, axis] = value
 
 
-STEP = """
-for (int axis = 0; axis < AXES; axis++) {
-    const real u = in[axis];
-    const real widening = (p->beta[axis] * M(fabs)(u - s->previous[axis])) * p->rate_factor;
-    real value = p->w0[axis] * u;
-    s->previous[axis] = u;
-    for (int i = 0; i < COUNT; i++) {
-        const real low = (u - p->thresholds[axis][i]) - widening;
-        const real high = (u + p->thresholds[axis][i]) + widening;
-        real h = s->operators[axis][i];
-        h = (h > high) ? high : h;
-        h = (h < low) ? low : h;
-        s->operators[axis][i] = h;
-        value += p->weights[axis][i] * h;
-    }
-    out[axis] = value;
-}
-"""
-"""`rate_dependent_prandtl_ishlinskii` in C."""
-
-
-class RateDependentFilter(Filter):
+class RateDependentFilter(OperatorFilter):
     """Streaming rate-dependent Prandtl-Ishlinskii model."""
 
     def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array], w0: Array, beta: Array) -> None:
-        axes, count = sampling.axes, max(len(r) for r in thresholds)
-        self.hold = sampling.hold
-        self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
-        for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
-            self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
+        super().__init__(sampling, thresholds, weights)
         self.w0, self.beta = w0, beta
-        self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
-        self.rate_factor = 1.0 / sampling.sample_time
-
-    def settle(self, value: Array) -> Array:
-        self.state[:] = 0.0
-        self.previous[:] = value
-        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
-        return first
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
@@ -104,7 +74,7 @@ class RateDependentFilter(Filter):
     def c_code(self) -> CCode:
         return CCode(
             "rate dependent play operators",
-            STEP,
+            C["STEP"],
             SETTLE,
             {"COUNT": self.thresholds.shape[1]},
             {

@@ -14,10 +14,12 @@ from scipy.linalg import block_diag
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import COMPLEX, CCode, reals
-from hyst_control.chain.c_code.softening_modal_c import ADVANCE, COME_TO_REST, MODES
+from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.chain.parameter import AllAxes, Scattering, all_axes
-from hyst_control.chain.stage import Filter, Sampling, Stage, register
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
+
+C = c_texts(__file__)
 
 
 @register
@@ -52,6 +54,7 @@ class SofteningModal(Stage):
     """
 
     name: ClassVar[str] = "softening_modal"
+    ROLES: ClassVar[Role] = Role.MIXES_AXES | Role.HYSTERESIS
     decay: AllAxes = all_axes("log(1/s)", "of every mode", 1, scatter=Scattering.POLES)
     frequency: AllAxes = all_axes("rad/s", "of every mode; 0: a real one", 0, 1, scatter=Scattering.POLES)
     outputs: AllAxes = all_axes("measurement unit", "c, [real, imaginary] of (modes, axes)", 3)
@@ -76,14 +79,6 @@ class SofteningModal(Stage):
     product_feedthrough: AllAxes = all_axes("measurement unit / V", "of the products", 0, 1, 2, default=0.0)
     product_mean: AllAxes = all_axes("", "average of the products, (pairs of axes)", 0, 1, default=0.0)
     memory: float = all_axes("s", "over which the amplitude is averaged", 0, default=0.1, above=0.0)
-
-    @property
-    def mixes_axes(self) -> bool:
-        return True
-
-    @property
-    def is_hysteresis(self) -> bool:
-        return True
 
     def check(self) -> None:
         self.arrays(self.axes)
@@ -210,6 +205,26 @@ def softening_forces(
 
 
 @njit(cache=True)
+def softening_stops(command: Annotated[Array, "A"], numbers: Numbers, play: Array, force: Array) -> None:
+    """Stop operators of a command, from the play that they had."""
+    threshold, axes = numbers.threshold, command.size
+    for e in range(threshold.size):
+        for j in range(axes):
+            at = e * axes + j
+            play[at] = min(max(play[at], command[j] - threshold[e]), command[j] + threshold[e])
+            force[numbers.force_mean.size + at] = (command[j] - play[at]) - numbers.stop_mean[at] * command[j]
+
+
+@njit(cache=True)
+def softening_pole(i: int, g: float, numbers: Numbers) -> complex:
+    """Pole of a mode at a scheduled amplitude g; a real one of a mode that does not oscillate."""
+    decay = -np.exp(numbers.decay[i] + numbers.decay_change[i] * g)
+    if numbers.frequency[i] == 0.0:
+        return complex(decay, 0.0)
+    return complex(decay, numbers.frequency[i] + numbers.frequency_change[i] * g)
+
+
+@njit(cache=True)
 def advance_softening_modal(
     block: Annotated[Array, "N A"],
     smooth: float,
@@ -221,16 +236,8 @@ def advance_softening_modal(
 ) -> None:
     """Run the equations of `SofteningModal` over a block."""
     # last: (A,), command before, with which it is averaged for a sampled smooth source (`last[0]` NaN: a held command); updated
-    amplitude = numbers.amplitude
-    decay, frequency, decay_change, frequency_change = (
-        numbers.decay,
-        numbers.frequency,
-        numbers.decay_change,
-        numbers.frequency_change,
-    )
     c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
-    state, mean_square, force, play = memory
+    frequency, (state, mean_square, force, play) = numbers.frequency, memory
     modes, axes = c.shape
     held = np.isnan(last[0])
     drive, linear, strain = np.empty(axes), np.empty(axes), np.empty(axes)
@@ -243,12 +250,8 @@ def advance_softening_modal(
                 last[j] = block[row, j]
         mean_square[0] += smooth * (power / axes - mean_square[0])
         a = np.sqrt(mean_square[0])
-        g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
-        for e in range(threshold.size):
-            for j in range(axes):
-                at = e * axes + j
-                play[at] = min(max(play[at], drive[j] - threshold[e]), drive[j] + threshold[e])
-                force[force_mean.size + at] = (drive[j] - play[at]) - stop_mean[at] * drive[j]
+        g = (np.sqrt(a / numbers.amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+        softening_stops(drive, numbers, play, force)
         for o in range(axes):
             linear[o] = 0.0
             output[row, o] = 0.0
@@ -257,9 +260,7 @@ def advance_softening_modal(
             for j in range(force.size):
                 output[row, o] += h_d[o, j] * force[j]
         for i in range(modes):
-            pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-            if frequency[i] == 0.0:
-                pole = complex(pole.real, 0.0)
+            pole = softening_pole(i, g, numbers)
             carry = np.exp(pole * step)
             gain = (carry - 1.0) / pole
             by_command, by_force = 0j, 0j
@@ -281,37 +282,24 @@ def advance_softening_modal(
 @njit(cache=True)
 def settle_softening_modal(value: Annotated[Array, "A"], numbers: Numbers, memory: Memory, output: Annotated[Array, "A"]) -> None:
     """Bring `SofteningModal` to rest at a constant command."""
-    amplitude = numbers.amplitude
-    decay, frequency, decay_change, frequency_change = (
-        numbers.decay,
-        numbers.frequency,
-        numbers.decay_change,
-        numbers.frequency_change,
-    )
     c, b, b_change, d, h, h_d = numbers.c, numbers.b, numbers.b_change, numbers.d, numbers.h, numbers.h_d
-    force_mean, threshold, stop_mean = numbers.force_mean, numbers.threshold, numbers.stop_mean
-    state, mean_square, force, play = memory
+    frequency, (state, mean_square, force, play) = numbers.frequency, memory
     modes, axes = c.shape
     power = 0.0
     for j in range(axes):
         power += value[j] ** 2
     mean_square[0] = power / axes
     a = np.sqrt(mean_square[0])
-    g = (np.sqrt(a / amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
-    for e in range(threshold.size):
-        for j in range(axes):
-            at = e * axes + j
-            play[at] = min(max(0.0, value[j] - threshold[e]), value[j] + threshold[e])
-            force[force_mean.size + at] = (value[j] - play[at]) - stop_mean[at] * value[j]
+    g = (np.sqrt(a / numbers.amplitude) - 1.0) / (1.0 - np.sqrt(0.5))
+    play[:] = 0.0
+    softening_stops(value, numbers, play, force)
     linear, strain = np.empty(axes), np.empty(axes)
     for o in range(axes):
         linear[o] = 0.0
         for j in range(axes):
             linear[o] += d[o, j] * value[j]
     for i in range(modes):
-        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-        if frequency[i] == 0.0:
-            pole = complex(pole.real, 0.0)
+        pole = softening_pole(i, g, numbers)
         entering = 0j
         for j in range(axes):
             entering += (b[i, j] + b_change[i, j] * g) * value[j]
@@ -325,9 +313,7 @@ def settle_softening_modal(value: Annotated[Array, "A"], numbers: Numbers, memor
         for j in range(force.size):
             output[o] += h_d[o, j] * force[j]
     for i in range(modes):
-        pole = complex(-np.exp(decay[i] + decay_change[i] * g), frequency[i] + frequency_change[i] * g)
-        if frequency[i] == 0.0:
-            pole = complex(pole.real, 0.0)
+        pole = softening_pole(i, g, numbers)
         entering = 0j
         for j in range(force.size):
             entering += h[i, j] * force[j]
@@ -405,8 +391,8 @@ class SofteningModalFilter(Filter):
         names = Numbers._fields[2:]
         return CCode(
             "softening modal",
-            ADVANCE,
-            COME_TO_REST,
+            c_filled(C["ADVANCE"], {"COMMAND": "drive", "PLAY": "s->play[at]"}),
+            c_filled(C["COME_TO_REST"], {"COMMAND": "in", "PLAY": "R(0.0)"}),
             {
                 "MODES": memory.state.shape[1],
                 "FORCES": memory.force.size,
@@ -429,7 +415,7 @@ class SofteningModalFilter(Filter):
                 "force": reals(memory.force, "of the tick that begins the interval, with the stop operators and the products"),
                 "play": reals(memory.play, "V, command less what the stop operators hold"),
             },
-            (COMPLEX, MODES),
+            (COMPLEX, C["MODES"]),
         )
 
 

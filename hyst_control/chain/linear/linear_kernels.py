@@ -11,6 +11,10 @@ from numba import njit
 from numba.cpython.unsafe.tuple import tuple_setitem
 
 from hyst_control.base.arrays import Array, Integers, Mask
+from hyst_control.chain.c_code.texts import c_texts
+
+C = c_texts(__file__)
+STEP, SETTLE = (C[name] for name in ("STEP", "SETTLE"))
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
@@ -22,87 +26,6 @@ QUAD = 4
 """Rows of a matrix that are computed side by side."""
 TOGETHER = 64
 """Rows whose outputs are summed side by side: their states stay in the processor's first cache."""
-
-
-STEP = """
-const int length = LENGTH;
-number next[STATES];
-for (int column = 0; column < AXES; column++) {
-    s->history[s->position][column] = in[column];
-}
-for (int i = 0; i < SYSTEMS; i++) {
-    number newest[INPUTS];
-    number middle[INPUTS];
-    number oldest[INPUTS];
-    for (int j = 0; j < INPUTS; j++) {
-        int first = s->position - p->whole[(i * INPUTS) + j];
-        first = (first < 0) ? (first + length) : first;
-        const int second = (first > 0) ? (first - 1) : (length - 1);
-        const int third = (second > 0) ? (second - 1) : (length - 1);
-        newest[j] = s->history[first][(i * INPUTS) + j];
-        middle[j] = s->history[second][(i * INPUTS) + j];
-        oldest[j] = s->history[third][(i * INPUTS) + j];
-    }
-    for (int row = 0; row < ORDER; row++) {
-        number value = (number)0.0;
-        for (int j = p->reach[i][row][0]; j < p->reach[i][row][1]; j++) {
-            value += p->a[i][row][j] * s->x[i][j];
-        }
-        if (p->late[i] != 0) {
-            for (int j = 0; j < INPUTS; j++) {
-                value += ((p->b[i][0][row][j] * newest[j]) + (p->b[i][1][row][j] * middle[j])) + (p->b[i][2][row][j] * oldest[j]);
-            }
-        } else {
-            for (int j = 0; j < INPUTS; j++) {
-                value += p->b[i][0][row][j] * newest[j];
-            }
-        }
-        next[row] = value;
-    }
-    for (int row = 0; row < ORDER; row++) {
-        const number size = (next[row] < (number)0.0) ? -next[row] : next[row];
-        s->x[i][row] = (size > (number)TINY) ? next[row] : (number)0.0;
-    }
-    for (int row = 0; row < INPUTS; row++) {
-        number value = p->bias[(i * INPUTS) + row];
-        for (int j = 0; j < ORDER; j++) {
-            value += p->c[i][row][j] * s->x[i][j];
-        }
-        for (int j = 0; j < INPUTS; j++) {
-            value += (p->d[i][0][row][j] * newest[j]) + (p->d[i][1][row][j] * middle[j]);
-        }
-        out[(i * INPUTS) + row] = (real)value;
-    }
-}
-s->position = ((s->position + 1) < length) ? (s->position + 1) : 0;
-"""
-"""`advance_linear`, `advance_single` and `advance_few` in C: all sum in the same order."""
-
-SETTLE = """
-s->position = 0;
-for (int row = 0; row < LENGTH; row++) {
-    for (int column = 0; column < AXES; column++) {
-        s->history[row][column] = in[column];
-    }
-}
-for (int i = 0; i < SYSTEMS; i++) {
-    for (int row = 0; row < ORDER; row++) {
-        number value = p->rest[i][row][0] * (number)in[i * INPUTS];
-        for (int j = 1; j < INPUTS; j++) {
-            value = value + (p->rest[i][row][j] * (number)in[(i * INPUTS) + j]);
-        }
-        s->x[i][row] = value;
-    }
-    for (int row = 0; row < INPUTS; row++) {
-        number value = p->gain[i][row][0] * (number)in[i * INPUTS];
-        for (int j = 1; j < INPUTS; j++) {
-            value = value + (p->gain[i][row][j] * (number)in[(i * INPUTS) + j]);
-        }
-        out[(i * INPUTS) + row] = (real)(value + p->bias[(i * INPUTS) + row]);
-    }
-}
-"""
-"""`LinearFilter.settle` in C."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -41,7 +41,7 @@ from hyst_control.chain.parameter import (
     scalar,
     vector,
 )
-from hyst_control.chain.stage import Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
+from hyst_control.chain.stage import Role, Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 
 MAX_SKEW = 1e8
 """Condition number of the eigenvectors up to which a state space has modes to speak of."""
@@ -53,9 +53,7 @@ LONGEST_DELAY = 1e6
 class LinearStage(Stage):
     """A stage that is a linear continuous-time system; `systems` gives one per axis, or a single one that couples the axes."""
 
-    @property
-    def linear(self) -> bool:
-        return True
+    ROLES: ClassVar[Role] = Role.LINEAR
 
     def systems(self, axes: int) -> list[LinearSystem]:
         """One single-input system per axis, or one system for all axes where the stage couples them."""
@@ -115,6 +113,7 @@ class TransferFunction(LinearStage):
 
     name: ClassVar[str] = "transfer_function"
     equation: ClassVar[str] = r"G(s) = \frac{\mathrm{num}(s)}{\mathrm{den}(s)}"
+    ROLES: ClassVar[Role] = LinearStage.ROLES | Role.MECHANICS
     num: VectorPerAxis | AllAxes = vector("descending powers of s", "numerator", scatter=Scattering.POLES)
     den: VectorPerAxis | AllAxes = vector("descending powers of s", "denominator", scatter=Scattering.POLES)
     coupled: bool = flag("whether num is [output][input] of polynomials, and den likewise or one for all")
@@ -129,10 +128,6 @@ class TransferFunction(LinearStage):
     @property
     def mixes_axes(self) -> bool:
         return self.coupled
-
-    @property
-    def is_mechanics(self) -> bool:
-        return True
 
     def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
         return {"num": residue, "den": pole}
@@ -262,6 +257,7 @@ class StateSpace(LinearStage):
 
     name: ClassVar[str] = "state_space"
     equation: ClassVar[str] = r"\dot{x} = \mathrm{A}\, x + \mathrm{B}\, u, \quad y = \mathrm{C}\, x + \mathrm{D}\, u"
+    ROLES: ClassVar[Role] = LinearStage.ROLES | Role.MIXES_AXES
     A: AllAxes = all_axes("1/s, or 1 where discrete", "state from state", 2, scatter=Scattering.POLES)
     B: AllAxes = all_axes("", "state from input", 2)
     C: AllAxes = all_axes("", "output from state", 2)
@@ -271,10 +267,6 @@ class StateSpace(LinearStage):
     @property
     def linear(self) -> bool:
         return not self.discrete
-
-    @property
-    def mixes_axes(self) -> bool:
-        return True
 
     @property
     def is_mechanics(self) -> bool:
@@ -417,12 +409,9 @@ class CrossCoupling(LinearStage):
         r"y_i = M_{ii} u_i + \frac{1}{1 + s / (2 \pi\, \mathrm{corner}_i)} \sum_{j \neq i} M_{ij} u_j, \quad M = "
         r"\mathrm{matrix}"
     )
+    ROLES: ClassVar[Role] = LinearStage.ROLES | Role.MIXES_AXES
     matrix: AllAxes = all_axes("", "share of every input in every output, [output][input]", 2)
     corner: ScalarPerAxis | None = scalar("Hz", "of the low-pass on what comes from other axes", default=None, above=0.0)
-
-    @property
-    def mixes_axes(self) -> bool:
-        return True
 
     def check(self) -> None:
         matrix = np.array(self.matrix, dtype=float)

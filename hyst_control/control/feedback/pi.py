@@ -150,16 +150,12 @@ class RunningPI:
         self.saturated, self.overflowed = 0, ()
 
     def change(self, description: PI) -> None:
-        """Go on with other gains, limits or filters, without a jump.
+        """Go on with other gains, limits or filters, a description of the same sample time and filters, without a jump.
 
-        At the next tick the integral takes up what the proportional part gives up, so that the command differs from what it would
-        have been by no more than (ki_new - ki_old) T e and by what other limits cut off. Without integral action there is nothing to
-        take it up: then the integral is forgotten, and whoever calls has to lead the command (`control.safe_loop` does).
-
-        Parameters
-        ----------
-        description
-            The new description, of the same sample time and filters.
+        At the next tick the integral takes up what the proportional part gives up, so that the command differs from what it
+        would have been by no more than (ki_new - ki_old) T e and by what other limits cut off. Without integral action there is
+        nothing to take it up: then the integral is forgotten, and whoever calls has to lead the command (`control.safe_loop`
+        does).
         """
         if self._previous is None:
             self._previous = self._constants.copy()
@@ -198,20 +194,8 @@ class RunningPI:
     ) -> None:
         """Take over without a jump: with these inputs the next command is `command`.
 
-        Without integral action nothing would lead back from there: then only the slew limit holds.
-
-        Parameters
-        ----------
-        command
-            Command (A,), V.
-        reference
-            Reference (A,), measurement unit.
-        measurement
-            Measurement (A,), measurement unit.
-        feedforward
-            Feedforward (A,), V.
-        axes
-            Mask (A,) of the axes that are resumed.
+        Command and feedforward (A,) in V, reference and measurement (A,) in their unit, axes a mask (A,) of those that are
+        resumed. Without integral action nothing would lead back from there: then only the slew limit holds.
         """
         kp, ki_step = self._constants[:2]
         with np.errstate(all="ignore"):

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import inspect
 import math
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,19 +15,12 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from hyst_control.base.errors import InputError
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.excitation.excitation import KINDS
+from hyst_control.records.excitation.parameters import COMMON, described
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
 NOT_GIVEN = ""
 """Value of a parameter that was not given; the signal says whether it needs it."""
 OF_THE_GENERATOR = ("sample_time", "axes")
-COMMON = {
-    "lower": "Lowest value that the signal may have, signal unit.",
-    "upper": "Highest value that the signal may have, signal unit.",
-    "slew_limit": "Greatest rate that the signal may have, signal unit/s.",
-    "axis": "Index of the axis that moves; all if not given.",
-    "idle": "Value of the other axes, signal unit.",
-}
-"""Parameters that every kind of signal has."""
 
 
 @dataclass(frozen=True)
@@ -56,30 +48,11 @@ class SignalSetting(Setting):
 
 def signal_settings(kind: str) -> tuple[SignalSetting, ...]:
     """Parameters of a kind of signal."""
-    function = KINDS[kind]
-    described, settings = _described(function), []
-    for name, parameter in inspect.signature(function).parameters.items():
-        if name not in OF_THE_GENERATOR:
-            default = NOT_GIVEN if parameter.default in (inspect.Parameter.empty, None) else parameter.default
-            settings.append(_setting(name, default, described[name]))
-    own = {setting.name for setting in settings}
-    return (*settings, *(_setting(name, NOT_GIVEN, text) for name, text in COMMON.items() if name not in own))
+    own = inspect.signature(KINDS[kind]).parameters
+    defaults = {name: each.default for name, each in own.items() if name not in OF_THE_GENERATOR}
+    return tuple(_setting(kind, name, defaults.get(name)) for name in (*defaults, *(name for name in COMMON if name not in own)))
 
 
-def _setting(name: str, default: Any, text: str) -> SignalSetting:
-    found = re.search(r", ((?:signal unit|Hz|rad|s|V)\S*?)(?=[.;,]|$)", text)
-    unit, rest = (found.group(1), text.replace(found.group(0), "", 1)) if found else ("", text)
-    return SignalSetting(name, default, unit, rest.rstrip("."), -LARGEST_VALUE, LARGEST_VALUE, live=True)
-
-
-def _described(function: Callable[..., Any]) -> dict[str, str]:
-    """Texts of the parameters in a docstring, by name."""
-    section = (inspect.getdoc(function) or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
-    texts: dict[str, str] = {}
-    names: list[str] = []
-    for line in section.splitlines():
-        if line.startswith(" "):
-            texts |= {name: f"{texts.get(name, '')} {line.strip()}".strip() for name in names}
-        else:
-            names = [name.strip() for name in line.split(",")]
-    return texts
+def _setting(kind: str, name: str, default: Any) -> SignalSetting:
+    given, meant = NOT_GIVEN if default in (inspect.Parameter.empty, None) else default, described(kind, name)
+    return SignalSetting(name, given, meant.unit, meant.meaning, -LARGEST_VALUE, LARGEST_VALUE, live=True)

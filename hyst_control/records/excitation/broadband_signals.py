@@ -20,30 +20,7 @@ def multisine_lines(
     avoid_mains: bool = False,
     seed: int = 0,
 ) -> Integers:
-    """Harmonics of 1 / period that a multisine excites.
-
-    Parameters
-    ----------
-    period
-        Period, s.
-    lower_frequency
-        Lowest frequency, Hz.
-    upper_frequency
-        Highest frequency, Hz.
-    odd
-        True to take odd harmonics only.
-    detection
-        One line of every group of this many is left out at random, where a nonlinearity then shows; 0 or 1 for none.
-    avoid_mains
-        True to leave out lines within one line of a multiple of 50 or 60 Hz.
-    seed
-        Seed of the lines that are left out.
-
-    Returns
-    -------
-    Integers
-        Harmonic numbers (F,), ascending.
-    """
+    """Harmonics of 1 / period that a multisine excites."""
     lines = np.arange(max(int(np.ceil(lower_frequency * period - 1e-9)), 1), int(np.floor(upper_frequency * period + 1e-9)) + 1)
     if odd:
         lines = lines[lines % 2 == 1]
@@ -79,43 +56,6 @@ def multisine(
     """Random-phase multisine with equal amplitudes on its lines (`multisine_lines`) and separate phases for every axis.
 
     Every period is the same to the last bit.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    period
-        Period, s; a whole number of samples.
-    lower_frequency
-        Lowest frequency, Hz.
-    upper_frequency
-        Highest frequency, Hz.
-    rms
-        Root mean square about the offset, signal unit.
-    axes
-        Number of axes A.
-    offset
-        Mean, signal unit.
-    periods
-        Number of periods.
-    odd
-        True to excite odd harmonics only.
-    detection
-        Size of the groups of lines of which one is left out; 0 or 1 for none.
-    avoid_mains
-        True to leave out lines near multiples of 50 and 60 Hz.
-    seed
-        Seed of the phases and of the lines that are left out.
-
-    Returns
-    -------
-    Array
-        Rows (N, A), signal unit.
-
-    Raises
-    ------
-    InputError
-        The period is no whole number of samples, or no line lies between the frequencies.
     """
     check_size(max(number(period, "period"), period * number(periods, "periods")) * axes / sample_time)
     count = int(round(period / sample_time))
@@ -144,35 +84,7 @@ def sweep(
     duration: float = 1.0,
     logarithmic: bool = True,
 ) -> Array:
-    """Frequency sweep offset - amplitude cos φ(t), which begins at its lowest point.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    start_frequency
-        Frequency at the beginning, Hz.
-    stop_frequency
-        Frequency at the end, Hz.
-    amplitude
-        Amplitude, signal unit.
-    offset
-        Mean, signal unit.
-    duration
-        Length, s.
-    logarithmic
-        True for equal time per octave, False for a frequency that changes linearly.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-
-    Raises
-    ------
-    InputError
-        A logarithmic sweep has a frequency that is not positive.
-    """
+    """Frequency sweep offset - amplitude cos φ(t), which begins at its lowest point."""
     time = sample_times(duration, sample_time)
     if logarithmic:
         if start_frequency <= 0 or stop_frequency <= 0:

@@ -3,7 +3,7 @@
 """Reference and excitation signals, from a description to rows: used by the reference generator and offline.
 
 A description is a mapping with `signal`, the kind, and that kind's parameters (seconds, hertz, and the signal's own unit: V for
-an excitation, um or mrad for a reference). `build` turns it into rows (N, A). Every kind takes besides:
+an excitation, um or mrad for a reference); `parameters.py` declares them. `build` turns it into rows (N, A). Every kind takes besides:
 
     lower, upper   bounds of the values; a signal that leaves them is refused
     slew_limit     bound of the rate (unit/s): a jump that is held is spread along a straight line over as many samples as it takes;
@@ -162,18 +162,12 @@ def _check_bounds(kind: str, rows: Array, sample_time: float, lower: float, uppe
 
 
 def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], join: float = 0.0) -> Array:
-    """Signals one after the other.
+    """Signals one after the other, rows (N, A).
 
     Parameters
     ----------
-    sample_time
-        Sample time, s.
-    axes
-        Number of axes A.
-    parts
-        Descriptions of the signals, as for `build`.
-    join
-        Time of the half cosine that joins two signals without a jump, s; 0 for none.
+    sample_time, axes, parts, join
+        Sample time, s, number of axes, and as `records.excitation.parameters` declares them.
 
     Returns
     -------

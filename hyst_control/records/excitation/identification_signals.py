@@ -28,30 +28,6 @@ def hampi_identification(
 
     A step; quasi-static loops to the peak and to 0.6 of it; loops at every frequency to the peak, and at every second one to 0.45
     of it as well, so that rate and amplitude can be told apart.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    peak
-        Greatest command, V.
-    step_height
-        Height of the step, V.
-    frequencies
-        Frequencies (F,) of the faster loops, Hz.
-    quasi_static
-        Frequency of the quasi-static loops, Hz.
-    pause
-        Rest after each group of loops, s.
-    fast_share
-        Part of the peak that loops above 300 Hz reach, to spare the amplifier.
-    time
-        Time at every frequency, s; three loops at least.
-
-    Returns
-    -------
-    Array
-        Rows (N,), V.
     """
     longest = [1.0 / number(quasi_static, "quasi_static"), *(max(3.0 / float(f), time) for f in frequencies)]
     check_size(2 * (sum(map(abs, longest)) + len(longest) * abs(number(pause, "pause"))) / sample_time)
@@ -79,28 +55,6 @@ def mhl_identification(
     """Experiments that identify MHL (paper §4.2), each axis in turn with the others at rest at 0 V.
 
     A step; slow loops of falling amplitude; a full-amplitude sweep to 100 Hz; a small sweep to `highest` about mid-drive.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    peak
-        Greatest command, V.
-    step_height
-        Height of the step, V.
-    axes
-        Number of axes A.
-    slow
-        Frequency of the slow loops, Hz.
-    highest
-        Highest frequency of the small sweep, Hz; 0.4 of the sample rate at most.
-    sweep_time
-        Length of each sweep, s.
-
-    Returns
-    -------
-    Array
-        Rows (N, A), V.
     """
     check_size((5.0 / number(slow, "slow") + 3 * number(sweep_time, "sweep_time")) * axes**2 / sample_time)
     small = 0.1 * peak
@@ -136,28 +90,6 @@ def diagnostic(
     Rest; a step that is held (creep, drift); a small and a large multisine of two equal periods each, odd with detection lines and
     none near the mains (linear, even, odd, noise); a triangle (static curve, velocity sign); fast steps (slew, delay); rest. The
     axes move with separate phases; in the triangle and the steps they move in turn, so that cross-coupling shows.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    lowest
-        Lowest command, V.
-    highest
-        Highest command, V.
-    axes
-        Number of axes A.
-    duration
-        Approximate length, s.
-    band
-        Highest frequency of the small multisine, Hz; 0.35 of the sample rate at most.
-    seed
-        Seed of the multisines.
-
-    Returns
-    -------
-    Array
-        Rows (N, A), V.
     """
     check_size(2 * number(duration, "duration") * axes / sample_time)
     span, centre = highest - lowest, 0.5 * (lowest + highest)

@@ -13,28 +13,7 @@ from hyst_control.records.excitation.waveforms import triangle
 
 
 def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:
-    """Spiral of axes 0 and 1: offset + r(t) (cos, sin), with r growing linearly from 0 to `radius`.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    axes
-        Number of axes A, at least 2; further axes rest at the offset.
-    radius
-        Radius at the end, signal unit.
-    frequency
-        Turns per second, Hz.
-    duration
-        Length, s.
-    offset
-        Center, signal unit.
-
-    Returns
-    -------
-    Array
-        Rows (N, A), signal unit.
-    """
+    """Spiral of axes 0 and 1: offset + r(t) (cos, sin), with r growing linearly from 0 to `radius`."""
     _two_axes(axes)
     check_size(number(duration, "duration") * axes / sample_time)
     time = sample_times(duration, sample_time)
@@ -46,30 +25,7 @@ def spiral(sample_time: float, axes: int, radius: float, frequency: float, durat
 
 
 def raster(sample_time: float, axes: int, width: float, height: float, lines: int, line_time: float, offset: float = 0.0) -> Array:
-    """Raster scan: axis 0 sweeps ± width/2 as a triangle while axis 1 climbs linearly from -height/2 to height/2.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    axes
-        Number of axes A, at least 2; further axes rest at the offset.
-    width
-        Width, signal unit.
-    height
-        Height, signal unit.
-    lines
-        Number of passes of axis 0.
-    line_time
-        Time of one pass, s.
-    offset
-        Center, signal unit.
-
-    Returns
-    -------
-    Array
-        Rows (N, A), signal unit.
-    """
+    """Raster scan: axis 0 sweeps ± width/2 as a triangle while axis 1 climbs linearly from -height/2 to height/2."""
     _two_axes(axes)
     duration = lines * line_time
     check_size(number(duration, "lines") * axes / sample_time)

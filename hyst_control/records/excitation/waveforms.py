@@ -16,50 +16,14 @@ from hyst_control.records.excitation.signal_size import check_size, number, samp
 
 
 def rest(sample_time: float, duration: float, offset: float = 0.0) -> Array:
-    """Constant signal at `offset`.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    duration
-        Length, s.
-    offset
-        Value, signal unit.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Constant signal at `offset`."""
     return np.full(sample_count(duration, sample_time), number(offset, "offset"))
 
 
 def sine(
     sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0, phase: float = 0.0
 ) -> Array:
-    """Sine: offset + amplitude sin(2π frequency t + phase).
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    frequency
-        Frequency, Hz.
-    amplitude
-        Amplitude, signal unit.
-    offset
-        Mean, signal unit.
-    duration
-        Length, s.
-    phase
-        Phase at the first sample, rad; -π/2 starts at the lowest point.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Sine: offset + amplitude sin(2π frequency t + phase)."""
     return offset + amplitude * np.sin(2 * np.pi * frequency * sample_times(duration, sample_time) + phase)
 
 
@@ -71,24 +35,7 @@ def smooth_step(through: NDArray[np.floating[Any]]) -> Array:
 
 
 def cosine_ramp(sample_time: float, start: float, stop: float, duration: float) -> Array:
-    """Ramp along half a cosine, without a jump in value or rate.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    start
-        First value, signal unit.
-    stop
-        Value that the sample after the last one would have, signal unit.
-    duration
-        Length, s.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Ramp along half a cosine, without a jump in value or rate."""
     count = sample_count(duration, sample_time)
     return start + (stop - start) * 0.5 * (1 - np.cos(np.pi * np.arange(count) / count))
 
@@ -102,30 +49,7 @@ def decaying_sine(
     final: float = 0.0,
     phase: float = 0.0,
 ) -> Array:
-    """Sine whose amplitude changes linearly from `amplitude` to `final`; it grows where `final` is larger.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    frequency
-        Frequency, Hz.
-    amplitude
-        Amplitude at the beginning, signal unit.
-    offset
-        Mean, signal unit.
-    duration
-        Length, s.
-    final
-        Amplitude at the end, signal unit.
-    phase
-        Phase at the first sample, rad.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Sine whose amplitude changes linearly from `amplitude` to `final`; it grows where `final` is larger."""
     time = sample_times(duration, sample_time)
     return offset + (amplitude + (final - amplitude) * time / duration) * np.sin(2 * np.pi * frequency * time + phase)
 
@@ -138,33 +62,7 @@ def multi_frequency(
     duration: float = 1.0,
     phases: Sequence[float] | None = None,
 ) -> Array:
-    """Sum of sines: offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4).
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    frequencies
-        Frequencies (F,), Hz.
-    amplitudes
-        Amplitudes (F,), signal unit.
-    offset
-        Mean, signal unit.
-    duration
-        Length, s.
-    phases
-        Phases (F,), rad; all 0 by default.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-
-    Raises
-    ------
-    InputError
-        The three lists are empty or differ in length.
-    """
+    """Sum of sines: offset + Σ a_i sin(2π f_i t + φ_i) (MHL paper §4.3, §4.4)."""
     f, a = np.asarray(frequencies, dtype=float), np.asarray(amplitudes, dtype=float)
     p = np.zeros_like(f) if phases is None else np.asarray(phases, dtype=float)
     if not f.shape == a.shape == p.shape or f.ndim != 1 or not f.size:
@@ -175,54 +73,13 @@ def multi_frequency(
 
 
 def triangle(sample_time: float, frequency: float, amplitude: float, offset: float = 0.0, duration: float = 1.0) -> Array:
-    """Triangle between offset ± amplitude, which begins at its lowest point.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    frequency
-        Frequency, Hz.
-    amplitude
-        Amplitude, signal unit.
-    offset
-        Mean, signal unit.
-    duration
-        Length, s.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Triangle between offset ± amplitude, which begins at its lowest point."""
     phase = (frequency * sample_times(duration, sample_time)) % 1.0
     return offset + amplitude * (1.0 - 4.0 * np.abs(phase - 0.5))
 
 
 def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, ramp: float = 0.0) -> Array:
-    """Levels that are held one after the other.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    levels
-        Levels (L,), signal unit.
-    hold
-        Time at each level, s.
-    ramp
-        Time of the half cosine from one level to the next, s; 0 for a jump.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-
-    Raises
-    ------
-    InputError
-        There is no level, one is not a number, or the signal does not fit in memory.
-    """
+    """Levels that are held one after the other."""
     values = [number(level, "levels") for level in levels]
     check_size(len(values) * (number(hold, "hold") + number(ramp, "ramp")) / sample_time)
     if not values:
@@ -236,75 +93,18 @@ def staircase(sample_time: float, levels: Sequence[float] | Array, hold: float, 
 
 
 def step(sample_time: float, height: float, offset: float = 0.0, before: float = 0.01, after: float = 0.2) -> Array:
-    """Step from `offset` to offset + height.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    height
-        Height, signal unit.
-    offset
-        Value before the step, signal unit.
-    before
-        Time before the step, s.
-    after
-        Time after the step, s.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Step from `offset` to offset + height."""
     return np.concatenate([rest(sample_time, before, offset), rest(sample_time, after, offset + height)])
 
 
 def steps(sample_time: float, lowest: float, highest: float, hold: float, count: int, seed: int = 0) -> Array:
-    """Random levels between `lowest` and `highest`, each held; begins and ends at `lowest`.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    lowest
-        Lowest level, signal unit.
-    highest
-        Highest level, signal unit.
-    hold
-        Time at each level, s.
-    count
-        Number of random levels, drawn from a uniform distribution.
-    seed
-        Seed of the levels.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """Random levels between `lowest` and `highest`, each held; begins and ends at `lowest`."""
     check_size(number(count, "count") * max(number(hold, "hold") / sample_time, 1.0))
     levels = np.random.default_rng(seed).uniform(lowest, highest, int(count))
     return staircase(sample_time, [lowest, *levels, lowest], hold)
 
 
 def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> Array:
-    """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2.
-
-    Parameters
-    ----------
-    sample_time
-        Sample time, s.
-    frequency
-        Frequency, Hz.
-    peak
-        Greatest value, signal unit.
-    cycles
-        Number of loops; the length is rounded to whole samples.
-
-    Returns
-    -------
-    Array
-        Rows (N,), signal unit.
-    """
+    """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2."""
     count = sample_count(cycles / frequency, sample_time)
     return np.asarray(0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time)))
