@@ -22,6 +22,7 @@ from hyst_control.diagnose.run.collect import collect, companions, residual_evid
 from hyst_control.diagnose.run.prepare import Prepared, clean_rows, prepare
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.fit import Linearized
+from hyst_control.diagnose.search.tangents import tangents_of
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 
@@ -74,9 +75,11 @@ def searched(
     members = prepared.members(sensor_side)
     usual, few = configuration.search, priors.parents
     alone = replace(configuration, search=replace(usual, depth=1, depth_with_own_error=1))
-    together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few, screened=priors.screened))
+    together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few))
+    tangents, found = tangents_of(prepared.linearized, members), None
     for settings in (alone, together):
-        found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings)
+        given = prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings
+        found = search(*given, tangents, found)
         fits = fits_of(found, priors.kept, priors.freedom)
         weighed = weigh(fits, priors)
         other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from scipy.signal import correlate
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import correlated
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.records.repeated_periods import is_same, period_of
@@ -48,9 +48,7 @@ def _shift(command: Array, other: Array, least: int) -> int:
     rows, shifts = len(command), np.arange(-(len(command) - 1), len(other))
     begin, end = np.maximum(0, -shifts), np.minimum(rows, len(other) - shifts)
     squares = [np.concatenate([[0.0], np.cumsum(np.sum(values**2, axis=1))]) for values in (command, other)]
-    products = np.sum(
-        [correlate(other[:, axis], command[:, axis], mode="full", method="fft") for axis in range(command.shape[1])], axis=0
-    )
+    products = np.sum([correlated(other[:, axis], command[:, axis]) for axis in range(command.shape[1])], axis=0)
     energy = squares[0][end] - squares[0][begin] + squares[1][end + shifts] - squares[1][begin + shifts]
     difference = (energy - 2.0 * products) / np.maximum(end - begin, 1)
     return int(shifts[np.argmin(np.where(end - begin >= least, difference, np.inf))])

@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, minimize
-from scipy.signal import butter, sosfiltfilt
 
 from hyst_control.base.arrays import Array, Mask
+from hyst_control.base.signals import low_passed
 from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
 from hyst_control.diagnose.evidence import FlickerEvidence
 from hyst_control.records.repeated_periods import period_of
@@ -112,7 +112,7 @@ def _jumps(residual: Array, settings: FlickerSettings) -> bool:
 
 
 def _stationary(residual: Array, command: Array, settings: FlickerSettings) -> bool:
-    slow = sosfiltfilt(butter(2, settings.slow_corner, output="sos"), residual)
+    slow = low_passed(residual, settings.slow_corner)
     length = max(len(residual) // settings.segments, 1)
     begins = range(0, len(residual) - length + 1, length)
     energy = np.array([np.var(slow[a : a + length]) for a in begins])

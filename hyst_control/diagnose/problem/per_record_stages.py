@@ -19,7 +19,6 @@ from hashlib import sha256
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import Delay
@@ -105,6 +104,8 @@ class CarriedError(Stage):
 
     @cached_property
     def _splines(self) -> tuple[Any, ...]:
+        from scipy.interpolate import make_interp_spline  # takes long to import
+
         return tuple(make_interp_spline(np.arange(len(rows)), rows, k=3) for rows in self.series)
 
     def delayed(self, samples: Annotated[Array, "A"]) -> CarriedError:

@@ -17,9 +17,9 @@ from typing import Annotated
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.signal import fftconvolve
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import convolved
 
 WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
 """Samples to one side of the parabola's windows."""
@@ -88,7 +88,7 @@ def _grown(values: Array, sigma: float, left: int, right: int) -> tuple[Array, A
             break
         powers = np.vander(np.arange(-before, after + 1) / window, 3, increasing=True)
         weights = np.linalg.pinv(powers)[0]
-        estimate = fftconvolve(values, weights[::-1])[after : after + len(values)]
+        estimate = convolved(values, weights[::-1])[after : after + len(values)]
         deviation = sigma * float(np.sqrt(weights @ weights))
         low, high = np.maximum(low, estimate - AGREEMENT * deviation), np.minimum(high, estimate + AGREEMENT * deviation)
         growing = growing & (low <= high) & (rows >= before) & (rows < len(values) - after)

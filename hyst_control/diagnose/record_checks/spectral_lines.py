@@ -12,9 +12,9 @@ from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import fftconvolve, periodogram
 
 from hyst_control.base.arrays import Array, Mask
+from hyst_control.base.signals import convolved, periodogram
 from hyst_control.chain.stage import Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
 from hyst_control.diagnose.problem.problem import Problem
@@ -41,8 +41,8 @@ def lines(
     rate = 1.0 / problem.sample_time
     for axis in range(rows.shape[1]):
         signal = rows[begin : begin + count, axis]
-        frequency, power = periodogram(signal, rate, "hann")
-        spectra = periodogram(driving, rate, "hann", detrend="linear", axis=0)[1].T
+        frequency, power = periodogram(signal, rate)
+        spectra = periodogram(driving, rate, linear=True)[1].T
         width = rate / count
         ratio = power / np.maximum(background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
@@ -100,7 +100,7 @@ def command_lattice(
     if not (span > 0.0 and np.any(response)):
         return []
     later = np.append(np.diff(unexplained), 0.0)
-    matched = fftconvolve(later, np.diff(response, prepend=0.0)[::-1])[len(response) - 1 :][: len(command)]
+    matched = convolved(later, np.diff(response, prepend=0.0)[::-1])[len(response) - 1 :][: len(command)]
     place = np.rint((command - low) / span * (bins - 1)).astype(np.int64)
     sums = np.bincount(place, weights=matched, minlength=bins)
     counts = np.bincount(place, minlength=bins)
@@ -188,7 +188,7 @@ def covers_command(
     driving = piece.counted(piece.command)
     if piece.driven_beside is not None:
         driving = np.hstack([driving, piece.counted(piece.driven_beside)])
-    frequency, spectra = periodogram(driving, 1.0 / problem.sample_time, "hann", detrend="linear", axis=0)
+    frequency, spectra = periodogram(driving, 1.0 / problem.sample_time, linear=True)
     for driven in spectra.T:
         peak = _peak(frequency, driven, int(np.argmax(driven)))
         if driven[np.abs(frequency - peak) <= reach].sum() < settings.harmonic_power * driven.sum():

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfiltfilt
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import lagging, low_passed
 from hyst_control.diagnose.configuration import BudgetSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.report.attribution import Attribution
@@ -121,7 +121,7 @@ def _bands(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
     for lower, upper in zip((0.0, *settings.bands), (*settings.bands, np.inf), strict=True):
         if lower >= nyquist:
             break
-        up_to = residual if upper >= 0.95 * nyquist else sosfiltfilt(butter(2, upper / nyquist, output="sos"), residual, axis=0)
+        up_to = residual if upper >= 0.95 * nyquist else low_passed(residual, upper / nyquist)
         name = f"{lower:g}-{upper:g} Hz" if upper < 0.95 * nyquist else f"above {lower:g} Hz"
         found[name] = _blocks(((up_to - low) ** 2).sum(axis=1), settings.blocks)
         low = up_to
@@ -200,7 +200,7 @@ def _features(part: AxisDiagnosis, axis: int) -> list[tuple[str, Array]]:
     rate = np.gradient(y)
     rate /= np.sqrt(np.mean(rate**2)) + 1e-300
     delayed = [np.concatenate([np.full(n, y[0]), y[:-n]]) for n in (1, 2, 4, 8)]
-    slow = [lfilter([1 - a], [1, -a], y, zi=[a * y[0]])[0] for a in (np.exp(-1.0 / n) for n in (20, 100, 500, 2500))]
+    slow = [lagging(y, float(a), 0.0, float(1.0 - a)) for a in (np.exp(-1.0 / n) for n in (20, 100, 500, 2500))]
     turned = np.sign(np.gradient(command))
     for k in range(1, count):
         if turned[k] == 0:

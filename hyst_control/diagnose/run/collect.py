@@ -263,8 +263,8 @@ def _has_holes(piece: Piece) -> bool:
 
 
 def _flicker(problem: Problem, scored: FittedHypothesis, configuration: Configuration) -> FlickerEvidence | None:
-    """1/f noise in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
-    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
+    """1/f noise in what a hypothesis leaves; not of several axes at once, where rows are missing in between, or where nothing is left."""
+    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces) or not np.any(scored.solution.residual):
         return None
     command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)

@@ -10,9 +10,9 @@ from functools import cached_property
 from typing import Annotated, Any, cast
 
 import numpy as np
-from scipy.signal import lfilter
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import lagging
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.per_record_stages import with_sensor_delay
@@ -219,6 +219,13 @@ class Member:
         """True where the mechanics' output is linear in some of the parameters."""
         return not self.is_extra and any(parameter.sensor is not None for parameter in self.parameters)
 
+    def is_absent(self, x: Annotated[Array, "P"]) -> bool:
+        """True where all parameters are at the value at which there is no effect, of those that have one."""
+        sizes = [i for i, one in enumerate(self.parameters) if np.isfinite(one.absent)]
+        return (
+            bool(sizes) and not self.is_line and all(_natural(self.parameters[i], x[i]) == self.parameters[i].absent for i in sizes)
+        )
+
     def linear_columns(self, x: Annotated[Array, "P"]) -> tuple[list[int], Array]:
         """Derivatives by the parameters in which the mechanics' output is linear, about the nominal model.
 
@@ -267,7 +274,7 @@ class Member:
             if np.isfinite(rate):  # exact for a motion that runs straight from sample to sample
                 keep = np.exp(-rate)
                 before, now = (1.0 - keep) / rate - keep, 1.0 - (1.0 - keep) / rate
-                other, _ = lfilter([now, before], [1.0, -keep], other, zi=[other[0] * (1.0 - now)])
+                other = lagging(other, float(keep), float(before), float(now))
             found.append(piece.counted(values["coupling"] * other))
         return self.problem.whitened(np.asarray(np.concatenate(found) / self.problem.sigma[0], dtype=np.float64))
 
