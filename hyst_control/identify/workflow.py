@@ -30,6 +30,7 @@ from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dataset import Dataset, Fit, Report
+from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
@@ -190,7 +191,8 @@ def identify_records(
     trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes, unit=each.unit) for each in looked_at]
     found, remarks = examined(trials) if force else ([], refuse_invalid(trials))
     notes += [each.text() for each in remarks]
-    begun = [with_beginning(data) for data in datasets]
+    late = lateness(remarks, datasets)
+    begun = [with_beginning(taken_earlier(data, late)) for data in datasets]
     try:
         fit = identified(begun, family, method, **options)
     except InputError as error:
@@ -209,7 +211,9 @@ def identify_records(
         *fit.report["notes"],
         *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 else []),
     ]
-    return replace(fit, report={**fit.report, "verdict": verdict, "explained": shares, "notes": notes})
+    return with_delay(
+        replace(fit, report={**fit.report, "verdict": verdict, "explained": shares, "notes": notes}), late * begun[0].sample_time
+    )
 
 
 def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
