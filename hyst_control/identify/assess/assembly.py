@@ -72,17 +72,13 @@ class AxisFit:
             slopes = [(np.array([each.value for each in there]) - values) / step for there, step in zip(moved, steps, strict=True)]
             jacobian = np.array(slopes).reshape(size, len(values))
             errors = np.sqrt(np.maximum(np.einsum("pi,pq,qi->i", jacobian, self.covariance, jacobian), 0.0))
-        return [
-            {  # type: ignore[misc]  # what stands in `more` is declared
-                "name": each.name,
-                "value": float(each.value),
-                "standard_error": None if errors is None or not each.estimated else float(errors[i]),
-                "unit": each.unit,
-                **each.more,
-                "axis": axis,
-            }
-            for i, each in enumerate(nominal)
-        ]
+        rows: list[ParameterRow] = []
+        for i, each in enumerate(nominal):
+            error = None if errors is None or not each.estimated else float(errors[i])
+            rows.append({"name": each.name, "value": float(each.value), "standard_error": error, "unit": each.unit, "axis": axis})
+            if each.threshold is not None:
+                rows[-1]["threshold"] = each.threshold
+        return rows
 
 
 def side_by_side(chains: Sequence[Sequence[Stage]]) -> list[Stage]:

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple, TypedDict
 
 import numpy as np
@@ -50,17 +50,12 @@ class Dataset:
 
     def rows(self, begin: int, end: int) -> Dataset:
         """Cut the record; the start of a cut that does not begin at row 0 is unknown."""
-        return Dataset(
-            self.name,
-            self.command[begin:end],
-            self.measurement[begin:end],
-            self.sample_time,
-            self.axes,
-            self.unit,
-            self.hold,
-            self.start if begin == 0 else "unknown",
-            self.beginning if begin == 0 else None,
-            self.command_unit,
+        return replace(
+            self,
+            command=self.command[begin:end],
+            measurement=self.measurement[begin:end],
+            start=self.start if begin == 0 else "unknown",
+            beginning=self.beginning if begin == 0 else None,
         )
 
 
@@ -136,7 +131,7 @@ class Number(NamedTuple):
     value: float
     unit: str = ""
     estimated: bool = True  # Whether it has a standard error
-    more: Mapping[str, float] = {}  # Further entries of its row
+    threshold: float | None = None  # Of the play operator whose weight it is, V
 
 
 class OrderRow(TypedDict, total=False):

@@ -114,18 +114,17 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
             if window.memory is not None:
                 earlier = window.memory[turning_points(window.memory)]
                 memory = window.memory if memory is None else np.concatenate([earlier, memory])
+            part = slice(begin, end)
             chosen.append(
-                Window(
-                    window.command[begin:end],
-                    window.measurement[begin:end],
-                    window.sample_time,
-                    window.hold,
-                    skip,
-                    window.group,
-                    begin / n,
-                    size / n,
-                    memory,
-                    None if window.weight is None else window.weight[begin:end],
+                replace(
+                    window,
+                    command=window.command[part],
+                    measurement=window.measurement[part],
+                    skip=skip,
+                    begin=begin / n,
+                    share=size / n,
+                    memory=memory,
+                    weight=None if window.weight is None else window.weight[part],
                 )
             )
     return chosen

@@ -27,24 +27,7 @@ O = TypeVar("O", bound=Options)  # noqa: E741
 E = TypeVar("E", bound="type[Estimator[Any]]")
 
 
-RESERVED_NAMES = frozenset(
-    {
-        "allow_gaps",
-        "bags",
-        "family",
-        "figure",
-        "help",
-        "hold",
-        "json",
-        "model",
-        "namespace",
-        "once",
-        "output",
-        "quiet",
-        "start",
-        "unit",
-    }
-)
+RESERVED_NAMES = frozenset("allow_gaps bags family figure help hold json model namespace once output quiet start unit".split())
 """Names that options may not have: `hyst identify` and the node use them."""
 
 

@@ -86,7 +86,7 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
         if options.structure is None:
             model = model_of(cleaned, axes)
             axes = list(map_forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
-        final = map_forked(lambda index: refit(axis_windows(cleaned, index), axes[index], options.nuisance), len(axes))
+        final = map_forked(lambda index: refit(cleaned, index, axes[index], options.nuisance), len(axes))
         return _assembled(datasets, list(final), options.method, coupling)
 
 
@@ -102,14 +102,14 @@ def model_of(datasets: Sequence[Dataset], axes: Sequence[Found]) -> Model:
     return chain_model(datasets, side_by_side(chains), "plain")
 
 
-def axis_windows(datasets: Sequence[Dataset], index: int) -> list[Window]:
+def axis_windows(datasets: Sequence[Dataset], index: int, sign: float = 1.0) -> list[Window]:
     """Records of one axis, counted from the end of its initial loading curve, which Madelung's rules do not describe.
 
     On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
     curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.
     """
     records = whole_records(datasets, index, weighted=False)
-    return [replace(window, skip=max(window.skip, virgin_rows(window.command))) for window in records]
+    return [with_sign(replace(window, skip=max(window.skip, virgin_rows(window.command))), sign) for window in records]
 
 
 def with_coupling(
@@ -132,7 +132,11 @@ def with_coupling(
 
 def refined_axes(datasets: Sequence[Dataset], axes: Sequence[Found], nuisance: str) -> list[Found]:
     """Refine every axis by a few passes, on all cores."""
-    return list(map_forked(lambda index: refined(axis_windows(datasets, index), axes[index], nuisance, passes=3), len(axes)))
+
+    def work(index: int) -> Found:
+        return refined(axis_windows(datasets, index, axes[index].axis.sign), axes[index], nuisance, passes=3)
+
+    return list(map_forked(work, len(axes)))
 
 
 def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None) -> Found:
@@ -156,25 +160,21 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
     else:
         axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
     found = Found(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
-    return refined(windows, found, options.nuisance, passes=6)
+    return refined(turned, found, options.nuisance, passes=6)
 
 
-def refined(windows: Sequence[Window], found: Found, nuisance: str, passes: int) -> Found:
+def refined(turned: Sequence[Window], found: Found, nuisance: str, passes: int) -> Found:
     """Refine the parameters over stretches of all records."""
-    turned = [with_sign(window, found.axis.sign) for window in windows]
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
-    solution = minimize_simulation_error(
-        many, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=passes, everything=True
-    )
+    problem = found.axis.parametrization()
+    solution = minimize_simulation_error(many, problem, found.vector, nuisance=nuisance, passes=passes, everything=True)
     return replace(found, vector=solution.parameters)
 
 
-def refit(windows: Sequence[Window], found: Found, nuisance: str) -> Found:
+def refit(datasets: Sequence[Dataset], index: int, found: Found, nuisance: str) -> Found:
     """Last passes over every row of every record, with the covariance of the parameters and the offset."""
-    turned = [with_sign(window, found.axis.sign) for window in windows]
-    solution = minimize_simulation_error(
-        turned, found.axis.parametrization(), found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True
-    )
+    turned, problem = axis_windows(datasets, index, found.axis.sign), found.axis.parametrization()
+    solution = minimize_simulation_error(turned, problem, found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True)
     offset = mean_offset(solution, turned, nuisance)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
 
@@ -329,7 +329,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: Found, in
     frequency = unexplained_frequency(signals, axis.sample_time)
     if axis.structure.modes > 1 or frequency is None:
         return found
-    turned = [with_sign(window, axis.sign) for window in axis_windows(datasets, index)]
+    turned = axis_windows(datasets, index, axis.sign)
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)

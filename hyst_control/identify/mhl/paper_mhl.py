@@ -86,8 +86,10 @@ def _with_pair(windows: Sequence[Window], axis: Axis, whole: Array, plain: Solut
         simulated = _run(axis.stages(whole), signal, Sampling(window.sample_time, 1, window.hold))[first:]
         signals.append((window.command[window.skip :], (window.measurement - simulated)[window.skip :]))
     frequency = unexplained_frequency(signals, axis.sample_time)
+    if frequency is None:
+        return plain, axis
     best, richest = plain, axis
-    for damping in PAIR_DAMPINGS if frequency is not None else ():
+    for damping in PAIR_DAMPINGS:
         structure, start = pole_zero_pair(replace(axis.structure, delay=False), plain.parameters, frequency, damping)
         richer = replace(axis, structure=replace(structure, delay=True))
         dynamics = _dynamics_of(richer, np.concatenate([whole[: axis.curves.size + 2], start, whole[-1:]]))

@@ -81,8 +81,8 @@ class RateDependent(_Operators[OperatorOptions]):
     Options = OperatorOptions
 
     def fit_axis(self, datasets: Sequence[Dataset], index: int, options: OperatorOptions) -> AxisFit:
-        problem, *found = fit_rate_dependent(axis_problem(datasets, index, options))
-        return axis_fit(datasets, index, problem.operators, *found, dynamics=False)
+        problem, solution, held_out = fit_rate_dependent(axis_problem(datasets, index, options))
+        return axis_fit(datasets, index, problem.operators, solution, held_out, dynamics=False)
 
 
 @register

@@ -87,7 +87,7 @@ def _hysteresis(operators: Operators, theta: Array) -> Stage:
 def _numbers(operators: Operators, structure: Structure, vector: Array, unit: str) -> list[Number]:
     count = len(operators.thresholds)
     slope = f"{unit}/V"
-    found = [Number(f"weights[{i}]", vector[i], slope, more={"threshold": float(operators.thresholds[i])}) for i in range(count)]
+    found = [Number(f"weights[{i}]", vector[i], slope, threshold=float(operators.thresholds[i])) for i in range(count)]
     if operators.dynamic:
         m1, m2, k = vector[count : count + 3]
         found += [Number("m1", m1, f"{unit} s/V^2"), Number("m2", m2, f"{unit} s/V^2"), Number("k", k, f"{unit}/V^2")]

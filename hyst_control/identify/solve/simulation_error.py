@@ -413,18 +413,16 @@ def short_stretches(windows: Sequence[Window], rows: int, length: float, settle:
             earlier = np.concatenate([remembered, window.command[turns[turns < begin]]]) if begin else None
             memory = window.memory if earlier is None else earlier[surviving_turns(earlier)]
             skip = min(max(int(settle / window.sample_time) if begin else 0, window.skip - begin), size - 1)
-            part = slice(begin, end)
             chosen.append(
-                Window(
-                    window.command[part],
-                    window.measurement[part],
-                    window.sample_time,
-                    window.hold,
-                    skip,
-                    window.group,
-                    window.begin + window.share * begin / n,
-                    window.share * size / n,
-                    memory,
+                replace(
+                    window,
+                    command=window.command[begin:end],
+                    measurement=window.measurement[begin:end],
+                    skip=skip,
+                    begin=window.begin + window.share * begin / n,
+                    share=window.share * size / n,
+                    memory=memory,
+                    weight=None,
                 )
             )
     return chosen
