@@ -27,6 +27,7 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
+from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
@@ -34,18 +35,7 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.hysteresis.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
-from hyst_control.chain.stage import (
-    Filter,
-    Role,
-    Sampling,
-    Stage,
-    depth,
-    frozen,
-    per_axis,
-    per_axis_scalar,
-    per_axis_scalars,
-    register,
-)
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
 
 C = c_texts(__file__)
 CAPACITY = 48

@@ -20,23 +20,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars, scaled
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
-from hyst_control.chain.stage import (
-    Filter,
-    Role,
-    Sampling,
-    Stage,
-    depth,
-    frozen,
-    per_axis,
-    per_axis_scalar,
-    per_axis_scalars,
-    register,
-    scaled,
-)
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
 
 C = c_texts(__file__)
 SETTLE = C["SETTLE"]
