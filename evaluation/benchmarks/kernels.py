@@ -168,5 +168,5 @@ def madelung(library: ctypes.CDLL) -> Pair:
 
 def _call(function: Any, *arguments: NDArray[Any] | int | float) -> None:
     """Call a C function with arrays, whole numbers and real numbers."""
-    kinds = {int: ctypes.c_long, float: ctypes.c_double, np.float64: ctypes.c_double}
+    kinds: dict[type, Any] = {int: ctypes.c_long, float: ctypes.c_double, np.float64: ctypes.c_double}
     function(*(ctypes.c_void_p(one.ctypes.data) if isinstance(one, np.ndarray) else kinds[type(one)](one) for one in arguments))

@@ -102,7 +102,8 @@ class PlayFilter(OperatorFilter):
     ) -> None:
         super().__init__(sampling, thresholds, weights)
         self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
-        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        w0, m1, m2, k, b = (coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        self.coefficients = (w0, m1, m2, k, b)
 
     def process(self, block: Array) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)

@@ -86,7 +86,7 @@ def _declarations() -> dict[str, dict[str, dict[str, Any]]]:
 
 def settings_of(node: str) -> tuple[Setting, ...]:
     """Parameters of a node, or those that are `common`, as `settings.yaml` declares them."""
-    lists = {
+    lists: dict[str, dict[str, Any]] = {
         name: {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
         for name, given in _declarations()[node].items()
     }
