@@ -89,47 +89,17 @@ def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
     running = stage.filter(Sampling(5e-5, 1))
     command = np.ascontiguousarray(25.0 * (1.0 - np.cos(0.01 * np.arange(ROWS)))).reshape(-1, 1)
     output = np.empty_like(command)
-    w0, m1, m2, k, b = running.coefficients
 
     def own() -> Array:
         running.settle(command[0])
-        dynamic_prandtl_ishlinskii(
-            command,
-            running.previous,
-            running.rate_factor,
-            running.thresholds,
-            running.release,
-            running.weights,
-            w0,
-            m1,
-            m2,
-            k,
-            b,
-            running.state,
-            output,
-        )
+        operators = (running.thresholds, running.release, running.weights, *running.coefficients)
+        dynamic_prandtl_ishlinskii(command, running.previous, running.rate_factor, *operators, running.state, output)
         return output.copy()
 
     def other() -> Array:
         running.settle(command[0])
-        library.dynamic_prandtl_ishlinskii(
-            _long(ROWS),
-            _long(1),
-            _long(10),
-            _at(command),
-            _at(running.previous),
-            ctypes.c_double(running.rate_factor),
-            _at(running.thresholds),
-            _at(running.release),
-            _at(running.weights),
-            _at(w0),
-            _at(m1),
-            _at(m2),
-            _at(k),
-            _at(b),
-            _at(running.state),
-            _at(output),
-        )
+        arrays = (running.thresholds, running.release, running.weights, *running.coefficients, running.state, output)
+        _call(library.dynamic_prandtl_ishlinskii, ROWS, 1, 10, command, running.previous, running.rate_factor, *arrays)
         return output.copy()
 
     return Pair("modified_prandtl_ishlinskii", own, other)
@@ -159,16 +129,7 @@ def linear(library: ctypes.CDLL) -> Pair:
 
     def other() -> Array:
         running.settle(block[0])
-        library.advance_single(
-            _long(ROWS),
-            _long(1),
-            _long(running.a.shape[1]),
-            _long(len(running.history)),
-            _at(block),
-            *(_at(array) for array in arrays),
-            _long(0),
-            _at(output),
-        )
+        _call(library.advance_single, ROWS, 1, running.a.shape[1], len(running.history), block, *arrays, 0, output)
         return output.copy()
 
     return Pair("transfer_function", own, other)
@@ -192,32 +153,20 @@ def madelung(library: ctypes.CDLL) -> Pair:
 
     def own() -> Array:
         start()
-        madelung_branches(source, False, *rising, *falling, running.full[0], running.end_slope[0], stack, depth, last, output, 0)
+        curves = (*rising, *falling, running.full[0], running.end_slope[0])
+        madelung_branches(source, False, curves, (stack, depth, last), output, 0)
         return output.copy()
 
     def other() -> Array:
         start()
-        library.madelung_branches(
-            _long(ROWS),
-            _long(5),
-            _at(source),
-            _at(rising[1]),
-            _at(falling[1]),
-            ctypes.c_double(running.full[0]),
-            _at(running.end_slope[0]),
-            _at(stack),
-            _at(depth),
-            _at(last),
-            _at(output),
-        )
+        curves = (rising[1], falling[1], running.full[0], running.end_slope[0])
+        _call(library.madelung_branches, ROWS, 5, source, *curves, stack, depth, last, output)
         return output.copy()
 
     return Pair("madelung", own, other)
 
 
-def _long(value: int) -> ctypes.c_long:
-    return ctypes.c_long(value)
-
-
-def _at(array: NDArray[Any]) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
+def _call(function: Any, *arguments: NDArray[Any] | int | float) -> None:
+    """Call a C function with arrays, whole numbers and real numbers."""
+    kinds: dict[type, Any] = {int: ctypes.c_long, float: ctypes.c_double, np.float64: ctypes.c_double}
+    function(*(ctypes.c_void_p(one.ctypes.data) if isinstance(one, np.ndarray) else kinds[type(one)](one) for one in arguments))

@@ -27,7 +27,7 @@ def open_loop(
     **how: Any,
 ) -> Path:
     """Run the five nodes over a command (N, A) in V; the bag."""
-    nodes = {
+    nodes: dict[str, dict[str, Any]] = {
         feedforward: {"kind": "proportional", "gain": [1.0], "offset": [0.0]},
         "pi_feedback": {"lower": rating[0], "upper": rating[1], "start": start},
         "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": seed},

@@ -137,19 +137,7 @@ class Model(model_file.Model, Shown):
     def simulate(self, command: ArrayLike, rate: float | None = None, *, seed: int | None = None) -> Record:
         """Simulate the stage, at rest at the first command.
 
-        Parameters
-        ----------
-        command
-            Command (N,) or (N, A), V.
-        rate
-            Sample rate, Hz; the model's by default.
-        seed
-            Add the model's noise, drawn with this seed; none by default.
-
-        Returns
-        -------
-        Record
-            Command and measurement.
+        The command (N,) or (N, A) in V, at a rate in Hz, the model's by default. A seed adds the model's noise, drawn with it.
         """
         rows = rows_of("command", command)
         if rows.shape[1] != len(self.axes):
@@ -164,18 +152,7 @@ class Model(model_file.Model, Shown):
         )
 
     def score(self, record: Record) -> Score:
-        """Score the model on a record that it was not fitted to.
-
-        Parameters
-        ----------
-        record
-            The record.
-
-        Returns
-        -------
-        Score
-            Errors; as a number the coefficient of determination.
-        """
+        """Score the model on a record that it was not fitted to: errors; as a number the coefficient of determination."""
         table = validate_record({self.name: self}, record, "score")
         shares = []
         for data in compared_stretches(record):
@@ -184,36 +161,16 @@ class Model(model_file.Model, Shown):
         return Score(table, float(np.min(shares)), self, record)
 
     def plot(self, record: Record, path: str | Path | None = None) -> list[Axes]:
-        """Draw measured and simulated signals, what is left, the loops, and how what is left correlates.
+        """Draw measured and simulated signals of a record, what is left, the loops, and how what is left correlates.
 
-        Parameters
-        ----------
-        record
-            The record.
-        path
-            File to write as well: .png, .svg, .pdf or .html.
-
-        Returns
-        -------
-        list of Axes
-            The axes of matplotlib.
+        Give a path to write the figure as well: .png, .svg, .pdf or .html. Returns the axes of matplotlib.
         """
         return drawn(beside(self, record), f"{self.name} on {record.source}", path)
 
     def bode(self, record: Record | None = None, path: str | Path | None = None) -> list[Axes]:
         """Draw the frequency response, the hysteresis replaced by its mean slope, over that of a record where one is given.
 
-        Parameters
-        ----------
-        record
-            Record whose response and coherence are drawn beside it.
-        path
-            File to write as well: .png, .svg, .pdf or .html.
-
-        Returns
-        -------
-        list of Axes
-            The axes of matplotlib.
+        Give a path to write the figure as well, as in `plot`.
         """
         return drawn(bode_of(self, record), self.name, path)
 
@@ -326,17 +283,8 @@ class Inverse(Shown):
     def plot(self, reference: ArrayLike, path: str | Path | None = None) -> list[Axes]:
         """Draw a reference, the motion that the model predicts for its command, and the command.
 
-        Parameters
-        ----------
-        reference
-            Samples (N,) or (N, A) in the measurement unit, which begin at rest.
-        path
-            File to write as well: .png, .svg, .pdf or .html.
-
-        Returns
-        -------
-        list of Axes
-            The axes of matplotlib.
+        The reference (N,) or (N, A) in the measurement unit begins at rest. Give a path to write the figure as well, as in
+        `Model.plot`.
         """
         wanted = rows_of("reference", reference)
         predicted = self.model.simulate(self(wanted), 1.0 / self.sample_time)

@@ -65,7 +65,7 @@ class GainDrift(Drift):
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
         course = drift_course(self, axes)
-        return lambda u, t: u * (1.0 + change * (initial + arrived(t[:, 0], *course)))
+        return lambda u, t: u * (1.0 + change * (initial + arrived(t[:, 0], course)))
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u * (R(1.0) + (p->change[i] * (p->initial[i] + SHARE)))", "gain drift")
@@ -85,18 +85,17 @@ def drift_times(tau: Annotated[Array, "A"], decades: Annotated[Array, "A"]) -> A
     return spread
 
 
+Course = tuple[Array, Array, Array, Array]
+"""Time constants (A, K), onset, length (0: to the end) and smoothness (A,) of a drift."""
+
+
 @njit(cache=True, error_model="numpy")
-def arrived(
-    times: Annotated[Array, "N"],
-    constants: Annotated[Array, "A K"],
-    onset: Annotated[Array, "A"],
-    lasts: Annotated[Array, "A"],
-    smooth: Annotated[Array, "A"],
-) -> Annotated[Array, "N A"]:
+def arrived(times: Annotated[Array, "N"], course: Course) -> Annotated[Array, "N A"]:
     """Share of a drift that has come: the mean of 1 - exp(-t / τ_i) over its time constants, t from the onset on and up to its end.
 
     Between the two t goes as x + smooth (S(x) - x), S(x) = 3 x² - 2 x³, x the part of that time that is over.
     """
+    constants, onset, lasts, smooth = course
     axes, count = constants.shape
     output = np.empty((times.size, axes))
     for row in range(times.size):
@@ -111,7 +110,7 @@ def arrived(
     return output
 
 
-def drift_course(stage: Stage, axes: int) -> tuple[Array, Array, Array, Array]:
+def drift_course(stage: Stage, axes: int) -> Course:
     """Time constants (A, K), onset, duration (s) and smoothness (A,) of a drift, as `arrived` takes them."""
     tau, decades = per_axis_scalars(stage, axes, "tau", "decades")
     onset, lasts, smooth = per_axis_scalars(stage, axes, "onset", "lasts", "smooth")
@@ -198,7 +197,7 @@ def _share_of_span(values: Values) -> Array:
         )
     )
     times = drift_times(tau, decades)
-    return np.array([arrived(np.array([end]), times, onset, lasts, smooth)[0, axis] for axis, end in enumerate(span)])
+    return np.array([arrived(np.array([end]), (times, onset, lasts, smooth))[0, axis] for axis, end in enumerate(span)])
 
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:

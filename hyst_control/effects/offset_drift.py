@@ -37,7 +37,7 @@ class OffsetDrift(Drift):
     def function(self, axes: int) -> Callable[[Array, Array], Array]:
         change, initial = per_axis_scalars(self, axes, "change", "initial")
         course = drift_course(self, axes)
-        return lambda u, t: u + change * (initial + arrived(t[:, 0], *course))
+        return lambda u, t: u + change * (initial + arrived(t[:, 0], course))
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u + (p->change[i] * (p->initial[i] + SHARE))", "offset drift")

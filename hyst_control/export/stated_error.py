@@ -40,26 +40,18 @@ from hyst_control.model_file import Model
 C = c_texts(__file__)
 
 
+Constants = tuple[Array, Integers, Array, Array, Array, Array, Array]
+"""Scale (A, 3): center and span, V, and the change of the scaled command over the rate's difference at the largest rate; ticks (A, 5);
+half widths; factors of the low-passes (A, P); mean (A, F), factor (A, F, K) and rest (A,) of the error."""
+State = tuple[Integers, Array, Array, Array, Array, Array]
+"""Position in the ring, the ring (A, L), memories of the features, and the features where it has settled (A, F)."""
+
+
 @njit(cache=True, error_model="numpy")
-def stated_errors(
-    command: Annotated[Array, "N A"],
-    scale: Annotated[Array, "A 3"],
-    ticks: Integers,
-    half_widths: Annotated[Array, "P"],
-    keeps: Annotated[Array, "P"],
-    mean: Annotated[Array, "A F"],
-    factor: Annotated[Array, "A F"],
-    rest: Annotated[Array, "A F"],
-    position: Integers,
-    ring: Annotated[Array, "1"],
-    turning: Annotated[Array, "A 3"],
-    plays: Annotated[Array, "A 3"],
-    slow: Annotated[Array, "A 3"],
-    begin: Annotated[Array, "A F"],
-    error: Annotated[Array, "N 2 A"],
-) -> None:
+def stated_errors(command: Annotated[Array, "N A"], constants: Constants, state: State, error: Annotated[Array, "N 2 A"]) -> None:
     """Follow the features over a block and state the error."""
-    # scale: (A, 3): center and span, V, and the change of the scaled command over the rate's difference at the largest rate
+    scale, ticks, half_widths, keeps, mean, factor, rest = constants
+    position, ring, turning, plays, slow, begin = state
     axes, length = ring.shape
     features = np.empty(mean.shape[1])
     for row in range(command.shape[0]):
@@ -133,7 +125,7 @@ class StatedError(Filter):
         error = np.empty((len(block), 2 * block.shape[1]))
         constants = (self.scale, self.ticks, np.array(PLAYS), self.keeps, self.mean, self.factor, self.rest)
         state = (self.position, self.ring, self.turning, self.plays, self.slow, self.begin)
-        stated_errors(block, *constants, *state, error)
+        stated_errors(block, constants, state, error)
         return error
 
     def c_code(self) -> CCode:

@@ -28,7 +28,7 @@ from hyst_control.model_file import load_model
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import Sender
-from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import settings_of
 from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.actuator_following import APPLIED, FollowingWatch
 from hyst_control.records.bags.bag_reader import read_bag
@@ -65,41 +65,7 @@ class DiagnosisNode(SignalNode):
     gets the bag, gap.json, augmented.yaml (if there is an effect to add) and the printed report.
     """
 
-    SETTINGS = (
-        Setting("model", "", "", "model file of the simulator"),
-        Setting(
-            "baseline", ("",), "", "bags of clean records: what the model leaves on them is its own error, and raises no alarm"
-        ),
-        Setting("window", 0.1, "s", "length of a judged window", 1e-4, 1e3),
-        Setting("settle", 0.1, "s", "time that is not judged after the start and after a gap in the ticks", 0.0, 1e4),
-        Setting(
-            "calibrate",
-            0.5,
-            "s",
-            "time at the start in which coefficients (within their tolerance) and noise are learned",
-            1e-3,
-            1e4,
-        ),
-        Setting("false_alarm_rate", 0.1, "1/h", "highest expected rate of false alarms", 1e-9, 1e4, live=True),
-        Setting(
-            "consecutive",
-            3,
-            "windows",
-            "successive windows above the threshold that raise the alarm, or below it that end it",
-            1,
-            1000,
-        ),
-        Setting(
-            "bridge", 10, "ticks", "most successive ticks without a command that count as holding the newest one", 0, 1_000_000
-        ),
-        Setting("buffer", 2.0, "s", "length of the newest data kept for the diagnosis", 0.01, 1e4),
-        Setting(
-            "output",
-            "diagnosis",
-            "",
-            "folder for the results of ~/diagnose; only here does anybody write, so it is set at the start",
-        ),
-    )
+    SETTINGS = settings_of("diagnosis")
 
     def __init__(self, name: str = "diagnosis", **options: Any) -> None:
         super().__init__(name, **options)

@@ -25,7 +25,7 @@ from hyst_control.nodes.loop.slope_warning import warn_of_slope
 from hyst_control.nodes.loop.takeover import Takeover
 from hyst_control.nodes.signal_node.common_parameters import BACKEND, TIMER, C
 from hyst_control.nodes.signal_node.managed import AUTOSTART, ManagedNode
-from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import settings_of
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.actuator_following import CLOSE
 from hyst_control.records.stream.signal_message import label_for
@@ -51,132 +51,7 @@ class PiFeedback(ManagedNode):
     the states.
     """
 
-    SETTINGS = (
-        Setting("feedback", True, "", "close the loop"),
-        Setting("kp", 0.0, "V per unit", "proportional gain", 0.0, 1e9, live=True),
-        Setting("ki", 0.0, "V per unit and s", "integral gain", 0.0, 1e12, live=True),
-        Setting(
-            "roll_off", 0.0, "Hz", "corner of a low-pass of the error, 0 for none (see hyst tune --roll-off)", 0.0, 1e9, live=True
-        ),
-        Setting("kd", 0.0, "V s per unit", "derivative gain (see hyst tune --structure)", 0.0, 1e9),
-        Setting("derivative_corner", 0.0, "Hz", "corner of a low-pass of the derivative, 0 for none", 0.0, 1e9),
-        Setting("notch_frequency", (0.0,), "Hz", "frequency of each notch of the error, 0 for none", 0.0, 1e9),
-        Setting("notch_width", (0.7,), "1", "damping ratio of the poles, of all notches or of each", 0.0, 1e3),
-        Setting("notch_depth", (0.1,), "1", "gain at the notch's frequency, of all notches or of each", 0.0, 1.0),
-        Setting("damping_gain", 0.0, "V per unit", "gain of the damping of a resonance, 0 for none", 0.0, 1e9),
-        Setting("damping_corner", 0.0, "Hz", "corner of the damping's low-pass", 0.0, 1e9),
-        Setting("tracking_time", 0.0, "s", "time constant of the anti-windup, 0 for kp / ki", 0.0, 1e6, live=True),
-        Setting("lower", 0.0, "V", "lowest command", -1e6, 1e6, live=True, wider="lower"),
-        Setting("upper", 100.0, "V", "highest command", -1e6, 1e6, live=True, wider="higher"),
-        Setting(
-            "slew_limit",
-            0.0,
-            "V/s",
-            "greatest slope of the command, 0 for none",
-            0.0,
-            1e12,
-            live=True,
-            wider="higher",
-            off=True,
-        ),
-        Setting(
-            "start",
-            "rest",
-            "",
-            "slew the first command from 0 V (rest), or let it be any (first_command)",
-            choices=("rest", "first_command"),
-        ),
-        Setting("safe_command", (0.0,), "V", "command of a stopped loop, one value for all axes or one each", -1e6, 1e6, live=True),
-        Setting(
-            "safe_rate",
-            1000.0,
-            "V/s",
-            "slope towards the safe command, and back where the integral action cannot take over",
-            1e-6,
-            1e12,
-            live=True,
-            wider="lower",
-        ),
-        Setting(
-            "axis_fault",
-            "all",
-            "",
-            "axes that go to their safe value when one axis has a fault: all, or only that one (own)",
-            choices=("all", "own"),
-            live=True,
-        ),
-        Setting(
-            "rival",
-            "safe",
-            "",
-            "reaction to another publisher of command: go to the safe value (safe), publish nothing (silent), or only warn (warn)",
-            choices=("safe", "silent", "warn"),
-            live=True,
-        ),
-        Setting(
-            "rival_time",
-            0.5,
-            "s",
-            "time for which such a publisher must be silent until that is over",
-            0.05,
-            1e6,
-            live=True,
-            wider="lower",
-        ),
-        Setting(
-            "takeover_time",
-            2.0,
-            "s",
-            "longest time for which a starting node waits for the present command if somebody publishes applied, 0 for not at all",
-            0.0,
-            1e3,
-        ),
-        Setting(
-            "recovery",
-            "automatic",
-            "",
-            "end of a fault: automatic, or manual by ~/reset",
-            choices=("automatic", "manual"),
-            live=True,
-        ),
-        Setting(
-            "recovery_time",
-            0.1,
-            "s",
-            "time without a fault after which the loop continues, with automatic recovery",
-            0.0,
-            1e6,
-            live=True,
-            wider="lower",
-        ),
-        Setting("measurement_lower", -1e6, "um or mrad", "a lower measurement is a fault", -1e12, 1e12, live=True, wider="lower"),
-        Setting("measurement_upper", 1e6, "um or mrad", "a higher measurement is a fault", -1e12, 1e12, live=True, wider="higher"),
-        Setting(
-            "frozen_time",
-            0.1,
-            "s",
-            "time after which a constant measurement is a fault if the command moves by 1 % of its range, 0 for never",
-            0.0,
-            1e6,
-            live=True,
-            wider="higher",
-            off=True,
-        ),
-        BACKEND,
-        AUTOSTART,
-        Setting("saturation_time", 0.5, "s", "time after which a command at its limits is a warning", 1e-6, 1e6, live=True),
-        Setting(
-            "overrun_ticks",
-            100,
-            "ticks",
-            "successive ticks longer than their interval that are a fault, 0 for never",
-            0,
-            1_000_000,
-            live=True,
-            wider="higher",
-            off=True,
-        ),
-    )
+    SETTINGS = (*settings_of("pi_feedback"), BACKEND, AUTOSTART)
 
     def __init__(self, name: str = "pi_feedback", **options: Any) -> None:
         super().__init__(name, **options)

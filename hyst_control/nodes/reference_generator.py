@@ -17,7 +17,7 @@ from hyst_control.base.yaml_files import read_yaml
 from hyst_control.nodes.execution.run import main as run_main
 from hyst_control.nodes.loop.takeover import DISCOVERY
 from hyst_control.nodes.signal_node.base import SignalNode
-from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting, settings_of
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.nodes.signal_node.signal_settings import NOT_GIVEN, signal_settings
 from hyst_control.records.excitation import excitation
@@ -37,48 +37,7 @@ class ReferenceGenerator(SignalNode):
     """
 
     FURTHER = "and the parameters of the kind of signal, live: hyst excite --list"
-    SETTINGS = (
-        Setting("signal", "rest", "", "kind of signal, a .npy file (rows by axes), or a .yaml file with its description"),
-        Setting("lead", 0, "samples", "rows published ahead, for a feedforward that previews", 0, 10_000_000),
-        Setting("repeat", False, "", "start the signal again at its end"),
-        Setting("model", "", "", "model file; a signal beyond its reachable stroke is refused"),
-        Setting(
-            "limits",
-            (0.0, 0.0),
-            "V",
-            "rating of the drive for this check, lower and upper; if equal, the model's valid range",
-            -1e6,
-            1e6,
-        ),
-        Setting(
-            "transition",
-            0.5,
-            "s",
-            "time within which the signal goes over into the new one when its parameters are changed",
-            1e-3,
-            1e4,
-            live=True,
-        ),
-        Setting(
-            "ramp_time",
-            0.1,
-            "s",
-            "time of the ramp from rest to the signal, where it does not begin at rest by itself; 0 for none",
-            0.0,
-            1e4,
-        ),
-        Setting(
-            "end_ramp_time", 0.0, "s", "time before the signal's end within which it is brought to rest; 0 for not at all", 0.0, 1e4
-        ),
-        Setting(
-            "ramp_from",
-            "position",
-            "",
-            "begin at the first measurement (position), or at 0 (zero), as a drive in V does; in lockstep a run begins at rest at 0",
-            choices=("position", "zero"),
-        ),
-        Setting("retry", 0.2, "s", "time after which the first rows are published again if no measurement arrives", 1e-3, 60.0),
-    )
+    SETTINGS = settings_of("reference_generator")
 
     def __init__(self, name: str = "reference_generator", signal: Array | None = None, **options: Any) -> None:
         """Create the node."""

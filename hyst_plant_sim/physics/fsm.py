@@ -34,6 +34,13 @@ from hyst_plant_sim.physics.signal_path import Frame, Part, PlantParameters
 PER_AXIS = {"delay": 2, "elastic_slope": 2, "slip_slope": 2, "mode_frequency": 2, "mode_damping": 2}
 
 
+POSITIVE = (
+    "notch_frequency pole_frequency pole_damping amplifier_cutoff elastic_slope slip_range slip_decay "
+    "relaxation_time mode_frequency sensor_cutoff"
+).split()
+"""Parameters that must not be 0."""
+
+
 @dataclass(frozen=True)
 class FsmParameters(PlantParameters):
     """Physical parameters of the truth FSM; values in config/plants/fsm.yaml."""
@@ -66,22 +73,7 @@ class FsmParameters(PlantParameters):
     noise: float  # White noise, mrad rms
 
     def __post_init__(self) -> None:
-        check_positive(
-            self,
-            (
-                "notch_frequency",
-                "pole_frequency",
-                "pole_damping",
-                "amplifier_cutoff",
-                "elastic_slope",
-                "slip_range",
-                "slip_decay",
-                "relaxation_time",
-                "mode_frequency",
-                "sensor_cutoff",
-            ),
-            PER_AXIS,
-        )
+        check_positive(self, POSITIVE, PER_AXIS)
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         stacks = [

@@ -31,6 +31,9 @@ from hyst_plant_sim.physics.parameter_checks import check_positive
 from hyst_plant_sim.physics.parts import Chain, Delay, Held, Straight, System
 from hyst_plant_sim.physics.signal_path import Frame, Part, PlantParameters
 
+POSITIVE = ("amplifier_cutoff elastic_slope slip_range slip_decay stroke mode_frequency slow_time sensor_cutoff drag_level").split()
+"""Parameters that must not be 0."""
+
 
 @dataclass(frozen=True)
 class PeaParameters(PlantParameters):
@@ -61,20 +64,7 @@ class PeaParameters(PlantParameters):
     noise: float  # White noise, um rms
 
     def __post_init__(self) -> None:
-        check_positive(
-            self,
-            (
-                "amplifier_cutoff",
-                "elastic_slope",
-                "slip_range",
-                "slip_decay",
-                "stroke",
-                "mode_frequency",
-                "slow_time",
-                "sensor_cutoff",
-                "drag_level",
-            ),
-        )
+        check_positive(self, POSITIVE)
 
     def parts(self, axis: int, frame: Frame, hysteresis: Mapping[str, float], moving: Mapping[str, Any]) -> dict[str, list[Part]]:
         slip = Slip(

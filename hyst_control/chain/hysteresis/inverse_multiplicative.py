@@ -203,8 +203,8 @@ class InverseMultiplicativeFilter(Filter):
     def _run(self, block: Array, iterations: int) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
         demand = (block, self.previous, self.rate_factor, self.most)
-        drive = (self.lower, self.upper, self.gain, iterations, self.state, self.command)
-        inverse_multiplicative(*demand, *operators, *self.coefficients, *drive, output)
+        drive = (self.lower, self.upper, self.gain)
+        inverse_multiplicative(*demand, *operators, *self.coefficients, *drive, iterations, self.state, self.command, output)
         return output
 
     def c_code(self) -> CCode:

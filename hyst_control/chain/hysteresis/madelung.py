@@ -27,6 +27,7 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
+from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
@@ -34,18 +35,7 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.hysteresis.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
-from hyst_control.chain.stage import (
-    Filter,
-    Role,
-    Sampling,
-    Stage,
-    depth,
-    frozen,
-    per_axis,
-    per_axis_scalar,
-    per_axis_scalars,
-    register,
-)
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
 
 C = c_texts(__file__)
 CAPACITY = 48
@@ -54,28 +44,20 @@ bit; where more are nested, it forgets the loop whose end comes closest to its b
 outside the forgotten one are still exact, and those inside it close where it would have. The Python filter keeps all."""
 
 
+Curves = tuple[Array, Array, Array, Array, float, Array]
+"""Breaks and coefficients of the rising and of the falling curve of an axis, the output at the end, slopes beyond the ends."""
+Memory = tuple[Array, Integers, Array]
+"""Turning points (u, y) of an axis (capacity, 2), how many there are (1,), and where it is (3,): u, y and direction; updated."""
+
+
 @njit(cache=True, error_model="numpy")
-def madelung_branches(
-    source: Array,
-    inverse: bool,
-    rising_breaks: Array,
-    rising: Array,
-    falling_breaks: Array,
-    falling: Array,
-    full: float,
-    end_slope: Array,
-    stack: Array,
-    stack_depth: Integers,
-    last: Array,
-    output: Array,
-    start: int,
-) -> int:
+def madelung_branches(source: Array, inverse: bool, curves: Curves, memory: Memory, output: Array, start: int) -> int:
     """Follow one axis from row `start`; returns the row reached, less than N only when the stack is full.
 
-    source (N,), output (N,) normalized: input → output, or output → input with `inverse`. rising_breaks, rising and
-    falling_breaks, falling: the curves φ_up and φ_dn. full = F; end_slope (2,) slopes dy/du at 0 and 1. stack (capacity, 2)
-    turning points (u, y); stack_depth (1,) and last (3,) = (u, y, direction) are updated.
+    source (N,), output (N,) normalized: input → output, or output → input with `inverse`.
     """
+    rising_breaks, rising, falling_breaks, falling, full, end_slope = curves
+    stack, stack_depth, last = memory
     depth_now = stack_depth[0]
     key = 1 if inverse else 0
     top_of_range = full if inverse else 1.0
@@ -139,10 +121,6 @@ def madelung_branches(
     return source.size
 
 
-Curves = tuple[Array, Array, Array, Array, float, Array]
-"""Breaks and coefficients of the rising and of the falling curve of an axis, the output at the end, slopes beyond the ends."""
-
-
 @njit(cache=True, error_model="numpy")
 def scaled_branches(
     block: Array,
@@ -152,25 +130,19 @@ def scaled_branches(
     to_outside: float,
     inverse: bool,
     curves: Curves,
-    stack: Array,
-    stack_depth: Integers,
-    last: Array,
+    memory: Memory,
     output: Array,
     start: int,
 ) -> int:
     """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for.
 
-    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's; curves: the arguments
-    rising_breaks to end_slope there; inverse, stack, stack_depth, last and start as there.
+    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's.
     """
     count = block.shape[0]
-    rising_breaks, rising, falling_breaks, falling, full, end_slope = curves
     source, result = np.empty(count), np.empty(count)
     for row in range(start, count):
         source[row] = (block[row, axis] if inverse else block[row, axis] - offset) * to_inside
-    reached = madelung_branches(
-        source, inverse, rising_breaks, rising, falling_breaks, falling, full, end_slope, stack, stack_depth, last, result, start
-    )
+    reached = madelung_branches(source, inverse, curves, memory, result, start)
     for row in range(start, reached):
         scaled = result[row] * to_outside
         output[row, axis] = scaled + offset if inverse else scaled
@@ -286,11 +258,10 @@ class MadelungFilter(Filter):
     def _follow(self, axis: int, block: Array, output: Array, inverse: bool, scales: Scales) -> None:
         """Write the output (N, A) of one axis for a `block` (N, A)."""
         offset, to_inside, to_outside = scales
-        curves, depth, last, row = self._curves[axis], self.stack_depth[axis], self.last[axis], 0
+        curves, row = self._curves[axis], 0
         while True:
-            row = scaled_branches(
-                block, axis, offset, to_inside, to_outside, inverse, curves, self.stack[axis], depth, last, output, row
-            )
+            memory = (self.stack[axis], self.stack_depth[axis], self.last[axis])
+            row = scaled_branches(block, axis, offset, to_inside, to_outside, inverse, curves, memory, output, row)
             if row == len(block):
                 return
             self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])

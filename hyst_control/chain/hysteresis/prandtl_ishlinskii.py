@@ -20,23 +20,12 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars, scaled
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
-from hyst_control.chain.stage import (
-    Filter,
-    Role,
-    Sampling,
-    Stage,
-    depth,
-    frozen,
-    per_axis,
-    per_axis_scalar,
-    per_axis_scalars,
-    register,
-    scaled,
-)
+from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
 
 C = c_texts(__file__)
 SETTLE = C["SETTLE"]
@@ -113,7 +102,8 @@ class PlayFilter(OperatorFilter):
     ) -> None:
         super().__init__(sampling, thresholds, weights)
         self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
-        self.coefficients = tuple(coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        w0, m1, m2, k, b = (coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        self.coefficients = (w0, m1, m2, k, b)
 
     def process(self, block: Array) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)

@@ -27,19 +27,19 @@ from hyst_control.chain.stage import Sampling, per_axis, per_axis_scalar, regist
 C = c_texts(__file__)
 
 
+Operators = tuple[Array, Array, Array, Array]
+"""Thresholds and weights (A, n), weight of the command and widening (A,)."""
+State = tuple[Array, Array]
+"""Command one sample before (A,), and the operators (A, n); updated."""
+
+
 @njit(cache=True, error_model="numpy")
 def rate_dependent_prandtl_ishlinskii(
-    command: Annotated[Array, "N A"],
-    previous: Annotated[Array, "A"],
-    rate_factor: float,
-    thresholds: Annotated[Array, "A n"],
-    weights: Annotated[Array, "A n"],
-    w0: Annotated[Array, "A"],
-    beta: Annotated[Array, "A"],
-    state: Annotated[Array, "A n"],
-    output: Annotated[Array, "N A"],
+    command: Annotated[Array, "N A"], rate_factor: float, operators: Operators, state: State, output: Annotated[Array, "N A"]
 ) -> None:
     """Advance the model over a block, all axes."""
+    thresholds, weights, w0, beta = operators
+    previous, state_of = state
     for row in range(command.shape[0]):
         for axis in range(command.shape[1]):
             u = command[row, axis]
@@ -49,10 +49,10 @@ def rate_dependent_prandtl_ishlinskii(
             for i in range(thresholds.shape[1]):
                 low = u - thresholds[axis, i] - widening
                 high = u + thresholds[axis, i] + widening
-                h = state[axis, i]
+                h = state_of[axis, i]
                 h = high if h > high else h
                 h = low if h < low else h
-                state[axis, i] = h
+                state_of[axis, i] = h
                 value += weights[axis, i] * h
             output[row, axis] = value
 
@@ -66,9 +66,8 @@ class RateDependentFilter(OperatorFilter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        rate_dependent_prandtl_ishlinskii(
-            block, self.previous, self.rate_factor, self.thresholds, self.weights, self.w0, self.beta, self.state, output
-        )
+        operators, state = (self.thresholds, self.weights, self.w0, self.beta), (self.previous, self.state)
+        rate_dependent_prandtl_ishlinskii(block, self.rate_factor, operators, state, output)
         return output
 
     def c_code(self) -> CCode:

@@ -8,6 +8,8 @@ import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +19,7 @@ from rclpy.parameter import Parameter
 
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
+from hyst_control.base.yaml_files import read_yaml
 
 MIDDLEWARE = "qos_overrides."
 """Beginning of parameters that belong to a publisher or subscription."""
@@ -73,6 +76,21 @@ class Setting(Quantity):
             elif kind is int:
                 descriptor.integer_range = [IntegerRange(from_value=int(max(lower, -(2**62))), to_value=int(min(upper, 2**62)))]
         return descriptor
+
+
+@cache
+def _declarations() -> dict[str, dict[str, dict[str, Any]]]:
+    declared: dict[str, dict[str, dict[str, Any]]] = read_yaml(Path(__file__).parents[1] / "settings.yaml")
+    return declared
+
+
+def settings_of(node: str) -> tuple[Setting, ...]:
+    """Parameters of a node, or those that are `common`, as `settings.yaml` declares them."""
+    lists: dict[str, dict[str, Any]] = {
+        name: {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
+        for name, given in _declarations()[node].items()
+    }
+    return tuple(Setting(name, **given) for name, given in lists.items())
 
 
 def declare(

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,16 +32,9 @@ RATE_TOLERANCE = 0.01
 BLOCK = 50
 
 
-def import_table(
-    path: str | Path,
-    columns: Sequence[Column],
-    rate: float | None,
-    rows: tuple[int, int | None] = (0, None),
-    hold: str = "zoh",
-    variable: str | None = None,
-) -> Record:
-    """The record of a file that holds one run; see `import_records`."""
-    found = import_records(path, columns, rate, rows, hold, variable)
+def import_table(path: str | Path, columns: Sequence[Column], *how: Any) -> Record:
+    """The record of a file that holds one run, read as by `import_records`."""
+    found = import_records(path, columns, *how)
     if len(found) > 1:
         raise InputError(f"{path}: holds {len(found)} runs: choose the rows of one")
     return found[0]
