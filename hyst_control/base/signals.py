@@ -34,7 +34,8 @@ def periodogram(rows: Annotated[Array, "N ..."], rate: float, linear: bool = Fal
     window = np.hanning(count + 1)[:-1, None]
     power = np.abs(rfft(flat * window, axis=0)) ** 2 / (rate * np.sum(window**2))
     power[1 : None if count % 2 else -1] *= 2.0
-    return np.fft.rfftfreq(count, 1.0 / rate), power.reshape(-1, *rows.shape[1:])
+    frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / rate), dtype=np.float64)
+    return frequency, np.asarray(power.reshape(-1, *rows.shape[1:]), dtype=np.float64)
 
 
 def low_passed(rows: Annotated[Array, "N ..."], corner: float) -> Annotated[Array, "N ..."]:

@@ -59,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="rules",
         help="core that weighs the hypotheses: the tuned rules, or one likelihood of all of them (default rules)",
     )
+    parser.add_argument(
+        "--own-records",
+        action="store_true",
+        help="the records are those that the model was identified from: look for what it lacks, beyond the noise alone and not beyond "
+        "the error that its file states",
+    )
     parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
     parser.add_argument(
         "--on",
@@ -103,6 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
         baseline=arguments.baseline,
         learned_residual=arguments.learned_residual,
         core=arguments.core,
+        own_records=arguments.own_records,
         simulator=arguments.simulator,
         parameters=arguments.parameters,
         shift=arguments.shift,

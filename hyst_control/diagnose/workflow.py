@@ -10,11 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_json
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
+from hyst_control.diagnose.problem.coefficient_prior import names_that_scatter
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
@@ -32,6 +35,9 @@ from hyst_control.records.record import Record
 from hyst_control.records.tables.array_files import read_array
 from hyst_control.reporting.provenance import Origin, provenance
 from hyst_control.reporting.signal_figures import Line, Panel, thinned
+
+REFITTED = 0.1
+"""Tolerance of coefficients that were fitted to the records themselves: without an effect that these show they are off by some per cent."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,7 @@ def diagnose_bags(
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
     core: str = RULES,
+    own_records: bool = False,
     simulator: str | None = None,
     parameters: str | Path | None = None,
     shift: float = 0.0,
@@ -126,6 +133,7 @@ def diagnose_bags(
         warm_up=warm_up,
         learned_residual=learned_residual,
         core=core,
+        own_records=own_records,
         coming=None if on is None else (str(on), _command(on, namespace, unit)),
     )
     written = [augmented] if augmented is not None and gap.better is not None else []
@@ -193,8 +201,11 @@ def diagnosed(
     baseline: Sequence[Record] = (),
     learned_residual: bool = False,
     core: str = RULES,
+    own_records: bool = False,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
-    """Diagnose records, with the report."""
+    """Diagnose records, with the report; of a model's own records what it left when it was identified is the gap."""
+    if own_records and model is not None:
+        model = _as_before_identification(model)
     tell = step if progress else (lambda text: None)
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
     tell("shrink on held-out blocks")
@@ -213,6 +224,14 @@ def diagnosed(
         remainder=None if remainder is None else remainder.document(added),
     )
     return document, diagnosis, better
+
+
+def _as_before_identification(model: Model) -> Model:
+    """The model without the error and the noise that it states, and with coefficients that fits beside an effect may move again."""
+    stages = model.chain.stages
+    names = {name for stage in stages for name in names_that_scatter(stage)}
+    wide = {name: max(float(np.max(model.tolerance.get(name, 0.0))), REFITTED) for name in names if "." not in name}
+    return replace(model, discrepancy={}, noise={}, uncertainty={}, tolerance=wide)
 
 
 def _command(path: str, namespace: str | None, unit: str) -> Array:

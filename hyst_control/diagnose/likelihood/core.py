@@ -76,16 +76,20 @@ def searched(
     usual, few = configuration.search, priors.parents
     alone = replace(configuration, search=replace(usual, depth=1, depth_with_own_error=1))
     together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few))
-    tangents, found = tangents_of(prepared.linearized, members), None
-    for settings in (alone, together):
-        given = prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings
-        found = search(*given, tangents, found)
-        fits = fits_of(found, priors.kept, priors.freedom)
-        weighed = weigh(fits, priors)
-        other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)
-        if weighed[0].kind is Kind.NOTHING or other < priors.combined:
-            break
+    given = prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress
+    tangents = tangents_of(prepared.linearized, members)
+    found = search(*given, alone, tangents)
+    fits, weighed = _weighed(found, priors)
+    other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)
+    if weighed[0].kind is not Kind.NOTHING and other >= priors.combined:
+        found = search(*given, together, tangents, found)
+        fits, weighed = _weighed(found, priors)
     return found, fits, weighed
+
+
+def _weighed(found: Found, priors: Priors) -> tuple[Fits, tuple[Weighed, ...]]:
+    fits = fits_of(found, priors.kept, priors.freedom)
+    return fits, weigh(fits, priors)
 
 
 def _changed(weighed: tuple[Weighed, ...], found: Found, baseline: Baseline | None, priors: Priors) -> tuple[Weighed, ...]:

@@ -223,13 +223,13 @@ def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:
 
 def idle_tolerances(model: Model) -> list[str]:
     """Names under `tolerance` of a model file by which no parameter of its chain scatters: misspelled, or of another model."""
-    known = {name for stage in model.chain.stages for name in _names_that_scatter(stage)}
+    known = {name for stage in model.chain.stages for name in names_that_scatter(stage)}
     return [name for name, share in model.tolerance.items() if np.any(share) and name not in known]
 
 
-def _names_that_scatter(stage: Stage) -> set[str]:
+def names_that_scatter(stage: Stage) -> set[str]:
     """Names that a tolerance can have of a stage and of those within it: of a parameter, or `stage.parameter`."""
-    inner = {name for chain in stage.inner_chains for member in chain for name in _names_that_scatter(member)}
+    inner = {name for chain in stage.inner_chains for member in chain for name in names_that_scatter(member)}
     own = [
         name
         for name, declaration in stage.declarations().items()
