@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
+from evaluation.reproduction.measured_margins import measured_margins
 from hyst_control.base.errors import InputError
-from hyst_control.control.measured_margins import measured_margins
 from hyst_control.control.tuning import Tuning
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant

@@ -22,51 +22,24 @@ from hyst_control.nodes.loop.feedforward_learning import FeedforwardLearning
 from hyst_control.nodes.loop.slope_warning import warn_of_slope
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.common_parameters import BACKEND, C
-from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import Setting, settings_of
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
+RATE_FILTER = Setting(
+    "rate_filter",
+    FROM_MODEL,
+    "s^2, s, 1",
+    "mhl: denominator of N(s), descending powers of s; a single 0: without; a single -1: below the model's first resonance",
+    -1.0,
+    1e12,
+)
 
-def settings_of(kind: str) -> tuple[Setting, ...]:
-    """Parameters of a feedforward node."""
-    return (
-        *feedforward_learning.SETTINGS,
-        Setting("model", "", "", "model file that the compensator inverts"),
-        Setting("kind", kind, "", "kind of compensator", choices=(*KINDS, "proportional")),
-        Setting("inverse", "zpetc", "", "inverse of the dynamics", choices=("zpetc", "zmetc", "npz_ignore", "none")),
-        Setting("discretisation", "zoh", "", "discretization of the dynamics", choices=("zoh", "tustin")),
-        Setting("preview", True, "", "look ahead as far as the inverse of the dynamics allows; if false, the command is late"),
-        Setting(
-            "iterations",
-            -1,
-            "iterations",
-            "iterations of the inverse of the hysteresis, -1 for the default of the kind",
-            -1,
-            1000,
-        ),
-        Setting(
-            "smoothing",
-            0,
-            "ticks",
-            "order of a zero-phase low-pass of the reference, which looks as many ticks ahead; mhl: of Ψ', one tick further",
-            0,
-            20,
-        ),
-        Setting("inverse_model", "", "", "model file with separately identified inverse curves"),
-        Setting(
-            "rate_filter",
-            FROM_MODEL,
-            "s^2, s, 1",
-            "mhl: denominator of N(s), descending powers of s; a single 0: without; a single -1: below the model's first resonance",
-            -1.0,
-            1e12,
-        ),
-        Setting("slew_limit", 0.0, "V/s", "slope of the feedforward above which the node warns, 0 for never", 0.0, 1e12),
-        Setting("limits", (0.0, 0.0), "V", "rating of the drive, lower and upper; if equal, the model's valid range", -1e6, 1e6),
-        BACKEND,
-        Setting("gain", (0.0,), "V per unit", "proportional: gain of all axes or of each", -1e12, 1e12),
-        Setting("offset", (0.0,), "V", "proportional: command at reference 0, of all axes or of each", -1e6, 1e6),
-    )
+
+def settings_of_kind(kind: str) -> tuple[Setting, ...]:
+    """Parameters of a feedforward node whose usual compensator is of a kind."""
+    own = Setting("kind", kind, "", "kind of compensator", choices=(*KINDS, "proportional"))
+    return (*feedforward_learning.SETTINGS, own, *settings_of("feedforward"), RATE_FILTER, BACKEND)
 
 
 class Feedforward(SignalNode):
@@ -79,12 +52,12 @@ class Feedforward(SignalNode):
 
     KIND = "proportional"
     NAME = f"{KIND}_feedforward"
-    SETTINGS = settings_of(KIND)
+    SETTINGS = settings_of_kind(KIND)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Give a subclass the parameters of its `KIND`."""
         super().__init_subclass__(**options)
-        cls.SETTINGS = settings_of(cls.KIND)
+        cls.SETTINGS = settings_of_kind(cls.KIND)
         cls.NAME = f"{cls.KIND}_feedforward"
 
     def __init__(self, name: str = "", compensator: Compensator | None = None, **options: Any) -> None:

@@ -47,13 +47,13 @@ class Estimator(Generic[O]):
     Options: type[O]
 
     def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
-        """Identify a model from records of one plant; raises `InputError` where they do not determine one."""
+        """Identify a model from `datasets` of one plant with `options`; raises `InputError` where they do not determine one."""
         check_records(datasets)
         axes = [self.fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
         return fit_of(datasets, axes, self.name, options.method)
 
     def fit_axis(self, datasets: Sequence[Dataset], index: int, options: O) -> AxisFit:
-        """Fit one axis of the records."""
+        """Fit the axis `index` of the `datasets` with `options`."""
         raise NotImplementedError
 
     @property
@@ -67,7 +67,7 @@ class Estimator(Generic[O]):
         return next(each.choices for each in self.declared if each.name == "method")
 
     def has(self, values: Iterable[str]) -> bool:
-        """Report whether the family has options of all these names."""
+        """Report whether the family has options of all these names, `values`."""
         return set(values) <= {each.name for each in self.declared}
 
     def options(self, **values: object) -> O:
@@ -86,7 +86,23 @@ _ESTIMATORS: dict[str, Estimator[Any]] = {}
 
 
 def register(estimator: E) -> E:
-    """Class decorator that makes a family known by its name."""
+    """Class decorator that makes a family known by its name.
+
+    Parameters
+    ----------
+    estimator
+        A class derived from `Estimator`, with `name`, `sentence` and `Options`.
+
+    Returns
+    -------
+    type
+        The same class.
+
+    Raises
+    ------
+    InputError
+        It has no name or sentence, its name is another's, or its options are not declared by `option`.
+    """
     name = estimator.name
     instance = estimator()
     if not name or not estimator.sentence or not hasattr(instance, "Options"):
@@ -140,7 +156,18 @@ def every_option() -> dict[str, dict[str, Option]]:
 
 
 def described(options: Mapping[str, Option]) -> str:
-    """Describe one option of several families in a line: meaning, range, families and defaults."""
+    """Describe one option of several families in a line: meaning, range, families and defaults.
+
+    Parameters
+    ----------
+    options
+        The option by family.
+
+    Returns
+    -------
+    str
+        The line.
+    """
     option = max(options.values(), key=lambda each: len(each.choices))
     defaults: dict[str, list[str]] = {}
     for family, each in options.items():
@@ -154,7 +181,23 @@ def described(options: Mapping[str, Option]) -> str:
 
 
 def estimator_of(family: str) -> Estimator[Any]:
-    """Return a family's estimator."""
+    """Return a family's estimator.
+
+    Parameters
+    ----------
+    family
+        Name of the family.
+
+    Returns
+    -------
+    Estimator[Any]
+        The estimator.
+
+    Raises
+    ------
+    InputError
+        There is no such family; the message lists those there are.
+    """
     known = estimators()
     if family not in known:
         raise InputError(f"model: {family!r} is not a model family: use one of {', '.join(known)}")

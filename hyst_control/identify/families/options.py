@@ -54,7 +54,20 @@ class Option(Quantity):
 
 
 def option(default: D, kind: Kind[T], meaning: str, *, unit: str = "", methods: tuple[str, ...] = (), **declared: Any) -> D | T:
-    """Declare an option as a field of a dataclass derived from `Options`."""
+    """Declare an option as a field of a dataclass derived from `Options`.
+
+    Parameters
+    ----------
+    default, kind, meaning, unit, **declared
+        As in `Quantity`, for bounds and choices.
+    methods
+        Methods that have this option; all where none is named.
+
+    Returns
+    -------
+    D | T
+        The dataclass field, in the type of its values.
+    """
     described = Option("", default, unit, meaning, kind=kind, methods=methods, **declared)
     return cast("D | T", field(default=default, metadata={"option": described}))
 
@@ -78,12 +91,34 @@ class Options:
 
 
 def methods_option(*methods: str) -> str:
-    """Declare the field `method` of an estimator that has several methods."""
+    """Declare the field `method` of an estimator that has several methods.
+
+    Parameters
+    ----------
+    *methods
+        The methods, the default first.
+
+    Returns
+    -------
+    str
+        The dataclass field.
+    """
     return option(methods[0], TEXT, "; ".join(f"{name}: {METHODS[name]}" for name in methods), choices=methods)
 
 
 def declared(options: type[Options]) -> tuple[Option, ...]:
-    """Return the options that a class declares, in order."""
+    """Return the options that a class declares, in order.
+
+    Parameters
+    ----------
+    options
+        The class.
+
+    Returns
+    -------
+    tuple[Option, ...]
+        An option a field.
+    """
     found = []
     for each in fields(options):
         described = each.metadata.get("option")

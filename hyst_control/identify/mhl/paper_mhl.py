@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -189,6 +188,8 @@ def fit_inverse_correction(
 
     def left(log_k2: float) -> tuple[float, Array]:
         """Mean square of what is left and (k1, b1)."""
+        from scipy.signal import lfilter  # takes a second
+
         wanted, columns = [], []
         for target, y, rows, sampling in targets:
             half, k2 = 0.5 * sampling.sample_time, float(np.exp(log_k2))

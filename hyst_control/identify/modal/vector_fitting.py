@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import qr
-from scipy.signal import lfilter
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.modal.modal_model import input_taps
@@ -127,6 +126,8 @@ def _driven(window: Window, poles: np.ndarray, delay: float, direct: bool) -> li
 
 def _responses(poles: np.ndarray, signal: Array, delay: float, hold: str) -> list[np.ndarray]:
     """Responses (N,) of 1/(s - p) to a held signal, from rest."""
+    from scipy.signal import lfilter  # takes a second
+
     whole = int(np.floor(delay + 1e-9))
     late = _shifted(signal, whole + (hold == "zoh"))
     return [

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import numpy as np
 from scipy.optimize import lsq_linear
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from hyst_control.base.arrays import Array
 
@@ -73,7 +72,7 @@ def covariance(blocks: Annotated[Array, "B K + 1 K + 1"], solution: Annotated[Ar
     # Share of every block in what is known of every parameter: their effective number is that of the degrees of freedom.
     part = np.einsum("ki,bij,kj->bk", white, own, white)
     freedom = part.sum(axis=0) ** 2 / np.maximum(np.sum(part**2, axis=0), 1e-300)
-    scale = scale * norm.ppf(0.95) / student.ppf(0.95, np.maximum(freedom - 1.0, 1.0))
+    scale = scale * ndtri(0.95) / stdtrit(np.maximum(freedom - 1.0, 1.0), 0.95)
     found: Array = (white @ spread @ white.T) / scale[:, None] / scale
     return found
 

@@ -40,13 +40,13 @@ class Problem(Protocol[P]):
     """A nonlinear least-squares problem. Points are values: a step that is not kept leaves nothing behind."""
 
     def cost(self, point: P) -> float:
-        """Return the cost that the search lowers."""
+        """Return the cost of a `point`, which the search lowers."""
 
     def linearize(self, point: P) -> P:
         """Return the point with the derivatives there; called only where another step begins."""
 
     def step(self, point: P, damping: float) -> Trial[P] | None:
-        """Return the trial of the damped step from a linearized point; None where no step is worth a trial."""
+        """Return the trial of the step with `damping` from a linearized `point`; None where no step is worth a trial."""
 
 
 class End(Enum):
@@ -85,7 +85,22 @@ class Found(Generic[P]):
 
 
 def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
-    """Lower the cost of a problem from a linearized start; never worse than the start, and without derivatives after the last step."""
+    """Lower the cost of a problem from a linearized start; never worse than the start, and without derivatives after the last step.
+
+    Parameters
+    ----------
+    problem
+        The problem.
+    start
+        A linearized point.
+    rules
+        Rules of the search.
+
+    Returns
+    -------
+    Found[P]
+        The best point, with the reason of the end.
+    """
     point, damping = start, rules.damping
     kept = tried = rejected = 0
     linearized = True
@@ -112,7 +127,22 @@ def minimize(problem: Problem[P], start: P, rules: Rules) -> Found[P]:
 
 
 def solve_damped(matrix: Array, vector: Array, chosen: Mask, damping: float) -> Array:
-    """Step (P,) of the damped normal equations (J'J + damping · diag J'J) step = J'r over the parameters that may move."""
+    """Step (P,) of the damped normal equations (J'J + damping · diag J'J) step = J'r over the parameters that may move.
+
+    Parameters
+    ----------
+    matrix, vector
+        J'J (P, P) and J'r (P,).
+    chosen
+        Mark (P,) of the parameters that may move.
+    damping
+        Damping, relative to the diagonal.
+
+    Returns
+    -------
+    ndarray
+        The step (P,), 0 where a parameter may not move.
+    """
     index = np.flatnonzero(chosen)
     scale = np.sqrt(np.maximum(np.diag(matrix)[index], 1e-300))
     scaled = matrix[np.ix_(index, index)] / scale / scale[:, None]

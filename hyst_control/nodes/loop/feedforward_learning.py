@@ -17,27 +17,13 @@ from hyst_control.control.learning.iterative_learning import IterativeLearning, 
 from hyst_control.control.learning.learning_filter import model_filter
 from hyst_control.control.learning.learning_loop import Learner, Played, learned_rows
 from hyst_control.model_file import load_model
-from hyst_control.nodes.signal_node.parameters import Setting
+from hyst_control.nodes.signal_node.parameters import settings_of
 
 if TYPE_CHECKING:
     from hyst_control.nodes.signal_node.base import SignalNode
 
 NONE, PLAYED, TRIALS, FEEDBACK_ERROR = "none", "played", "trials", "feedback_error"
-SETTINGS = (
-    Setting("learning", NONE, "", "what is added to the feedforward", choices=(NONE, PLAYED, TRIALS, FEEDBACK_ERROR)),
-    Setting("learned_file", "", "", "played, trials: .npy with one period that was learned before, in V (see hyst learn)"),
-    Setting("learning_period", 0, "samples", "trials: period of the reference, which the generator repeats", 0, 10_000_000),
-    Setting("learning_settling", 1, "periods", "trials: of a trial, not measured", 1, 1000),
-    Setting("learning_averaged", 2, "periods", "trials: of a trial, measured", 2, 1000),
-    Setting(
-        "learning_mode_spread", 0.0, "relative", "trials: of the model's first resonance, with which no trial may lose", 0.0, 0.9
-    ),
-    Setting("learning_time", 0.2, "s", "feedback_error: in which it learns most of an error", 1e-6, 1e6),
-    Setting("learning_corner", 1.0, "Hz", "feedback_error: what is slower is left to the feedback", 1e-6, 1e6),
-    Setting("learning_excitation", 1.0, "V", "feedback_error: amplitude of the feedforward from which it learns", 1e-9, 1e6),
-    Setting("gain_bound", 0.3, "relative", "feedback_error: greatest relative gain that is learned, either way", 0.0, 0.99),
-    Setting("lag_bound", 5e-4, "s", "feedback_error: greatest lag that is learned, either way", 0.0, 1e3),
-)
+SETTINGS = settings_of("feedforward_learning")
 
 
 def described_learner(given: SimpleNamespace, axes: int, period: float) -> Learner | None:

@@ -194,27 +194,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
     return np.concatenate(rows)
 
 
-KINDS: dict[str, Callable[..., Array]] = {
-    function.__name__: function
-    for function in (
-        rest,
-        sine,
-        cosine_ramp,
-        decaying_sine,
-        multi_frequency,
-        multisine,
-        sweep,
-        triangle,
-        staircase,
-        step,
-        steps,
-        spiral,
-        raster,
-        sequence,
-        loops,
-        hampi_identification,
-        mhl_identification,
-        diagnostic,
-    )
-}
+CURVES = (rest, sine, cosine_ramp, decaying_sine, multi_frequency, triangle, staircase, step, steps, loops)
+OTHERS = (multisine, sweep, spiral, raster, sequence, hampi_identification, mhl_identification, diagnostic)
+KINDS: dict[str, Callable[..., Array]] = {function.__name__: function for function in (*CURVES, *OTHERS)}
 """Every kind of signal by name."""
