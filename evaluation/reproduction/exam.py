@@ -27,6 +27,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.diagnose.workflow import diagnose_records
+from hyst_control.identify import identify
 from hyst_control.identify.modal.modal_candidate import refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import Spectra
@@ -124,7 +125,8 @@ def oscillator() -> Case:
     data = bouc_wen.training_record(periods, 2)
     command, measurement = (np.tile(signal[:, 0], 2) for signal in (data.command, data.measurement))
     record = from_arrays(command, measurement, 1.0 / data.sample_time, command_unit="V", unit="um", hold="foh")
-    return Case(_linear(record), record, own_records=True, warm_up=len(data.command) * data.sample_time)
+    model = identify([data], "linear", "joint").model  # the period is preceded by itself
+    return Case(model, record, own_records=True, warm_up=len(data.command) * data.sample_time)
 
 
 MACHINES = (

@@ -18,6 +18,7 @@ from hyst_control.base.files import write_json
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.problem.coefficient_prior import names_that_scatter
+from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
@@ -211,7 +212,7 @@ def diagnosed(
     tell = step if progress else (lambda text: None)
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
     if model is not None:
-        diagnosis = replace(diagnosis, parts=tuple(_with_structure(part) for part in diagnosis.parts))
+        diagnosis = replace(diagnosis, parts=tuple(_with_structure(diagnosis.problem, part) for part in diagnosis.parts))
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
     better = augmented_model(diagnosis) if attribution.effects and model is not None else None
@@ -238,11 +239,11 @@ def _as_before_identification(model: Model) -> Model:
     return replace(model, discrepancy={}, noise={}, uncertainty={}, tolerance=wide)
 
 
-def _with_structure(part: AxisDiagnosis) -> AxisDiagnosis:
+def _with_structure(problem: Problem, part: AxisDiagnosis) -> AxisDiagnosis:
     """The diagnosis of an axis with the structure of its gap where that is unknown, unless the core has told it."""
     if part.decision.verdict is not Verdict.UNKNOWN or part.structure:
         return part
-    return replace(part, structure=gap_structure(part))
+    return replace(part, structure=gap_structure(problem, part.axes))
 
 
 def _command(path: str, namespace: str | None, unit: str) -> Array:

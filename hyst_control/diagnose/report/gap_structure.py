@@ -9,7 +9,7 @@ error on blocks that were not used for the fit, over that of a linear correction
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -19,7 +19,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator
 from hyst_control.chain.stage import Sampling
-from hyst_control.diagnose.run.diagnosis import AxisDiagnosis
+from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.model_file import Model, simulate
 
 MAX_ROWS = 2**15
@@ -35,12 +35,10 @@ MIN_SHARE = 0.02
 """Share of the gap that a group must remove, beyond its scatter, to count as there."""
 GROUPS = ("linear", "odd", "even", "odd memory", "even memory")
 
-Squares = Mapping[str, Array]
 
-
-def gap_structure(part: AxisDiagnosis) -> dict[str, float]:
-    """Probability that an unexplained gap has an even part, an odd part, and memory; empty where the record is too short."""
-    problem, axes = part.problem, len(part.problem.model.axes)
+def gap_structure(problem: Problem, axes: Sequence[int]) -> dict[str, float]:
+    """Probability that the gap on some axes has an even part, an odd part, and memory; empty where the record is too short."""
+    # problem: as it was recorded, with the rows that repeat the one before: an end stop holds the measurement as well
     piece = max(problem.pieces, key=lambda each: len(each.command))
     rows = min(len(piece.command), MAX_ROWS)
     counted = np.arange(rows) if piece.keep is None else np.flatnonzero(piece.keep[:rows])
@@ -50,7 +48,7 @@ def gap_structure(part: AxisDiagnosis) -> dict[str, float]:
     try:
         simulated = simulate(problem.model, command)
         found = []
-        for axis in range(axes):
+        for axis in axes:
             columns = features(problem.model, command, simulated, axis)
             found.append(Regression((measured - simulated)[counted, axis], [each[counted] for each in columns]))
     except (InputError, np.linalg.LinAlgError):
