@@ -105,7 +105,8 @@ def f16_payload() -> Case:
     found = _modal(steady[0][:, None], steady[1][:, None], 1.0 / rate, 10, (1.0, 60.0))
     model = Model("f16", ("x",), {"command": "N", "measurement": "m/s^2"}, 1.0 / rate, found, "foh")
     records = [
-        from_arrays(*level[:, 1:4].reshape(2, -1), rate, command_unit="N", unit="m/s^2", hold="foh") for level in (low, high)
+        from_arrays(level[0, 1:4].ravel(), level[1, 1:4].ravel(), rate, command_unit="N", unit="m/s^2", hold="foh")
+        for level in (low, high)
     ]
     return Case(_with_discrepancy(model, records[0]), records[1], own_records=False, warm_up=period / rate)
 

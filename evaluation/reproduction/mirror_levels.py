@@ -53,7 +53,8 @@ def response(command: Complex, measurement: Complex, realizations: Sequence[int]
 
 def vector_fit(values: Complex, rate: NDArray[np.float64]) -> Complex:
     """Poles above the real axis common to all entries of a response (F, 3, 3)."""
-    s, flat = 1j * rate, values.reshape(len(rate), -1)
+    s: Complex = np.asarray(1j * rate, dtype=np.complex128)
+    flat = values.reshape(len(rate), -1)
     poles = rate[0] + (rate[-1] - rate[0]) * (np.arange(PAIRS) + 0.5) / PAIRS
     poles = (-0.01 + 1j) * poles
     for _ in range(ROUNDS):
@@ -86,7 +87,7 @@ def _basis(s: Complex, poles: Complex) -> Complex:
 
 def residues(values: Complex, rate: NDArray[np.float64], poles: Complex) -> Complex:
     """Residues (K, 3, 3) and a constant behind them (1, 3, 3), by least squares."""
-    own = np.column_stack([_basis(1j * rate, poles), np.ones(len(rate))])
+    own = np.column_stack([_basis(np.asarray(1j * rate, dtype=np.complex128), poles), np.ones(len(rate))])
     flat = values.reshape(len(rate), -1)
     found = np.linalg.lstsq(np.vstack([own.real, own.imag]), np.vstack([flat.real, flat.imag]), rcond=None)[0]
     pairs = found[:-1].reshape(len(poles), 2, 3, 3)

@@ -81,8 +81,13 @@ class ForceFilter(Filter):
         gains = np.concatenate([reference_gains(system) for system in systems])
         self.law, self.force, self.size = stage.law, np.array(stage.moves) / gains, np.array(stage.size)
         # `rest`: state at rest for a unit input; the states that fill up a shorter system stay 0.
-        self.rest = np.linalg.solve(np.eye(n) - self.a, self.push)
-        self.free, self.moved, self.last, self.taken = np.zeros((count, n)), np.zeros((count, n)), *np.zeros((2, sampling.axes))
+        self.rest: Array = np.linalg.solve(np.eye(n) - self.a, self.push)
+        self.free, self.moved, self.last, self.taken = (
+            np.zeros((count, n)),
+            np.zeros((count, n)),
+            np.zeros(sampling.axes),
+            np.zeros(sampling.axes),
+        )
 
     def settle(self, value: Array) -> Array:
         self.last[:] = value
