@@ -20,7 +20,7 @@ HELP = "run a published experiment and print its table"
 JSON = "result table (page: list of written files)"
 READS = ("results",)
 WRITES = ("page",)
-EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec", "bouc-wen")
+EXPERIMENTS = ("hampi", "mhl", "pea-p885", "fsm-cubespec", "bouc-wen", "exam", "mirror-levels")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,15 +18,18 @@ from hyst_control.base.files import write_json
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.problem.coefficient_prior import names_that_scatter
+from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
 from hyst_control.diagnose.report.document import gap_report, in_words
+from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose
+from hyst_control.diagnose.run.diagnosis import RULES, AxisDiagnosis, Diagnosis, diagnose
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_files import bags_in
@@ -208,6 +211,8 @@ def diagnosed(
         model = _as_before_identification(model)
     tell = step if progress else (lambda text: None)
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
+    if model is not None:
+        diagnosis = replace(diagnosis, parts=tuple(_with_structure(diagnosis.problem, part) for part in diagnosis.parts))
     tell("shrink on held-out blocks")
     attribution = attribute(diagnosis)
     better = augmented_model(diagnosis) if attribution.effects and model is not None else None
@@ -232,6 +237,13 @@ def _as_before_identification(model: Model) -> Model:
     names = {name for stage in stages for name in names_that_scatter(stage)}
     wide = {name: max(float(np.max(model.tolerance.get(name, 0.0))), REFITTED) for name in names if "." not in name}
     return replace(model, discrepancy={}, noise={}, uncertainty={}, tolerance=wide)
+
+
+def _with_structure(problem: Problem, part: AxisDiagnosis) -> AxisDiagnosis:
+    """The diagnosis of an axis with the structure of its gap where that is unknown, unless the core has told it."""
+    if part.decision.verdict is not Verdict.UNKNOWN or part.structure:
+        return part
+    return replace(part, structure=gap_structure(problem, part.axes))
 
 
 def _command(path: str, namespace: str | None, unit: str) -> Array:

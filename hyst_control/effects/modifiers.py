@@ -6,17 +6,36 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, cast
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
 from hyst_control.chain.stage import Role, Sampling, Stage
+from hyst_control.effects.placement import mechanics_index
 
 
 def beside(stage: Stage, added: Stage) -> Parallel:
     """Put a stage and an added one beside each other: fed alike, outputs added."""
     return Parallel(((stage,), (added,)))
+
+
+def beside_mechanics(name: str, before: tuple[Stage, ...], make: Callable[[LinearStage], Stage]) -> tuple[Stage, ...]:
+    """The stages with what `make` adds to the mechanics, beside all that leads to them: a chain merges these with what stands before.
+
+    Several such additions stand beside each other, each to the mechanics as they are.
+    """
+    index = mechanics_index(before)
+    if index is not None:
+        added = make(cast(LinearStage, before[index]))
+        return (Parallel((before[: index + 1], (*before[:index], added))), *before[index + 1 :])
+    for i, stage in enumerate(before):
+        main = stage.branches[0] if isinstance(stage, Parallel) else ()
+        if main and mechanics_index(main) == len(main) - 1:
+            added = make(cast(LinearStage, main[-1]))
+            return (*before[:i], Parallel((*cast(Parallel, stage).branches, (*main[:-1], added))), *before[i + 1 :])
+    raise InputError(f"{name}: no mechanics before it (transfer function or continuous state space): put it behind them")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -21,7 +21,7 @@ from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, T
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, VectorPerAxis, scalar, vector
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
-from hyst_control.effects.placement import mechanics_index
+from hyst_control.effects.modifiers import beside_mechanics
 
 C = c_texts(__file__)
 
@@ -63,24 +63,20 @@ class SofteningModes(Modifier):
     )
 
     def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
-        index = mechanics_index(before)
-        if index is None:
-            raise InputError(
-                f"{self.name}: no mechanics before it (transfer function or continuous state space): put it behind them"
-            )
         softening, damping, amplitude = per_axis_scalars(self, axes, "softening", "damping", "amplitude")
         if not softening.any() and not damping.any():
             return before
         factors = [self.declarations()[name].spread(getattr(self, name), axes) for name in ("softening_factors", "damping_factors")]
-        moved = ModesMoved(cast(LinearStage, before[index]), tuple(softening), tuple(damping), tuple(amplitude), *factors)
         # A mode each, where they differ: a simulation of another value then runs the mode again that it is of.
         lengths = {(len(one), len(other)) for one, other in zip(*factors, strict=True)}
         counts = set(lengths.pop()) - {1} if len(lengths) == 1 else set()
         modes = counts.pop() if len(counts) == 1 else 1
-        each = [moved.of_mode(mode, modes) for mode in range(modes)] if modes > 1 else [moved]
-        # Beside all that leads to the mechanics, not beside them alone: a chain merges them with what stands before.
-        beside = (*before[:index], Parallel(tuple((one,) for one in each)) if len(each) > 1 else moved)
-        return (Parallel((before[: index + 1], beside)), *before[index + 1 :])
+
+        def moved(mechanics: LinearStage) -> Stage:
+            all_modes = ModesMoved(mechanics, tuple(softening), tuple(damping), tuple(amplitude), *factors)
+            return Parallel(tuple((all_modes.of_mode(mode, modes),) for mode in range(modes))) if modes > 1 else all_modes
+
+        return beside_mechanics(self.name, before, moved)
 
 
 @dataclass(frozen=True)

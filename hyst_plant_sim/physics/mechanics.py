@@ -36,12 +36,10 @@ def mechanics(system: Callable[[float, float], System], frame: Frame, changes: M
         modes = [beside(system(0.0, 1.0), mode, frame.step, late) for mode in changes["modes"]]
         return Sum(mechanics(system, frame, others, late), *modes)
     mass_ratio = changes.get("added_mass", 0.0)
-    duffing, friction, wander = (changes.get(name, 0.0) for name in ("duffing", "friction", "wander"))
-    if duffing == 0 and friction == 0 and wander == 0:
+    irregular = ("duffing", "friction", "wander", "cube", "excess")
+    if not any(changes.get(name, 0.0) for name in irregular):
         return Held(system(mass_ratio, 1.0), frame.step, late)
-    return Irregular(
-        system, frame, late, mass_ratio, duffing, friction, wander, changes.get("period", 1.0), changes.get("phase", 0.0)
-    )
+    return Irregular(system, frame, late, changes)
 
 
 def beside(main: System, mode: tuple[float, float, float, float], step: float, late: float) -> Held:
@@ -61,18 +59,10 @@ class Irregular(Part):
     The forces are those of the displacement in the middle of a step, on the straight line through the ends of the last two.
     """
 
-    def __init__(
-        self,
-        system: Callable[[float, float], System],
-        frame: Frame,
-        late: float,
-        mass_ratio: float,
-        duffing: float,
-        friction: float,
-        wander: float,
-        period: float,
-        phase: float,
-    ) -> None:
+    def __init__(self, system: Callable[[float, float], System], frame: Frame, late: float, changes: Mapping[str, Any]) -> None:
+        names = ("added_mass", "duffing", "friction", "wander", "phase", "cube", "excess")
+        mass_ratio, duffing, friction, wander, phase, cube, excess = (changes.get(name, 0.0) for name in names)
+        period, gap = changes.get("period", 1.0), changes.get("gap", 1.0)
         ratios = 1.0 + wander * np.linspace(-1.0, 1.0, GRID) if wander else np.ones(1)
         systems = [system(mass_ratio, ratio) for ratio in ratios]
         steps = [
@@ -84,16 +74,21 @@ class Irregular(Part):
         self._read = np.stack([np.append(self._c @ state, self._c @ shift) for _, _, state, shift in steps])
         self._gain = float(self._c @ exact_discretization.rest(self._a, self._b, 1.0))
         span = frame.stroke[1] - frame.stroke[0]
-        self._force = np.array([duffing / self._gain / span**2, friction * span / self._gain, friction * span])
+        # Of the cube of the displacement; limit and way of the slip; what a gap takes from the spring, and its half-width.
+        slip = friction * span
+        self._force = np.array(
+            [duffing / self._gain / span**2 + cube / self._gain, slip / self._gain, slip, excess / self._gain, gap]
+        )
         self._turn = np.array([2 * np.pi * frame.step / period, phase])
         self.settle(0.0)
 
     def settle(self, value: float) -> float:
         """Rest at the equilibrium of a constant drive with the cubic spring."""
-        spring = self._force[0]
+        spring, gap_force, gap = self._force[[0, 3, 4]]
         drive = value
-        for _ in range(200):  # the spring takes a part of the drive: a contraction for any part below one third
-            drive = value - spring * (self._gain * drive) ** 3
+        for _ in range(200):  # the forces are a part of the drive: halving the steps, this converges for any part below one third
+            y = self._gain * drive
+            drive = 0.5 * (drive + value - spring * y**3 + gap_force * min(max(y / gap, -1.0), 1.0))
         self._x = exact_discretization.rest(self._a, self._b, drive)
         y = float(self._c @ self._x)
         # displacement one step ago, place of the guide's slip element, internal steps so far
@@ -126,7 +121,7 @@ def _irregular(
     for k in range(block.size):
         at = middle + int(np.rint(middle * np.sin(turn[0] * memory[2] + turn[1]))) if middle else 0
         ahead = 1.5 * y - 0.5 * memory[0]
-        now = block[k] - force[0] * ahead * ahead * ahead
+        now = block[k] - force[0] * ahead * ahead * ahead + force[3] * min(max(ahead / force[4], -1.0), 1.0)
         if force[2] > 0:
             memory[1] = min(max(memory[1], ahead - force[2]), ahead + force[2])
             now -= force[1] * (ahead - memory[1]) / force[2]

@@ -124,6 +124,11 @@ EXAMPLES = {
     "sensor_lowpass": lambda n: {"cutoff": spread(n, 1e3, np.inf, 5e3), "order": 2},
     "slew_limit": lambda n: {"rate": spread(n, 2e4, np.inf)},
     "dac_hold": lambda n: {"samples": spread(n, 3, 1), "step": spread(n, 0.5, 0.0)},
+    "dry_friction": lambda n: {"slack": spread(n, 0.4, 0.0)},
+    "cubic_stiffness": lambda n: {"loss": spread(n, 20.0, -10.0), "amplitude": 200.0},
+    "clearance": lambda n: {"half_width": 0.3, "excess": spread(n, 0.2, -0.1)},
+    "dead_zone": lambda n: {"half_width": spread(n, 2.0, 0.0), "center": spread(n, 0.0, 10.0)},
+    "output_saturation": lambda n: {"lower": -np.inf, "upper": spread(n, 30.0, 20.0)},
     "softening_modes": lambda n: {"softening": spread(n, 0.02, 0.01), "damping": spread(n, 0.3, 0.1), "amplitude": 2.0},
     "resonance": lambda n: {"frequency": spread(n, 900.0, 300.0), "damping": 0.1, "gain": spread(n, 0.05, -0.1)},
     "coupled_resonance": lambda n: {
@@ -183,6 +188,9 @@ MODIFIERS = (
     "added_mass",
     "softening_modes",
     "learned_residual",
+    "dry_friction",
+    "cubic_stiffness",
+    "clearance",
 )
 BEFORE = dict.fromkeys(MODIFIERS, PLANT)
 """What stands before a stage that changes others."""

@@ -48,11 +48,22 @@ TABLE = {
     "backlash": {"half_width"}, "cross_coupling": {"coupling", "corner"}, "sensor_nonlinearity": {"second", "third"},
     "sensor_noise": {"rms"}, "flicker_noise": {"rms"}, "mains_hum": {"amplitude", "frequency"},
     "vibration": {"amplitude", "frequency"}, "softening_modes": {"softening", "damping"},
+    "dry_friction": {"slack"}, "cubic_stiffness": {"loss"}, "clearance": {"half_width", "excess"}, "dead_zone": {"half_width"},
+    "output_saturation": {"lower", "upper"},
     "quantization": {"step"}, "held_samples": {"fraction"},
 }  # fmt: skip
 """Names and parameters of the gap report."""
 
-MODIFIERS = ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "added_mass", "softening_modes")
+MODIFIERS = (
+    "dry_friction",
+    "cubic_stiffness",
+    "clearance",
+    "hysteresis_width",
+    "hysteresis_shape",
+    "hysteresis_rate",
+    "added_mass",
+    "softening_modes",
+)
 
 
 @cache

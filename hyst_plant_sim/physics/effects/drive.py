@@ -123,6 +123,16 @@ def _dead_band(values: Mapping[str, float], context: Context) -> Pointwise:
     return Pointwise(lost)
 
 
+def dead_zone(half_width: float, center: float) -> Pointwise:
+    """Part of a voltage beyond the zone, counted from the center of the zone."""
+
+    def beyond(voltage: Array) -> Array:
+        distance = voltage - center
+        return np.asarray(center + np.sign(distance) * np.maximum(np.abs(distance) - half_width, 0.0), dtype=np.float64)
+
+    return Pointwise(beyond)
+
+
 def _clip(values: Mapping[str, float], context: Context) -> Clip | Pointwise:
     if not values["knee"]:
         return Clip(values["lower"], values["upper"])
@@ -218,6 +228,15 @@ EFFECTS = {
         _dead_band,
         "Around the middle of the rating the drive does not answer; beyond, it falls short by as much.",
         {"half_width": "V"},
+    ),
+    "dead_zone": Effect(
+        "insert",
+        "drive",
+        {"half_width": 0.0},
+        lambda v, c: dead_zone(v["half_width"], v["center"]),
+        "Within ± half_width of `center` the drive rests; beyond, it falls short by as much.",
+        {"half_width": "V", "center": "V"},
+        {"center": 0.0},
     ),
     "amplifier_lowpass": low_pass_effect("amplifier", "before the hysteresis"),
 }

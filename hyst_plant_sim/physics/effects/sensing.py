@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hyst_plant_sim.physics.arrays import Array
 from hyst_plant_sim.physics.effects.drive import gain_factor, low_pass_effect
 from hyst_plant_sim.physics.effects.effect import Context, Effect, Pointwise, Timed
+from hyst_plant_sim.physics.parts import Clip
 from hyst_plant_sim.physics.signal_path import Part
 
 FLICKER_LOWEST, FLICKER_PER_DECADE = 0.03, 2
@@ -162,6 +163,14 @@ EFFECTS = {
         _nonlinearity,
         "Legendre polynomials of degree 2 and 3 over the stroke are added.",
         {"second": "unit", "third": "unit"},
+    ),
+    "output_saturation": Effect(
+        "insert",
+        "sensor",
+        {"lower": -np.inf, "upper": np.inf},
+        lambda v, c: Clip(v["lower"], v["upper"]),
+        "What is measured ends at a side.",
+        {"lower": "unit", "upper": "unit"},
     ),
     "gain": Effect(
         "insert",

@@ -1,0 +1,67 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A drive that does not answer small commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, each_axis
+from hyst_control.chain.memoryless import StaticFilter
+from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalars, register
+from hyst_control.effects.effect import Effect, Parameter, Surroundings
+
+
+@register
+@dataclass(frozen=True)
+class DeadZone(Stage):
+    """Answers nothing within ± half_width of `center`; beyond, the output falls short by as much."""
+
+    name: ClassVar[str] = "dead_zone"
+    equation: ClassVar[str] = (
+        r"y = u - \min\left(\max\left(u - \mathrm{center}, -\mathrm{half\_width}\right), \mathrm{half\_width}\right)"
+    )
+    place: ClassVar[str] = "drive"
+    half_width: ScalarPerAxis = scalar("V", "of the zone", lower=0.0)
+    center: ScalarPerAxis = scalar("V", "of the zone", default=0.0)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        half, center = per_axis_scalars(self, sampling.axes, "half_width", "center")
+        code = each_axis(
+            "u - minimum_of(maximum_of(u - p->center[i], -p->half[i]), p->half[i])",
+            "dead zone",
+            {"half": (half, "V, half of the zone"), "center": (center, "V")},
+            (MAXIMUM, MINIMUM),
+        )
+        return StaticFilter(lambda u: u - np.minimum(np.maximum(u - center, -half), half), sampling.hold, code)
+
+
+def parameters(around: Surroundings) -> tuple[Parameter, ...]:
+    """Zone about 0 V, or about a point that is fitted, up to a quarter of the drive's range."""
+    low, high = around.command
+    reach = max(high - low, 1e-9)
+    return (
+        Parameter("half_width", "V", 0.0, (0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.03 * reach),
+        Parameter("center", "V", 0.0, (0.5 * (low + high),), low, high, 0.1 * reach, told=False),
+    )
+
+
+def crosses_zero(around: Surroundings) -> bool:
+    """True where the command goes from one side of 0 to the other."""
+    return around.command[0] < 0.0 < around.command[1]
+
+
+EFFECT = Effect(
+    "dead_zone",
+    "drive",
+    "The drive does not answer commands within a dead zone.",
+    parameters,
+    lambda values, around: DeadZone(values["half_width"], values.get("center", 0.0)),
+    variants=lambda around: ({"center": 0.0},) if crosses_zero(around) else ({},),
+    exercised=lambda around: around.command[1] > around.command[0],
+    phrase="a dead zone of ±{half_width} in the drive",
+)
