@@ -166,7 +166,10 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        if isinstance(error, (OSError, MemoryError)):  # what is written now would meet the same
+            self.abandon()
+        else:
+            self.close()
 
 
 def _copied(value: Any) -> Any:
