@@ -20,7 +20,7 @@ from hyst_control.control.feedback.command_limits import CommandLimits
 from hyst_control.control.feedback.command_watchdog import CommandWatchdog
 from hyst_control.nodes.pi_feedback import PiFeedback
 
-PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 0.01, 0.0, 50.0, 2000.0, 400.0, 2.0
+PERIOD, LOWER, UPPER, SLEW, RATE, SAFE = 0.01, 0.0, 50.0, 500.0, 400.0, 2.0
 LABELS = {"feedforward": "t[s],x[V]", "reference": "t[s],x[um]", "measurement": "t[s],x[um]"}
 ALL_SAFE = math.ceil((UPPER - LOWER) / (RATE * PERIOD)) + 2
 """Ticks after which a stopped command is at its safe value."""
@@ -49,6 +49,7 @@ class Faults(RuleBasedStateMachine):
         self.commands, self.applied = [0.0], [0.0]
         self.watchdog, self.limits = CommandWatchdog(np.zeros(1), np.full(1, SAFE), RATE, PERIOD), CommandLimits(LOWER, UPPER)
         self.node.command.sender.send = lambda block: self.commands.extend(block[:, 1].tolist())
+        self.runs(20, 3.0)
 
     def teardown(self):
         for module in getattr(self, "turned", ()):
