@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test quick test-again fuzz mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme check-labs sbom bench env clean
+.PHONY: demo test quick coverage test-again fuzz faults mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme check-labs sbom bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -32,6 +32,10 @@ WATCHDOG = -o faulthandler_timeout=330 -o faulthandler_exit_on_timeout=true
 # Without files of byte code each of the many processes of a run would compile all of the sources for itself.
 test: env
 	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=3 $(WATCHDOG) $(ARGS)
+
+# The whole suite, with lines and branches of every process; `ARGS` names tests, of which the figures are lower.
+coverage: $(CHECKS_READY) env
+	$(VENV)/bin/python .ci/measure_coverage.py -n $(WORKERS) --dist loadfile $(WATCHDOG) $(ARGS)
 
 # The core alone, without ROS and without what takes half a minute: for the minutes between two edits.
 QUICK ?= test/chain test/physics test/test_files.py test/test_model_file.py test/test_yaml_files.py
@@ -44,6 +48,10 @@ test-again: env
 
 fuzz: env
 	PYTHONPATH=. $(VENV)/bin/python test/fuzz $(ARGS)
+
+# The n-th write, opened file, renaming, reading and allocation of each command fails, n = 1, 2, 3 … until the command passes.
+faults: env
+	$(VENV)/bin/python test/faults/sweep.py $(ARGS)
 
 mutate: env
 	$(VENV)/bin/python test/fuzz/mutations.py $(ARGS)

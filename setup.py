@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One description for pip (`.venv/bin/hyst` and the nodes) and for colcon (`ros2 run hyst_control <node>`)."""
 
+import re
 import runpy
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from setuptools import find_packages, setup
 
 NAME = "hyst_control"
 root = Path(__file__).parent
+VERSION = re.findall("<version>(.*)</version>", (root / "package.xml").read_text(encoding="utf-8"))[0]  # where bloom writes it
 NODES = runpy.run_path(str(root / "hyst_control" / "processes" / "node_list.py"))["NODES"]
 INSTALLED = ("config", "docs", "launch")
 folders = [
@@ -38,7 +40,7 @@ REQUIRED = [
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=VERSION,
     description="Identification, feedforward control and gap diagnosis of piezoelectric actuators with hysteresis",
     license="Apache-2.0",
     python_requires=">=3.10",

@@ -11,9 +11,10 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -115,6 +116,30 @@ def write_text(path: str | Path, text: str, private: bool = False) -> None:
     data = text.encode("utf-8", "backslashreplace")  # a file's name may hold bytes that are no text
     with replacing(path, private) as file:
         file.write(data)
+
+
+def write_texts(folder: str | Path, texts: Mapping[str, str]) -> list[Path]:
+    """Write files of these names into a folder, where it is new all of them or none; `InputError` when that cannot be."""
+    folder = Path(folder)
+    new = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
+    try:
+        with ExitStack() as files:  # no file gets its name before the last one is written
+            for name, text in texts.items():
+                try:
+                    file = files.enter_context(replacing(folder / name))
+                    file.write(text.encode("utf-8", "backslashreplace"))
+                    file.flush()
+                except OSError as error:
+                    raise InputError(f"{folder / name}: {error.strerror}: choose a folder that can be written") from None
+    except BaseException:
+        if new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return [folder / name for name in texts]
 
 
 def write_json(path: str | Path, document: Any, private: bool = False) -> None:

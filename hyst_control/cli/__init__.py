@@ -116,6 +116,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         print(f"hyst {arguments.command}: {where}{error.strerror or error}: check the path and its permissions", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        reason = f"not enough memory ({error})" if str(error) else "not enough memory"
+        print(f"hyst {arguments.command}: {reason}: free memory, or take shorter records", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
         return 130

@@ -17,7 +17,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.files import write_text
+from hyst_control.base.files import write_texts
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
@@ -44,7 +44,6 @@ def write_folder(
     """Write everything; the same program gives the same bytes."""
     hashes = [f"{Path(path).name}: SHA-256 {hashlib.sha256(Path(path).read_bytes()).hexdigest()}" for path in sources]
     program = replace(exported.program, facts=(*exported.program.facts, *hashes))
-    folder = Path(folder)
     values: dict[str, object] = {"name": program.name, "upper": program.name.upper(), "exact": int(program.exact)}
     values["plant"] = plant.program.name if plant else ""
     _check_outputs(exported, program.real)
@@ -62,13 +61,7 @@ def write_folder(
     }
     if plant is not None:
         texts.update(_loop(exported, plant, values))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: {error.strerror}: choose another folder") from None
-    for name, text in texts.items():
-        write_text(folder / name, text)
-    return [folder / name for name in texts]
+    return write_texts(folder, texts)
 
 
 def _loop(exported: Exported, plant: Exported, values: Mapping[str, object]) -> dict[str, str]:

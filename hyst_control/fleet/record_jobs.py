@@ -85,7 +85,7 @@ def _identify(job: RecordJob) -> dict[str, Any]:
     return {
         "family": str(result.fit.report.get("family", "")),
         "model_file": str(result.written()),
-        "held_out_nrmse": [float(value) for value in result.fit.report["held_out_nrmse"]],
+        "held_out_nrmse": [float(value) for value in result.fit.report.get("held_out_nrmse", ())],
         "parameters": parameters,
     }
 

@@ -32,7 +32,7 @@ from hyst_control.nodes.signal_node.parameters import settings_of
 from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.actuator_following import APPLIED, FollowingWatch
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.stream.signal_message import Encoder, label_for
 
 GAP_LABEL = "t[s],nrmse[%],alarm[]"
@@ -301,7 +301,7 @@ class DiagnosisNode(SignalNode):
         wanted[1:2] = self._from_rest
         ticks = ticks[wanted]
         runs = np.split(np.arange(len(ticks)), np.flatnonzero(np.diff(ticks) > 1) + 1)
-        with BagWriter(path) as bag:
+        with open_bag(path) as bag:
             for topic, unit in (("command", "V"), ("measurement", self.unit)):
                 encoder, rows = Encoder(label_for(self.axes, unit)), np.column_stack([ticks * self.period, values[topic][wanted]])
                 for run in runs:

@@ -17,7 +17,7 @@ from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import QUEUE
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED
-from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.stream.row_repetition import REPEAT_INTERVAL, RepetitionBackoff
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
@@ -58,7 +58,7 @@ class Recorder(SignalNode):
         if not self.settings.output:
             raise InputError(f"{self.get_name()}: parameter output: give the directory of the bag")
         self.ends = self.settings.ticks > 0 or self.settings.duration > 0
-        self._writer = BagWriter(self.settings.output)
+        self._writer = open_bag(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.last_complete_tick = -1
         self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of the progress

@@ -16,7 +16,6 @@ from types import TracebackType
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE
@@ -62,6 +61,8 @@ class BagWriter:
 
         Raises `InputError` when the path exists or cannot be created.
         """
+        from mcap.writer import CompressionType, Writer  # a ROS installation may not have it: see rosbag2_writer
+
         self.path = Path(path)
         self.custom_data = custom_data
         try:
@@ -166,7 +167,10 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        if isinstance(error, (OSError, MemoryError)):  # what is written now would meet the same
+            self.abandon()
+        else:
+            self.close()
 
 
 def _copied(value: Any) -> Any:

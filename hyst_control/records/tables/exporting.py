@@ -20,7 +20,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import replacing
-from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.record import Record
 from hyst_control.records.stream.signal_message import Encoder, label_for
 
@@ -94,7 +94,7 @@ def _write_mcap(record: Record, path: Path) -> None:
     topics, signals = list(record.signals), list(record.signals.values())
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
         part = Path(temporary) / path.name
-        with BagWriter(part, {"hold": record.hold} if record.hold != "zoh" else None) as writer:
+        with open_bag(part, {"hold": record.hold} if record.hold != "zoh" else None) as writer:
             for topic in topics:
                 writer.add_topic(f"/{topic}")
             for at in np.argsort(times, kind="stable").tolist():

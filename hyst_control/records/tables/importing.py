@@ -16,6 +16,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.bags.bag_writer import BagWriter
+from hyst_control.records.bags.rosbag2_writer import Rosbag2Writer, open_bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.stream.signal_message import Encoder, label_for
@@ -189,7 +190,7 @@ def write_bag(path: str | Path, record: Record) -> None:
         said = {"hold": record.hold} if record.hold != "zoh" else {}
         if record.history:
             said["history"] = "\n".join(record.history)
-        with BagWriter(part, said or None) as writer:
+        with open_bag(part, said or None) as writer:
             _write_signals(writer, record)
         part.rename(path)
 
@@ -210,7 +211,7 @@ def write_bags(path: str | Path, records: Sequence[Record]) -> None:
         part.rename(path)
 
 
-def _write_signals(writer: BagWriter, record: Record) -> None:
+def _write_signals(writer: BagWriter | Rosbag2Writer, record: Record) -> None:
     encoders = {topic: Encoder(label_for(signal.axes, signal.unit)) for topic, signal in record.signals.items()}
     for topic in encoders:
         writer.add_topic(f"/{topic}")
