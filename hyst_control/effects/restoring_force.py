@@ -79,9 +79,10 @@ class ForceFilter(Filter):
         # Change of that by a unit force that is held over a step.
         self.reach = np.einsum("smi,sim->sm", self.rate, self.push) + np.einsum("smm->sm", self.direct)
         gains = np.concatenate([reference_gains(system) for system in systems])
-        self.law, self.force, self.size = stage.law, np.array(stage.moves) / gains, np.array(stage.size)
+        self.law, self.size = stage.law, np.array(stage.size)
+        self.force = np.array(stage.moves) / gains
         # `rest`: state at rest for a unit input; the states that fill up a shorter system stay 0.
-        self.rest: Array = np.linalg.solve(np.eye(n) - self.a, self.push)
+        self.rest: Array = np.asarray(np.linalg.solve(np.eye(n) - self.a, self.push), dtype=np.float64)
         self.free, self.moved, self.last, self.taken = (
             np.zeros((count, n)),
             np.zeros((count, n)),

@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.base.signals import correlated
 
 SAME = 1e-3
 """Rms difference of two commands, in the range of the first, up to which they are the same."""
@@ -17,6 +16,8 @@ SAME = 1e-3
 
 def period_of(command: Annotated[Array, "N A"], same: float = SAME) -> int | None:
     """Find the period of a command."""
+    from hyst_control.base.signals import correlated  # imports numba
+
     rows, count = command - command.mean(axis=0), len(command)
     products = np.sum([correlated(column, column) for column in rows.T], axis=0)[count - 1 :]
     squares = np.concatenate([[0.0], np.cumsum(np.sum(rows**2, axis=1))])

@@ -22,7 +22,7 @@ def lateness(remarks: Sequence[Finding], datasets: Sequence[Dataset]) -> int:
     """Samples by which the measurement of every record and axis is late, less what the fit finds itself; 0 where one is not."""
     found = {(each.record, each.axis): each.value for each in remarks if each.name == "late_measurement"}
     moving = [(data.name, name) for data in datasets for name, span in zip(data.axes, np.ptp(data.command, axis=0)) if span > 0]
-    if not all(each in found for each in moving):
+    if not moving or not all(each in found for each in moving):
         return 0
     samples = round(min(found[each] for each in moving) / datasets[0].sample_time)
     return max(int(samples - max(LEFT, LEFT_SHARE * samples)), 0)
