@@ -23,6 +23,7 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
 
+MOST = 0.95  # Of the mean slope: a rate correction that outweighs the hysteresis at high frequency has no stable inverse
 K2_UNIT = 1e-3
 """Unit (s) of k2 in the parameter vector, which holds its logarithm."""
 
@@ -77,7 +78,7 @@ class Axis:
     def limit(self, vector: Annotated[Array, "P"]) -> Annotated[Array, "P"]:
         """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
-        rate = np.clip(rate, [-5.0, np.log(0.02)], [5.0, np.log(200.0)])
+        rate = np.clip(rate, [-MOST, np.log(0.02)], [MOST, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrization(self) -> Parametrization:
