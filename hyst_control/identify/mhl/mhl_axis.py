@@ -78,7 +78,8 @@ class Axis:
     def limit(self, vector: Annotated[Array, "P"]) -> Annotated[Array, "P"]:
         """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
-        rate = np.clip(rate, [-MOST, np.log(0.02)], [MOST, np.log(200.0)])
+        most = MOST * abs(self.curves.full(curves))
+        rate = np.clip(rate, [-most, np.log(0.02)], [most, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrization(self) -> Parametrization:
