@@ -45,6 +45,10 @@ class Thresholds:
     unknown_share: float = _setting(
         "share of the gap's energy", "most that the best explanation may leave before it is called unknown"
     )
+    named_unexplained_share: float = _setting(
+        "share of the gap's energy",
+        "most that an explanation by effects leaves, or takes off by coefficients many tolerances away",
+    )
     novelty_threshold: float = _setting(
         "1",
         "clearest sign of an unknown effect, as a multiple of its rule's threshold, beyond which the verdict is unknown: conformal, "
@@ -106,10 +110,14 @@ class Thresholds:
     )
     flicker_margin: float = _setting("nats", "gain of 1/f noise above what a claim needs")
     flicker_size: float = _setting("noise rms", "least 1/f noise that is named")
+    flicker_size_beside_one: float = _setting(
+        "noise rms", "the same beside a single clean record, whose own 1/f noise nobody knows and is in the difference as well"
+    )
     flicker_hides: float = _setting(
         "share of the power", "1/f noise at the top of the spectrum from which it hides the white noise"
     )
     companion_deviations: float = _setting("standard deviations", "size from which a session's zero or drift is named")
+    flicker_white: float = _setting("1", "divisor of the white noise beside 1/f noise: what levels off at the top looks white")
 
 
 @dataclass(frozen=True)
@@ -246,6 +254,7 @@ class SearchSettings:
     )
     slack: float = _setting("share of what the best takes off", "most that a fit beside linear coefficients may be off")
     near: float = _setting("nats", "the same, at least")
+    screened: int = _setting("starts", "starts of an effect that are looked at on top of another effect")
     scanned: int = _setting("values", "values of a parameter that are tried, and then as many between the best and its neighbors")
     realizations: int = _setting(
         "realizations", "realizations without a number to fit that go on: those that come closest to the record"

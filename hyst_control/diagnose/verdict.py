@@ -41,6 +41,9 @@ class Reason(str, Enum):
     AT_BOUND = "at_bound"
     """Unknown: the one explanation has an effect at the end of its range."""
 
+    UNEXPLAINED_SHARE = "unexplained_share"
+    """Unknown: beside the effects much of the gap is left, or taken up by coefficients many tolerances away."""
+
     DISTORTION_TIME = "distortion_time"
     """Unknown: the size of a named effect would have to change with time."""
 

@@ -17,7 +17,7 @@ from docs.reference.stages import stage_pages
 from hyst_control.chain.stage import STAGES
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-WORDS = {"round", "Re", "Im"}
+WORDS = {"round", "Re", "Im", "sign"}
 WITH_EQUATION = sorted(name for name, stage in STAGES.items() if stage.equation)
 
 

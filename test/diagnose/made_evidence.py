@@ -25,6 +25,7 @@ LIMITS = replace(
     sure_probability=0.85,
     listed_probability=0.05,
     unknown_share=0.06,
+    named_unexplained_share=0.1,
     novelty_threshold=1.0,
     max_effects=2,
     many_tolerances=8.0,

@@ -51,6 +51,21 @@ ROWS = (
         ("backlash", "gain"),
     ),
     Row(
+        "an effect, and coefficients far away beside it",
+        evidence(effect("a", farthest=16.0)),
+        V.UNKNOWN,
+        (R.UNEXPLAINED_SHARE,),
+        ("a",),
+        remainder=0.0,
+    ),
+    Row(
+        "an effect, and coefficients nearly as far as is believed",
+        evidence(effect("a", farthest=9.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
         "coefficients alone far away",
         evidence(coefficients(farthest=40.0)),
         V.PARAMETERS,
@@ -152,6 +167,20 @@ ROWS = (
     ),
     Row("effect or coefficients", evidence(effect("a"), coefficients(999.0)), V.AMBIGUOUS, (R.SEVERAL_EXPLANATIONS,), ("a", "")),
     Row(
+        "an effect, or a coefficient many tolerances away",
+        evidence(effect("a"), coefficients(1010.0, farthest=9.0)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "a coefficient many tolerances away, and an effect that explains less",
+        evidence(effect("a", 900.0, left=1.3), coefficients(1010.0, farthest=9.0)),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_BEYOND_TOLERANCE,),
+        ("",),
+    ),
+    Row(
         "one that is not sure among many improbable ones",
         evidence(effect("a", 1000.0), *(effect(name, 987.0) for name in "bcdefg")),
         V.EFFECT,
@@ -229,6 +258,13 @@ ROWS = (
         (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
+        "coefficients beside clean records, where one known effect does the same",
+        evidence(effect("a"), coefficients(1010.0), whitened=True),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
         "half of what exceeds the own error of the clean records",
         evidence(effect("a", left=51.0), base=UNRELATED, whitened=True),
         V.UNKNOWN,
@@ -261,6 +297,20 @@ ROWS = (
         evidence(replace(effect("a", left=4.0), beyond=0.0), effect("a+b", 5000.0, beyond=0.0), whitened=True, stated=4.0),
         V.EFFECT,
         (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "coefficients far away that take up next to nothing beside a great gap",
+        evidence(effect("a", farthest=40.0, taken_up=0.5)),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
+        "coefficients far away that take up a good part of it",
+        evidence(effect("a", farthest=40.0, taken_up=50.0)),
+        V.UNKNOWN,
+        (R.UNEXPLAINED_SHARE,),
         ("a",),
     ),
     Row(

@@ -151,6 +151,19 @@ ROWS = (
         remainder=0.0,
     ),
     Row(
+        "1/f noise no larger than a single clean record's own may be",
+        evidence(base=none(residual=replace(QUIET, flicker=flicker(1e7, 1.5))), clean_noise=True),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "1/f noise larger than that",
+        evidence(base=none(residual=replace(QUIET, flicker=flicker(1e7, 2.5))), clean_noise=True),
+        V.EFFECT,
+        (R.RECORD_CHECK, R.NOISE_EXPLAINS_MORE),
+        checks=(C.FALLING_SPECTRUM,),
+    ),
+    Row(
         "a falling spectrum of another shape",
         evidence(base=none(residual=replace(FALLING, flicker=flicker(1e7, plausible=False)))),
         V.UNKNOWN,

@@ -116,6 +116,8 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     told = sentence(report | {"unexplained_share": 1.0, "effects": fitted})  # the one number of the effects' lines
     assert "offset, shrinks it by 82 % with the coefficients fitted" in told and "100 %" not in told
     assert "does not shrink it" in sentence(report | {"effects": [fitted[0] | {"shrink_reidentified": -0.1}]})
+    far = {"reasons": ["unexplained_share"], "parameters": [{"name": "num[0]", "z": 31.2}, {"name": "k", "z": 5.5}]}
+    assert "would, but only with coefficients far from the model's: num[0] (+31 σ)." in sentence(report | far)
 
 
 @pytest.mark.parametrize(

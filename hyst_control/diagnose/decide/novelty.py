@@ -31,6 +31,9 @@ def signs(
     if not outweighed:
         found[Reason.ENERGY_LEFT] = min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share)
     found[Reason.OUTLIERS] = max([0.0, *(share_of_outliers(evidence, each) / thresholds.unknown_share for each in outliers)])
+    if one.names:
+        share = unexplained(evidence, chosen, thresholds) / thresholds.named_unexplained_share
+        found[Reason.UNEXPLAINED_SHARE] = min(share, max(beyond, one.farthest / thresholds.many_tolerances))
     if _too_many(evidence, chosen, thresholds):
         found[Reason.TOO_MANY_EFFECTS] = one.together / thresholds.max_effects
     for test, sign in changes(evidence, chosen, thresholds):

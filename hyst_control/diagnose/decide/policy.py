@@ -73,7 +73,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     signs = novelty.signs(evidence, chosen, outweighed, outliers, thresholds)
     unknown = {reason for reason, sign in signs.items() if sign > thresholds.novelty_threshold}
     # What leaves much, needs too much or is not itself stands alone: others that are as probable fail as well.
-    alone = unknown - {Reason.OUTLIERS}
+    alone = unknown - {Reason.UNEXPLAINED_SHARE, Reason.OUTLIERS}
     listed = (chosen,) if alone else _listed(evidence, claims, probability, thresholds)
     effects = any(evidence.hypotheses[index].names for index in listed)
     at_bound = len(listed) == 1 and evidence.hypotheses[chosen].at_bound
@@ -81,8 +81,8 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     if unknown or at_bound:
         verdict = Verdict.UNKNOWN
         reasons = unknown | ({Reason.AT_BOUND} if at_bound else set())
-        if unknown & {Reason.ENERGY_LEFT, Reason.OUTLIERS}:
-            reasons |= {Reason.ENERGY_LEFT}
+        if unknown & {Reason.ENERGY_LEFT, Reason.OUTLIERS}:  # energy left says all that the share says
+            reasons = (reasons | {Reason.ENERGY_LEFT}) - {Reason.UNEXPLAINED_SHARE}
             reasons -= {Reason.OUTLIERS} if unaccounted <= left else set()
     elif len(listed) > 1:
         verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
@@ -162,7 +162,11 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _worth_naming(one, evidence, thresholds)
     ]
     found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
-    return tuple(index for index in found if not _adds_too_little(index, found, evidence, thresholds))
+    return tuple(
+        index
+        for index in found
+        if not _adds_too_little(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
+    )
 
 
 def _narrowband_vibration_index(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
@@ -219,6 +223,29 @@ def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: 
     """True where a hypothesis is better by what exceeds the model discrepancy, or by coefficients that need not move as far."""
     better = without.beyond + without.strain - one.beyond - one.strain
     return better > evidence.null + thresholds.margin
+
+
+def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
+
+    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
+    """
+    one = evidence.hypotheses[index]
+    # Beside clean records the coefficients are those of these records, and what has changed is an effect if a known one does it.
+    if not one.coefficients_alone or (one.farthest < thresholds.many_tolerances and not evidence.whitened):
+        return False
+    size = 0.5 * evidence.temper * evidence.weight * evidence.rows * len(evidence.noise)  # nats of a noise energy
+    taken_off = size * (evidence.hypotheses[0].energy - one.energy)
+    return any(
+        len(other.names) == 1
+        and (
+            not _stands_out(other, one, evidence, thresholds)
+            if _has_own_error(evidence)
+            else size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+        )
+        and not strained(other.strain, evidence.coefficients, thresholds)
+        for other in (evidence.hypotheses[i] for i in claims)
+    )
 
 
 def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:

@@ -81,7 +81,7 @@ def findings(
             others = [one for one in found if one.axis == axis and one.check is not RecordCheck.COMMAND_LATTICE]
             if any(finding.check is RecordCheck.REPEATED_VALUES for finding in others):
                 continue
-            white = measured if noise is None else noise.white * evidence.noise[0]
+            white = measured if noise is None else noise.white * evidence.noise[0] / thresholds.flicker_white
             more = excess_noise(white, evidence.stated_noise[axis], others, axis, evidence.noise_bins, thresholds.excess_ratio)
             count, rms = residual.outliers[axis], residual.outliers_rms[axis]
             few = count <= thresholds.many_outliers * evidence.rows
@@ -107,7 +107,8 @@ def flicker_found(evidence: Evidence, first: int, thresholds: Thresholds) -> Fli
         seen = residual_of(evidence, index).flicker
         if seen is None or not seen.plausible:
             continue
-        large = seen.rms > max(evidence.floor, thresholds.flicker_size)
+        size = thresholds.flicker_size_beside_one if evidence.clean_noise else thresholds.flicker_size
+        large = seen.rms > max(evidence.floor, size)
         if large and seen.gain > evidence.null + thresholds.margin + thresholds.flicker_margin:
             if index == first or outweighs(seen, evidence, first):
                 return seen

@@ -22,7 +22,6 @@ from hyst_control.diagnose.run.collect import collect, companions, residual_evid
 from hyst_control.diagnose.run.prepare import Prepared, clean_rows, prepare
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.fit import Linearized
-from hyst_control.diagnose.search.tangents import tangents_of
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 
@@ -75,21 +74,15 @@ def searched(
     members = prepared.members(sensor_side)
     usual, few = configuration.search, priors.parents
     alone = replace(configuration, search=replace(usual, depth=1, depth_with_own_error=1))
-    together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few))
-    given = prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress
-    tangents = tangents_of(prepared.linearized, members)
-    found = search(*given, alone, tangents)
-    fits, weighed = _weighed(found, priors)
-    other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)
-    if weighed[0].kind is not Kind.NOTHING and other >= priors.combined:
-        found = search(*given, together, tangents, found)
-        fits, weighed = _weighed(found, priors)
+    together = replace(configuration, search=replace(usual, beam=few, beam_with_own_error=few, screened=priors.screened))
+    for settings in (alone, together):
+        found = search(prepared.linearized, members, priors.followed, prepared.floor, prepared.leaves, progress, settings)
+        fits = fits_of(found, priors.kept, priors.freedom)
+        weighed = weigh(fits, priors)
+        other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE)
+        if weighed[0].kind is Kind.NOTHING or other < priors.combined:
+            break
     return found, fits, weighed
-
-
-def _weighed(found: Found, priors: Priors) -> tuple[Fits, tuple[Weighed, ...]]:
-    fits = fits_of(found, priors.kept, priors.freedom)
-    return fits, weigh(fits, priors)
 
 
 def _changed(weighed: tuple[Weighed, ...], found: Found, baseline: Baseline | None, priors: Priors) -> tuple[Weighed, ...]:

@@ -23,6 +23,8 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
+FAR_OFF = 5.0
+"""Tolerances beyond which a coefficient is told as the reason why an explanation is not believed."""
 DISTORTED_BY = {
     "time": "time",
     "level": "the level of the command",
@@ -208,6 +210,7 @@ def sentence(report: dict[str, Any]) -> str:
             return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
+        far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
         near = _nearest(report, names)
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]
@@ -218,6 +221,9 @@ def sentence(report: dict[str, Any]) -> str:
                 )
             else:  # of the record itself, whatever is named
                 near = "; the measurement stands on one level while the command moves on"
+        elif names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
+            worst = far_off[0]
+            near = f"; {' and '.join(names)} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
         elif names and Reason.AT_BOUND.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
             near = f"; {' and '.join(names)} would, with a size at the end of its range"
         elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:

@@ -33,7 +33,6 @@ from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, se
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
-from hyst_control.diagnose.search.tangents import tangents_of
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.model_file import Model
@@ -275,10 +274,9 @@ def _axis(
     prepared = prepare(problem, baseline, without, configuration, progress)
     problem, linearized, checks, floor = prepared.problem, prepared.linearized, prepared.checks, prepared.floor
     members = prepared.members(sensor_side)
-    progress("effects to first order")
-    tangents = tangents_of(linearized, members)
-    null = threshold(linearized, members, seed, cache, configuration, tangents)
-    found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration, tangents)
+    progress("records without a gap")
+    null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
+    found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
     collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
     tests = ContenderTests(prepared, found, collected, baseline, configuration)
     evidence, decision = settled(collected.evidence, tests, thresholds)

@@ -32,8 +32,7 @@ from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.search.starts import Begun, begin, begin_alone, finish, merged_start, promising_pairs
-from hyst_control.diagnose.search.tangents import Tangents, tangents_of
+from hyst_control.diagnose.search.starts import Begun, begin, finish, merged_start, misfit_of, promising_pairs
 from hyst_control.records.correlation import correlation_length
 
 
@@ -64,8 +63,6 @@ class Found:
     singles: tuple[FittedHypothesis, ...]
     combinations: tuple[FittedHypothesis, ...]
     temper: float  # Weight of a sample
-    begun: tuple[Begun, ...] = ()  # Single effects fitted beside linear coefficients
-    finished: tuple[tuple[Candidate, Solution], ...] = ()  # Those of them that were fitted to the chain as it is
 
 
 def inflated(linearized: Linearized, factor: float) -> Linearized:
@@ -91,10 +88,8 @@ def search(
     leaves: float = 1.0,
     progress: Callable[[str], None] = lambda _: None,
     configuration: Configuration = CONFIGURATION,
-    tangents: Tangents | None = None,
-    before: Found | None = None,
 ) -> Found:
-    """Fit and weigh all candidates; what an earlier search of the same found for single effects is taken from there."""
+    """Fit and weigh all candidates."""
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
     whitened = linearized.problem.own_spectrum is not None
@@ -103,23 +98,19 @@ def search(
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     side_by_side = whitened and len(linearized.problem.model.axes) == 1
-    none = before.none if before else FittedHypothesis(None, settled(linearized), 0.0)
+    none = FittedHypothesis(None, settled(linearized), 0.0)
     wide = inflated(linearized, settings.inflation)
-    parameters = (
-        before.parameters
-        if before
-        else FittedHypothesis(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
-    )
+    parameters = FittedHypothesis(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     # Every effect is as likely as any other before the record is seen, however many realizations it has.
     realizations = Counter(member.name for member in members)
     alternatives = np.log(max(len(realizations), 1))
-    tangents = _screened(tangents or tangents_of(linearized, members), settings.realizations)
+    members = _screened(linearized, members, settings.realizations)
     without = none.solution.misfit
-    alone = list(before.begun) if before else begin_alone(tangents, threshold, settings)
-    for one in alone:
+    begun = begin(linearized, [(one, one.starts()) for one in map(_alone, members)], settings)
+    for one in begun:
         progress(one.candidate.names[0])
     size = len(linearized.measured)
-    leading, waiting = _leading(alone, size), alone
+    leading, waiting = _leading(begun, size), begun
     for size_reached in range(1, depth):
         if not leading:
             break
@@ -132,8 +123,12 @@ def search(
         if whitened and without - best.misfit < threshold:
             break  # there is no gap to explain
         # Beside the own error several effects are alike, and the two at work need not lead alone.
-        joint = joint_pairs(tangents, settings.joint_pairs, settings.joint_starts) if size_reached == 1 and side_by_side else []
-        grown = _grown(tangents, leading[:beam], settings.promise * threshold, settings, progress, joint)
+        joint = (
+            joint_pairs(linearized, members, settings.joint_pairs, settings.joint_starts)
+            if size_reached == 1 and side_by_side
+            else []
+        )
+        grown = _grown(linearized, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
         if not grown:
             break
         end = grown[0].ends[0]
@@ -144,8 +139,7 @@ def search(
             break
         leading = _leading(grown, size)
         waiting = waiting + grown
-    done = before.finished if before else ()
-    finished = _contenders(linearized, waiting, done, without, threshold, configuration)
+    finished = _contenders(linearized, waiting, without, threshold, configuration)
     fits = [item for item in finished if len(item[0].members) == 1]
     combinations = [item for item in finished if len(item[0].members) > 1]
     for candidate, solution in _pruned(linearized, combinations):
@@ -178,16 +172,30 @@ def search(
         else 0.0
     )
     parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
-    singles = tuple(item for item in finished if len(item[0].members) == 1)
-    return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper, tuple(alone), singles)
+    return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
-def _screened(tangents: Tangents, most: int) -> Tangents:
-    """The effects, of those without anything to fit only the `most` that come closest to the record."""
-    weight, energy = tangents.linearized.problem.weight, tangents.energy
-    ready = sorted((one for one in tangents.every if not one.member.size), key=lambda one: one.misfit(energy, weight))
-    kept = {id(one.member) for one in ready[:most]}
-    return tangents.without([member for member in tangents.members if not member.size and id(member) not in kept])
+def _screened(linearized: Linearized, members: Sequence[Member], most: int) -> list[Member]:
+    """The members, of those of an effect without anything to fit only the `most` that come closest to the record."""
+    ready = [member for member in members if not member.size]
+    if len(ready) <= most:
+        return list(members)
+    nominal = np.zeros(linearized.count)
+
+    def left(i: int) -> float:
+        try:
+            simulated = linearized.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
+        except InputError:
+            return np.inf
+        return misfit_of(linearized, linearized.measured - simulated)
+
+    order = np.argsort(list(map_forked(left, len(ready))))
+    kept = {id(ready[i]) for i in order[:most]}
+    return [member for member in members if member.size or id(member) in kept]
+
+
+def _alone(member: Member) -> Candidate:
+    return Candidate((member,))
 
 
 def _leading(found: Sequence[Begun], rows: int) -> list[Begun]:
@@ -212,17 +220,11 @@ def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]
 
 
 def _contenders(
-    linearized: Linearized,
-    begun: Sequence[Begun],
-    done: Sequence[tuple[Candidate, Solution]],
-    without: float,
-    threshold: float,
-    configuration: Configuration,
+    linearized: Linearized, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
-    settings, found = configuration.search, list(done)
-    best = min([without, *(solution.misfit for _, solution in found)])
-    begun = sorted(_rest(begun, done), key=lambda one: one.misfit)
+    settings, found, best = configuration.search, list[tuple[Candidate, Solution]](), without
+    begun = sorted(begun, key=lambda one: one.misfit)
     while begun:
         within = _within(min(best, begun[0].misfit), without, settings)
         # What gains less than half of what a claim needs can be left as it is.
@@ -260,8 +262,9 @@ def strain(solution: Solution) -> float:
 
 
 def _grown(
-    tangents: Tangents,
+    linearized: Linearized,
     parents: Sequence[Begun],
+    members: Sequence[Member],
     least: float,
     settings: SearchSettings,
     progress: Callable[[str], None],
@@ -269,9 +272,8 @@ def _grown(
 ) -> list[Begun]:
     """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
     promising = map_forked(
-        lambda i: promising_pairs(tangents, parents[i].candidate, parents[i].ends[0], least, settings.promising), len(parents)
+        lambda i: promising_pairs(linearized, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
     )
-    members = tangents.members
     wanted: list[tuple[Candidate, list[Array]]] = []
     for parent, found in zip(parents, promising, strict=True):
         for index, start in found:
@@ -279,7 +281,7 @@ def _grown(
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
     wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    begun = begin(tangents.linearized, wanted, settings)
+    begun = begin(linearized, wanted, settings)
     for one in begun:
         progress("+".join(one.candidate.names))
     return begun

@@ -219,13 +219,6 @@ class Member:
         """True where the mechanics' output is linear in some of the parameters."""
         return not self.is_extra and any(parameter.sensor is not None for parameter in self.parameters)
 
-    def is_absent(self, x: Annotated[Array, "P"]) -> bool:
-        """True where all parameters are at the value at which there is no effect, of those that have one."""
-        sizes = [i for i, one in enumerate(self.parameters) if np.isfinite(one.absent)]
-        return (
-            bool(sizes) and not self.is_line and all(_natural(self.parameters[i], x[i]) == self.parameters[i].absent for i in sizes)
-        )
-
     def linear_columns(self, x: Annotated[Array, "P"]) -> tuple[list[int], Array]:
         """Derivatives by the parameters in which the mechanics' output is linear, about the nominal model.
 

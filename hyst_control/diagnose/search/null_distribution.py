@@ -8,9 +8,9 @@ candidates; the threshold is a quantile of the best scores. It is cached; the ke
 sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
 
 Close to the coefficients z that a record was drawn with, its output is linear in them. So a record is taken as its noise v plus J z,
-where J holds the columns of the coefficients. With derivatives D of all candidates, S = I + w J Jᵀ and w the weight of a sample, what
-a candidate's fit gains depends on g = Dᵀ S⁻¹ (v + J z) alone, which is drawn from N(0, Dᵀ S⁻¹ D / w): no record is simulated. Only where
-a measurement is rounded in coarse steps, whose error follows the signal, is that error computed row by row.
+where J holds the columns of the coefficients. With candidate d, S = I + w J Jᵀ and w the weight of a sample, fitting z alone and
+z with x differ by ½ w² (dᵀS⁻¹y)² / (w dᵀS⁻¹d + 1) for y = v + J z: the logarithm of a ratio of Gaussian densities, in which z is
+integrated out. So no record has to be simulated and fitted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -29,11 +29,11 @@ from platformdirs import user_cache_path
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.installed import installed_version
+from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
 from hyst_control.diagnose.problem.problem import Problem
-from hyst_control.diagnose.search.candidate import Member
-from hyst_control.diagnose.search.fit import Linearized
-from hyst_control.diagnose.search.tangents import Tangent, Tangents, summed, tangents_of
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 from hyst_control.effects.effect import Surroundings
 from hyst_control.model_file import model_to_document
 
@@ -41,20 +41,23 @@ MAX_NULL_PARAMETERS = 20
 """Parameters from which an effect's gain by chance is what its evidence takes off for their number (half a logarithm of the information
 of each, never less than its expected gain): as part of the threshold it would hide all effects of few parameters."""
 
+TOGETHER = 10
+"""Simulated records whose gains are computed at once: the tangents of all candidates are read from memory once for all of them."""
+
 
 def threshold(
     linearized: Linearized,
     members: Sequence[Member],
     seed: int = 0,
+    progress: Callable[[int], None] = lambda _: None,
     cache: bool = True,
     configuration: Configuration = CONFIGURATION,
-    tangents: Tangents | None = None,
 ) -> float:
     """Score that the best candidate stays under in nearly all simulated records without a gap."""
     file = _cache_file(cache_key(linearized, members, seed, configuration)) if cache else None
     if file is not None and (known := _read(file)) is not None:
         return known
-    scores = null_scores(tangents or tangents_of(linearized, members), seed, configuration.null_distribution)
+    scores = null_scores(linearized, members, seed, configuration.null_distribution, progress)
     found = float(np.quantile(scores, configuration.null_distribution.quantile)) if len(scores) else 0.0
     if linearized.problem.own_spectrum is not None:
         # As a ratio to a variance that few records estimate, a score has the wider tail of F instead of chi-square's.
@@ -64,52 +67,57 @@ def threshold(
     return found
 
 
-def null_scores(tangents: Tangents, seed: int, settings: NullSettings = CONFIGURATION.null_distribution) -> Array:
+def null_scores(
+    linearized: Linearized,
+    members: Sequence[Member],
+    seed: int,
+    settings: NullSettings = CONFIGURATION.null_distribution,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Array:
     """Gain of the best candidate on every record that is drawn without a gap."""
-    used = [one for one in _thinned(tangents, settings.starts) if one.fitted]
-    if not used:
+    designs = tangents(linearized, members, settings.starts)
+    if not designs:
         return np.zeros(settings.records)
-    weight = tangents.linearized.problem.weight
-    flat = np.hstack([one.signals[:, 1:] for one in used])
-    products = tangents.products(flat)
-    edges = np.cumsum([0, *(len(one.fitted) for one in used)])
-    if _is_rounded(tangents.linearized.problem):
-        right = _rounded_products(tangents, flat, seed, settings.records)
-    else:
-        values, vectors = np.linalg.eigh(products / weight)
-        drawn = np.random.default_rng(seed).standard_normal((len(values), settings.records))
-        right = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * drawn)
-    gains = []
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        inverse = np.linalg.inv(products[a:b, a:b] + np.eye(b - a) / weight)
-        gains.append(0.5 * weight * np.sum(right[a:b] * (inverse @ right[a:b]), axis=0))
-    return np.asarray(np.max(gains, axis=0), dtype=np.float64)
+    known = [linearized.unexplained(design) for design in designs]
+    weight = linearized.problem.weight
+    inverses = [
+        np.linalg.inv(design.T @ left + np.eye(design.shape[1]) / weight) for design, left in zip(designs, known, strict=True)
+    ]
+    flat = np.concatenate(known, axis=1)
+    edges = np.cumsum([0, *(left.shape[1] for left in known)])
+    of_coefficients = flat.T @ linearized.columns
 
-
-def _thinned(tangents: Tangents, count: int) -> list[Tangent]:
-    """Tangents of about so many starts of every effect that has a small first step, and few enough parameters."""
-    found = []
-    for member in tangents.members:
-        if member.size and not member.is_suggested and member.size <= MAX_NULL_PARAMETERS:
-            every = tangents.of(member)
-            found += every[:: max(len(every) // count, 1)]
-    return found
-
-
-def _rounded_products(tangents: Tangents, flat: Array, seed: int, records: int) -> Array:
-    """Products of signals (m, C) with simulated records of coefficients that make a valid model, rounded like the measurement."""
-    linearized, found = tangents.linearized, []
-    for index in range(records):
+    def record(index: int) -> tuple[Array, Array] | None:
+        """Draw noise (M,) and coefficients (K,) of a record, or None if these make no valid model."""
         random = np.random.default_rng([seed, index])
         z = random.standard_normal(linearized.count)
-        noise = random.standard_normal(len(linearized.measured))
+        noise = np.asarray(random.standard_normal(len(flat)) / np.sqrt(weight), dtype=np.float64)
+        if not _is_rounded(linearized.problem):
+            return noise, z
         try:
-            noise = _rounded(linearized.problem, linearized.simulate(z), noise)
+            return _rounded(linearized.problem, linearized.simulate(z), noise), z
         except InputError:
-            continue
-        left = linearized.unexplained(noise + linearized.columns @ z)
-        found.append(flat.T @ summed(left, tangents.together))
-    return np.transpose(found) if found else np.zeros((flat.shape[1], 1))
+            return None
+
+    def best(block: int) -> list[float]:
+        indices = range(TOGETHER * block, min(TOGETHER * (block + 1), settings.records))
+        drawn = [found for found in map(record, indices) if found is not None]
+        if not drawn:
+            return []
+        noise, z = (np.column_stack(part) for part in zip(*drawn))
+        right = flat.T @ noise + of_coefficients @ z
+        gains = [
+            0.5 * weight * np.sum(right[a:b] * (inverse @ right[a:b]), axis=0)
+            for a, b, inverse in zip(edges[:-1], edges[1:], inverses, strict=True)
+        ]
+        return [float(gain) for gain in np.max(gains, axis=0)]
+
+    scores: list[float] = []
+    blocks = -(-settings.records // TOGETHER)
+    for block, found in enumerate(map_forked(best, blocks)):
+        progress(min(TOGETHER * (block + 1), settings.records))
+        scores += found
+    return np.array(scores)
 
 
 def _is_rounded(problem: Problem) -> bool:
@@ -129,6 +137,24 @@ def _rounded(problem: Problem, simulated: Array, noise: Array) -> Array:
         met = exact[:, axis] + rest[axis] * rows[:, axis]
         rows[:, axis] = step[axis] * np.rint(met / step[axis]) - exact[:, axis]
     return np.asarray(rows.reshape(-1), dtype=np.float64)
+
+
+def tangents(linearized: Linearized, members: Sequence[Member], count: int) -> list[Array]:
+    """Derivatives ∂ŷ/∂x of every candidate at its starts, at the nominal model."""
+    found = []
+    z = np.zeros(linearized.count)
+    for member in members:
+        if not member.size or member.is_suggested or member.size > MAX_NULL_PARAMETERS:
+            continue  # there or not, with no small first step; or more than chance may gain is taken off by the evidence
+        unknowns, starts = Candidate((member,)).unknowns(), member.starts()
+        for x in starts[:: max(len(starts) // count, 1)]:
+            try:
+                design = effect_columns(linearized, unknowns, z, x, linearized.simulate(z, unknowns, x))
+            except InputError:
+                continue
+            if is_bounded(design):
+                found.append(design)
+    return found
 
 
 def cache_key(linearized: Linearized, members: Sequence[Member], seed: int, configuration: Configuration) -> str:

@@ -11,41 +11,71 @@ what every pair leaves follows from one matrix of scalar products, coefficients 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.diagnose.search.candidate import Candidate
-from hyst_control.diagnose.search.tangents import Tangent, Tangents
+from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import map_forked
+from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 
 
-def joint_pairs(tangents: Tangents, count: int, starts: int) -> list[tuple[Candidate, Array]]:
+@dataclass(frozen=True)
+class Tangent:
+    """An effect at one of its starts: what it adds to the output there (M,), and its derivatives (M, P)."""
+
+    member: Member
+    start: Array
+    added: Array
+    columns: Array
+
+
+def joint_pairs(linearized: Linearized, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
     """Find the pairs of effects that together come closest to the records, to first order."""
-    used = [one for member in tangents.members if member.size for one in _thinned(tangents.of(member), starts)]
-    if len(used) < 2:
+    fitted = [member for member in members if member.size]
+    found = map_forked(lambda i: _tangents(linearized, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
+    tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]
+    if len(tangents) < 2:
         return []
-    edges = np.cumsum([0, *(len(one.right) for one in used)])
-    gram = tangents.products(np.hstack([one.signals for one in used]))
-    right, energy, weight = np.concatenate([one.right for one in used]), tangents.energy, tangents.linearized.problem.weight
-    each = float(np.log(len(tangents.linearized.measured))) / weight
+    blocks = np.hstack([np.column_stack([one.added, one.columns]) for one in tangents])
+    edges = np.cumsum([0, *(1 + one.columns.shape[1] for one in tangents)])
+    gap = linearized.measured - linearized.nominal
+    known = linearized.unexplained(blocks)
+    gram, right, energy = blocks.T @ known, known.T @ gap, float(gap @ linearized.unexplained(gap))
+    each = float(np.log(len(gap))) / linearized.problem.weight
     best: dict[frozenset[object], tuple[float, int, int, Array]] = {}
-    for a, one in enumerate(used):
-        for b in range(a + 1, len(used)):
-            other = used[b]
+    for a, one in enumerate(tangents):
+        for b in range(a + 1, len(tangents)):
+            other = tangents[b]
             if one.member.variant == other.member.variant or one.member.excludes(other.member):
                 continue
-            left, step = _after_step(gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), weight)
+            left, step = _after_step(
+                gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), linearized.problem.weight
+            )
             # A pair of many parameters comes closer by chance: Schwarz's criterion (1978).
             left += each * len(step)
             pair = frozenset((one.member.variant, other.member.variant))
             if pair not in best or left < best[pair][0]:
                 best[pair] = left, a, b, step
     chosen = sorted(best.values(), key=lambda item: item[0])[:count]
-    return [_pair(used[a], used[b], step) for _, a, b, step in chosen]
+    return [_pair(tangents[a], tangents[b], step) for _, a, b, step in chosen]
 
 
-def _thinned(tangents: Sequence[Tangent], most: int) -> Sequence[Tangent]:
-    return tangents[:: -(-len(tangents) // most)] if tangents else ()
+def _tangents(linearized: Linearized, member: Member, most: int) -> list[tuple[Array, Array, Array]]:
+    """Tangents of an effect at some of its starts, those left out that cannot be simulated: all of them but the effect."""
+    unknowns, nominal, found = Candidate((member,)).unknowns(), np.zeros(linearized.count), []
+    begins = member.starts()
+    for start in begins[:: -(-len(begins) // most)]:
+        x = np.clip(start, unknowns.lower, unknowns.upper)
+        try:
+            there = linearized.simulate(nominal, unknowns, x)
+            if is_bounded(there):
+                found.append((x, there - linearized.nominal, effect_columns(linearized, unknowns, nominal, x, there)))
+        except InputError:
+            continue
+    return found
 
 
 def _after_step(
@@ -62,10 +92,6 @@ def _after_step(
 
 def _pair(one: Tangent, other: Tangent, step: Array) -> tuple[Candidate, Array]:
     pair = Candidate((one.member,)).with_member(other.member)
-    parts, begin = {}, 0
-    for tangent in (one, other):
-        there, end = tangent.start.copy(), begin + len(tangent.fitted)
-        there[list(tangent.fitted)] += step[begin:end]
-        parts[id(tangent.member)], begin = there, end
+    parts = {id(one.member): one.start + step[: len(one.start)], id(other.member): other.start + step[len(one.start) :]}
     unknowns = pair.unknowns()
     return pair, np.clip(np.concatenate([parts[id(member)] for member in pair.members]), unknowns.lower, unknowns.upper)

@@ -15,8 +15,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, fit, is_bounded
-from hyst_control.diagnose.search.tangents import Tangents
+from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
 
 FEW = 2
 """Parameters up to which fits begin at the starts themselves too."""
@@ -37,28 +36,9 @@ class Begun:
 
 def begin(linearized: Linearized, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
     """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter."""
-    ends = map_forked(lambda i: _ends(linearized, *candidates[i], settings.followed), len(candidates))
-    return _sorted([(candidate, one) for (candidate, _), one in zip(candidates, ends, strict=True)])
-
-
-def begin_alone(tangents: Tangents, threshold: float, settings: SearchSettings) -> list[Begun]:
-    """Fit single effects in the same way, from the starts that a linear step makes most of; one that promises nothing is not fitted."""
-    members, before, weight = tangents.members, tangents.nominal_misfit, tangents.linearized.problem.weight
-    energy = tangents.energy
-    steps = [[one.step(one.right, energy, weight) for one in tangents.of(member)] for member in members]
-    best = min((left for each in steps for left, _ in each), default=before)
-    # Beside a great gap no tangent holds: what promises little may still explain it.
-    limit = before - settings.promise * threshold if before - best < threshold else np.inf
-
-    def ends(i: int) -> list[Solution]:
-        return _ends_alone(tangents, members[i], steps[i], limit, settings)
-
-    found = map_forked(ends, len(members))
-    return _sorted([(Candidate((member,)), one) for member, one in zip(members, found, strict=True)])
-
-
-def _sorted(found: Sequence[tuple[Candidate, Sequence[Solution]]]) -> list[Begun]:
-    return sorted((Begun(candidate, tuple(ends)) for candidate, ends in found if ends), key=lambda one: one.misfit)
+    ends = map_forked(lambda i: _begun(linearized, *candidates[i], settings), len(candidates))
+    found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
+    return sorted(found, key=lambda one: one.misfit)
 
 
 def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
@@ -67,53 +47,35 @@ def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list
     return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
 
 
-def _ends_alone(
-    tangents: Tangents, member: Member, steps: Sequence[tuple[float, Array]], limit: float, settings: SearchSettings
-) -> list[Solution]:
-    """Fits of an effect, begun where its tangents lead, and best first."""
-    linearized, candidate, every = tangents.linearized, Candidate((member,)), tangents.of(member)
-    if any(parameter.suggested for parameter in member.parameters):
-        starts = _nearby(linearized, candidate.unknowns(), member, member.starts(), settings.scanned)
-        return _ends(linearized, candidate, starts, settings.followed)
-    if not every:
-        return []
-    before, weight = tangents.nominal_misfit, linearized.problem.weight
-    at_start = [one.misfit(tangents.energy, weight) for one in every]
-    order = sorted(range(len(every)), key=lambda i: steps[i][0])
-    promised, nearest = steps[order[0]][0], int(np.argmin(at_start))
-    if promised > limit:
-        there = steps[order[0]][1] if promised < at_start[nearest] else every[nearest].start
-        if min(promised, at_start[nearest]) <= 2.0 * before - limit:
-            return _ends(
-                linearized, candidate, [there], 1, rounds=0
-            )  # tangents that lead to the nominal model hold: nothing to gain
-        return _ends(linearized, candidate, [steps[order[0]][1], every[nearest].start], settings.followed, rival=limit)
-    starts = [one.start for one in every]
+def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
+    """Fits from those starts that a linear step makes most of, the coefficients' columns as they are: best first."""
+    unknowns = candidate.unknowns()
+    starts = (
+        _nearby(linearized, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
+    )
     if len(starts) > settings.followed:
-        leading = [steps[i][1] for i in order[: settings.followed]]
-        if member.size == 1:
-            # Of one parameter a linear step may promise too much from afar.
-            starts = [*leading, every[nearest].start]
-        elif member.size <= FEW:
+        ranked: list[tuple[float, int, Array]] = []
+        for start in starts:
+            try:
+                left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
+                ranked.append((left, len(ranked), there))
+            except InputError:
+                continue
+        leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
+        if len(starts[0]) == 1:
+            starts = leading + _nearest(linearized, unknowns, starts)
+        elif len(starts[0]) <= FEW:
             # Beside a great gap the first step, in all coefficients too, may lead to the end of a range: begin where the starts are too.
             starts = [*leading, *starts]
         else:
             starts = leading
-    return _ends(linearized, candidate, starts, settings.followed)
-
-
-def _ends(
-    linearized: Linearized, candidate: Candidate, starts: Sequence[Array], most: int, rival: float = np.inf, rounds: int = 8
-) -> list[Solution]:
-    """Fits from these starts, the coefficients' columns as they are: best first."""
-    unknowns, tried = candidate.unknowns(), list[Solution]()
+    tried: list[Solution] = []
     for start in starts:
-        nearest = min((rival, *(one.misfit for one in tried)))
         try:
-            tried.append(fit(linearized, unknowns, start, rounds=rounds, rival=nearest, linear=True))
+            tried.append(fit(linearized, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
         except InputError:
             continue
-    return sorted(tried, key=lambda one: one.misfit)[:most]
+    return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
 
 
 def _gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
@@ -148,6 +110,19 @@ def _possible(linearized: Linearized, unknowns: Unknowns, begun: Solution) -> Ar
     if left(1.0) <= 2.0 * begun.misfit:
         return begun.z
     return min((1.0, *LENGTHS[1:], 0.0), key=left) * begun.z
+
+
+def _nearest(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
+    """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
+    nominal = np.zeros(linearized.count)
+
+    def left(start: Array) -> float:
+        try:
+            return misfit_of(linearized, linearized.measured - linearized.simulate(nominal, unknowns, start))
+        except InputError:
+            return np.inf
+
+    return [min(starts, key=left)]
 
 
 def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
@@ -188,21 +163,60 @@ def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: 
 
 
 def promising_pairs(
-    tangents: Tangents, candidate: Candidate, solution: Solution, least: float, most: int
+    linearized: Linearized,
+    candidate: Candidate,
+    solution: Solution,
+    members: Sequence[Member],
+    least: float,
+    settings: SearchSettings,
 ) -> list[tuple[int, Array]]:
-    """Find the effects that a linear step on top of a candidate makes most of: what an effect changes adds to what the candidate does."""
+    """Find the effects that a linear step on top of a candidate makes most of."""
     found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
-    linearized = tangents.linearized
-    weight, nominal = linearized.problem.weight, np.zeros(linearized.count)
-    energy, products = tangents.toward(linearized.measured - linearized.simulate(nominal, candidate.unknowns(), solution.x))
-    before, index = 0.5 * weight * energy, {id(member): i for i, member in enumerate(tangents.members)}
-    for one, right in zip(tangents.every, products, strict=True):
-        if any(one.member.excludes(other) for other in candidate.members):
+    nominal = np.zeros(linearized.count)
+    before = misfit_of(linearized, linearized.measured - linearized.simulate(nominal, candidate.unknowns(), solution.x))
+    for index, member in enumerate(members):
+        if any(member.excludes(other) for other in candidate.members):
             continue
-        left, there = one.step(right, energy, weight)
-        if before - left > max(least, found.get(one.member.variant, (-np.inf,))[0]):
-            found[one.member.variant] = before - left, index[id(one.member)], there
-    return [(place, start) for _, place, start in sorted(found.values(), key=lambda item: -item[0])[:most]]
+        best = None
+        pair = candidate.with_member(member)
+        unknowns = pair.unknowns()
+        starts = member.starts()
+        for start in starts[:: max(len(starts) // settings.screened, 1)]:
+            x = merged_start(pair, candidate, solution.x, member, start)
+            try:
+                left, there = _after_step(linearized, unknowns, pair, member, x, settings)
+                gain = before - left
+            except InputError:
+                continue
+            if best is None or gain > best[0]:
+                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
+        if best is not None and best[0] > max(least, found.get(member.variant, (-np.inf,))[0]):
+            found[member.variant] = best[0], index, best[1]
+    return [(index, start) for _, index, start in sorted(found.values(), key=lambda item: -item[0])[: settings.promising]]
+
+
+def _after_step(
+    linearized: Linearized, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
+) -> tuple[float, Array]:
+    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
+    and where it leads."""
+    nominal = np.zeros(linearized.count)
+    simulated = linearized.simulate(nominal, unknowns, x)
+    residual = linearized.measured - simulated
+    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
+    chosen = list(range(place.start, place.stop))
+    if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
+        # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
+        chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]
+    if not is_bounded(residual):
+        raise InputError("the chain grows without limit at these values")
+    design = effect_columns(linearized, unknowns, nominal, x, simulated, chosen=chosen)
+    products, weight = linearized.unexplained_products(np.column_stack([design, residual])), linearized.problem.weight
+    normal, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
+    there = x.copy()
+    step = np.linalg.solve(normal + np.eye(len(right)) / weight, right)
+    there[chosen] = np.clip(x[chosen] + step, unknowns.lower[chosen], unknowns.upper[chosen])
+    return 0.5 * weight * (energy - float(right @ step)), there
 
 
 def misfit_of(linearized: Linearized, residual: Annotated[Array, "N"]) -> float:

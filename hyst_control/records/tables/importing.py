@@ -33,9 +33,9 @@ RATE_TOLERANCE = 0.01
 BLOCK = 50
 
 
-def import_table(path: str | Path, columns: Sequence[Column], *how: Any) -> Record:
+def import_table(path: str | Path, columns: Sequence[Column], *how: Any, **named: Any) -> Record:
     """The record of a file that holds one run, read as by `import_records`."""
-    found = import_records(path, columns, *how)
+    found = import_records(path, columns, *how, **named)
     if len(found) > 1:
         raise InputError(f"{path}: holds {len(found)} runs: choose the rows of one")
     return found[0]
