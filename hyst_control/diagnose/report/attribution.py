@@ -176,6 +176,11 @@ def _rms_unit(diagnosis: Diagnosis, chosen: Mapping[Axes, HeldOut], none: Mappin
     return float(np.sqrt(sums[0] / rows)), float(np.sqrt(sums[1] / rows))
 
 
+def _quantiles(values: Sequence[float]) -> Array:
+    """Quantiles 5 and 95 %; of a limit that may be infinite they are values that were drawn: between these nothing is defined."""
+    return np.quantile(values, [0.05, 0.95], method="linear" if np.isfinite(values).all() else "inverted_cdf")
+
+
 def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings: AttributionSettings) -> dict[str, Value]:
     """Parameter values of one effect with 90 % intervals, from draws of the fit's covariance: wider beside the model discrepancy."""
     assert scored.candidate is not None
@@ -193,7 +198,7 @@ def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings:
     for name, value in member.values(centre).items():
         if name in member.untold:
             continue
-        low, high = np.quantile([one[name] for one in drawn], [0.05, 0.95])
+        low, high = _quantiles([one[name] for one in drawn])
         least = settings.interval * abs(value)
         found[name] = (
             float(value),
