@@ -40,7 +40,7 @@ def measured(arguments: list[str]) -> tuple[int, dict[str, Any]]:
 
 
 def shortfalls(report: dict[str, Any], limits: dict[str, Any]) -> list[str]:
-    """What is below its limit: the package as a whole, and each file of the safety path."""
+    """Lines for the package, and for each file of the safety path, whose coverage is below its limit."""
     found = []
     share = report["totals"]["percent_covered"]
     if share < limits["package"]:

@@ -69,7 +69,7 @@ class Case:
     duration: float = 1.5  # Length of the rich record, s
     source: str = "simulated"  # "simulated", "injected" into a record, or "withheld" from the model
     regime: str = "none"  # Baseline records beside the new one: none, of another command, of the same command
-    multiple: float = 0.0  # Size of each injected effect, times the model's own error
+    multiple: float = 0.0  # Size of each injected effect, times the model discrepancy
     axes: tuple[str, ...] = ()  # Axes of the label's true parameters
 
     @property

@@ -17,7 +17,7 @@ from hyst_plant_sim.physics.plant_files import shipped
 PLANTS = ("pea_published", "fsm_published", "pea_published", "third", "pea_published")
 """Plants of the blind test, in turn; `SETUPS` has others that an option selects.
 
-A mirror takes three times as long as a single axis. Most effects on `third` are below its model's own error, which hides them; the
+A mirror takes three times as long as a single axis. Most effects on `third` are below its model discrepancy, which hides them; the
 injected cases have it with sizes relative to that error.
 """
 

@@ -39,7 +39,7 @@ def label_of(case: Case) -> Label:
     noise = case.noise * setup.stroke
     stated = stated_noise(case.plant, case.noise)
     gap, distance = 0.0, 0.0
-    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # a gap below the model's own error cannot be detected
+    least = 0.2 * noise if setup.model is not None else 1.5 * stated  # a gap below the model discrepancy cannot be detected
     within = case.kind != "parameters"  # coefficients outside their tolerance are themselves the gap
     wrong = bool(case.effects) or not within
     if wrong:

@@ -45,7 +45,7 @@ class Truth:
     structure: Mapping[str, bool] = field(default_factory=dict)
     """Answers that the description settles."""
     one_side: bool = False
-    """Whether a saturation must be at one side only."""
+    """True where a saturation is right at one side only."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ CENTRE, REACH = 1.0, 0.9
 """mrad; of 0 … 2 mrad the last twentieth at either end is left, where remanence keeps the mirror from its end."""
 SEED = 626
 MIRROR: dict[str, Any] = {"axes": AXES, "unit": "mrad", "feedforward": "mhl_feedforward"}
-"""What a run of the mirror's nodes needs besides."""
+"""Parameters of the mirror's nodes that all runs share."""
 
 
 def record(folder: Path, signal: Annotated[Array, "N 2"], sample_time: float, seed: int) -> Dataset:

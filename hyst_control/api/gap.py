@@ -108,7 +108,7 @@ def diagnose(
         The model, or a function ``simulate(command, sample_time, **parameters)`` that returns the measurement; None: the clean record
         of the same command in `baseline` is the prediction.
     baseline
-        Clean records of the same stage: what the model leaves on them is its own error.
+        Clean records of the same stage: what the model leaves on them is its discrepancy.
     parameters
         Of such a function, by name: value, standard deviation, and the unit if it has one.
     without

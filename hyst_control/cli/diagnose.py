@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="CLEAN",
-        help="clean records of the same plant: what the model leaves on them is its own error; best with the same command",
+        help="clean records of the same plant: what the model leaves on them is its discrepancy; best with the same command",
     )
     parser.add_argument("--report", metavar="OUT.html", help="HTML page to write")
     parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")

@@ -10,7 +10,7 @@ error after a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 
 its gains, the one whose step has the least integral of the absolute error is taken: the greatest ki of all belongs to a low corner
 and a great kp, which overshoot.
 
-The model's own error is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
+The model discrepancy is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
 frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
 margins hold for the worst of these plants.
 """
@@ -59,7 +59,7 @@ class Tuning:
     """Gains and what they give.
 
     kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the worst over the spread and
-    the model's own error, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without; filters: notches,
+    the model discrepancy, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without; filters: notches,
     derivative and damping.
     """
 

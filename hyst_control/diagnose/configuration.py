@@ -65,7 +65,7 @@ class Thresholds:
     distortion_share: float = _setting("share of the energy that the effect explains", "least that this change must explain")
     distortion_whitened: float = _setting(
         "nats",
-        "what such a change must gain where the fits know the spectrum of the model's own error: what the largest of four changes gains "
+        "what such a change must gain where the fits know the spectrum of the model discrepancy: what the largest of four changes gains "
         "by chance in 4 % of the cases, and the margin",
     )
     min_excess: float = _setting("share of the noise's energy", "energy beyond the noise's under which nothing is called unknown")
@@ -78,7 +78,7 @@ class Thresholds:
         "share of the own error's energy", "least excess noise that is named beside an error whose spectrum is unknown"
     )
     under_own_error: float = _setting(
-        "1", "weight of what stays under the model's own error: one shape, of which the bins of a record are hardly independent"
+        "1", "weight of what stays under the model discrepancy: one shape, of which the bins of a record are hardly independent"
     )
     own_error_local: float = _setting(
         "energies of own error and noise",
@@ -242,7 +242,7 @@ class SearchSettings:
 
     beam: int = _setting("explanations", "explanations that a further effect is added to")
     beam_with_own_error: int = _setting(
-        "explanations", "the same where the fits know of the model's own error: more effects are alike"
+        "explanations", "the same where the fits know of the model discrepancy: more effects are alike"
     )
     depth: int = _setting("effects", "most effects of an explanation")
     depth_with_own_error: int = _setting(
@@ -280,7 +280,7 @@ class NullSettings:
     records: int = _setting("records", "records without a gap that are drawn")
     quantile: float = _setting("1", "quantile of the best score in them that a claim must exceed")
     starts: int = _setting("starts", "starts of an effect that are tried")
-    estimated_spectrum: float = _setting("1", "factor where the spectrum of the model's own error comes from a few clean records")
+    estimated_spectrum: float = _setting("1", "factor where the spectrum of the model discrepancy comes from a few clean records")
 
 
 @dataclass(frozen=True)

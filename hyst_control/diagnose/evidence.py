@@ -147,10 +147,10 @@ class HypothesisEvidence:
     farthest: float = 0.0  # Distance of the coefficient that is farthest from its nominal value, tolerances
     # Whether the size of one of its effects is at the end of the range that the catalogue gives it
     at_bound: bool = False
-    # Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model's own error and the
+    # Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model discrepancy and the
     # noise there; infinite where the error's spectrum is unknown
     local: float = np.inf
-    # What it leaves beyond the model's own error, octave by octave, nats; 0 where the error's spectrum is unknown
+    # What it leaves beyond the model discrepancy, octave by octave, nats; 0 where the error's spectrum is unknown
     beyond: float = 0.0
     # Energy that its coefficients take off by what of their distance is not believed, noise energies
     taken_up: float = np.inf
@@ -182,17 +182,17 @@ class Evidence:
     noise_bins: float  # Bins of the spectrum that the noise was read from
     record: tuple[RecordEvidence, ...] = ()  # By axis
     checks: frozenset[RecordCheck] = frozenset()  # Checks whose effect is in the catalogue
-    weight: float = 1.0  # Weight of a sample in the fits, below 1 where they know of the model's own error
+    weight: float = 1.0  # Weight of a sample in the fits, below 1 where they know of the model discrepancy
     # True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is
     clean_noise: bool = False
-    # True where the fits know the spectrum of the model's own error: energies are then in units of it and the noise together
+    # True where the fits know the spectrum of the model discrepancy: energies are then in units of it and the noise together
     whitened: bool = False
     repeating: frozenset[str] = frozenset()  # Names of the effects that repeat values by themselves
-    # True where the model's own error is carried over from a clean record of the same command, so that it is in no residual
+    # True where the model discrepancy is carried over from a clean record of the same command, so that it is in no residual
     carried: bool = False
     # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()
-    # Rms by which the coefficients of "no effect" move the simulation, beyond the model's own error, as a share of the range
+    # Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range
     moved: float = 0.0
 
     def without(self, indices: Collection[int]) -> Evidence:

@@ -55,7 +55,7 @@ class Surroundings:
     slew: float  # V/s, the largest of the command
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
-    # Lowest frequency (Hz) that the command excites, where clean records keep the model's own error apart, so that effects
+    # Lowest frequency (Hz) that the command excites, where clean records keep the model discrepancy apart, so that effects
     # may be as large as physics allows; None where they do not
     lowest_frequency: float | None = None
     # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above

@@ -117,7 +117,7 @@ ROWS = (
     Row("an effect that changes with time", evidence(changing(0.8, variable="time")), V.UNKNOWN, (R.DISTORTION_TIME,), ("a",)),
     Row("an effect that changes with the rate", evidence(changing(0.8, variable="rate")), V.UNKNOWN, (R.DISTORTION_RATE,), ("a",)),
     Row("an effect of one direction", evidence(changing(2.0, variable="branch")), V.UNKNOWN, (R.DISTORTION_BRANCH,), ("a",)),
-    Row("a change within the model's own error", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
+    Row("a change within the model discrepancy", evidence(changing(0.8, left=1.05)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("an effect that changes a little", evidence(changing(0.3)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row("a change that may be chance", evidence(changing(0.8, NULL + 2.0)), V.EFFECT, (R.ONE_EXPLANATION,), ("a",)),
     Row(
@@ -272,13 +272,13 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "an effect that stays within the model's own error at each of its frequencies",
+        "an effect that stays within the model discrepancy at each of its frequencies",
         evidence(replace(effect("a"), local=2.9), base=none(energy=0.9, residual=QUIET), whitened=True),
         V.NO_GAP,
         (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
-        "an effect without which coefficients leave their tolerances, though with them nothing exceeds the model's own error",
+        "an effect without which coefficients leave their tolerances, though with them nothing exceeds the model discrepancy",
         evidence(
             replace(effect("a"), local=2.9, beyond=0.0, strain=2.0), base=none(energy=0.9, beyond=0.0, strain=500.0), whitened=True
         ),
@@ -287,13 +287,13 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "an effect at many frequencies, at each of which it stays within the model's own error",
+        "an effect at many frequencies, at each of which it stays within the model discrepancy",
         evidence(replace(FEW_LINES, local=2.9), base=SLIGHT, whitened=True),
         V.NO_GAP,
         (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
-        "a second effect that only takes off what stays under the model's own error",
+        "a second effect that only takes off what stays under the model discrepancy",
         evidence(replace(effect("a", left=4.0), beyond=0.0), effect("a+b", 5000.0, beyond=0.0), whitened=True, stated=4.0),
         V.EFFECT,
         (R.ONE_EXPLANATION,),
@@ -321,7 +321,7 @@ ROWS = (
         ("a+b",),
     ),
     Row(
-        "an effect that exceeds the model's own error at its frequencies",
+        "an effect that exceeds the model discrepancy at its frequencies",
         evidence(replace(effect("a"), local=3.1), whitened=True),
         V.EFFECT,
         (R.ONE_EXPLANATION,),

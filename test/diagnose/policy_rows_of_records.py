@@ -94,7 +94,7 @@ ROWS = (
         checks=(C.WHITE_SPECTRUM,),
     ),
     Row(
-        "more white noise than stated, a trifle beside the model's own error",
+        "more white noise than stated, a trifle beside the model discrepancy",
         evidence(base=replace(SMALL, residual=replace(QUIET, white=(2.0,))), stated=1000.0, weight=0.001),
         V.NO_GAP,
         (R.BELOW_NULL,),
@@ -220,7 +220,7 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "noise in excess that is flat at the top, beside a model's own error",
+        "noise in excess that is flat at the top, beside a model discrepancy",
         evidence(base=none(energy=3.0, residual=replace(QUIET, white=(5.0,), flicker=flicker(5.0, top=0.01))), weight=0.001),
         V.EFFECT,
         (R.RECORD_CHECK,),

@@ -64,7 +64,7 @@ def rough(command: np.ndarray, step: float, seed: int = 3) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "command, step",  # at stairs the model's own error is as large at every frequency, and hides a fine step
+    "command, step",  # at stairs the model discrepancy is as large at every frequency, and hides a fine step
     [(SINE, 0.1), (SINE, 0.4), (TRIANGLE, 0.1), (TRIANGLE, 0.4), (STAIRS, 0.4), (STAIRS, 1.0), (SINE, 4.5)],
     ids=[
         "fine on a sine",

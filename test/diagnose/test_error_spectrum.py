@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Spectrum of a model's own error: what it makes white, and what it leaves of an effect beside it."""
+"""Spectrum of a model discrepancy: what it makes white, and what it leaves of an effect beside it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of effects found side by side, the tails of a size's prior, and what effects make of the model's own error."""
+"""Pairs of effects found side by side, the tails of a size's prior, and what effects make of the model discrepancy."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
 
 
 def test_a_size_far_beyond_the_usual_one_is_kept_where_samples_count_little():
-    # The model's own error makes all samples together worth a few: a normal prior would draw the gain far toward 0.
+    # The model discrepancy makes all samples together worth a few: a normal prior would draw the gain far toward 0.
     problem = problem_of(1.9 * COMMAND, lowest_frequency=3.0, own_error=np.array([1.0]), own_correlation=30.0)
     linearized, members = prepared(problem)
     assert ROWS * problem.weight < 0.01

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model's own error in the fits: weights of samples, and tolerances of a physical size."""
+"""A model discrepancy in the fits: weights of samples, and tolerances of a physical size."""
 
 from __future__ import annotations
 

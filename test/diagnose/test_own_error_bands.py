@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Excess of a residual over the model's own error: none under it, and far beyond it hardly more than the logarithm."""
+"""Excess of a residual over the model discrepancy: none under it, and far beyond it hardly more than the logarithm."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model lacks: a linear model of a plant whose amplifier saturates on one side, on the record that it was identified from."""
+"""Diagnosis of a model's own record: a linear model of a plant whose amplifier saturates on one side."""
 
 from __future__ import annotations
 

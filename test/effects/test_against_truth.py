@@ -123,8 +123,9 @@ CASES = [  # effect, values, place if not its usual one, most disagreement allow
     ("added_mass", {"mass_ratio": -0.15}, None, 0.01),
     # The plant's play moves between the samples too: the tops of fast motion reach further.
     ("backlash", {"half_width": 0.02}, None, 0.05),
-    ("cubic_stiffness", {"loss": 0.4, "amplitude": 3.0}, None, 0.1),
-    ("clearance", {"half_width": 0.4, "excess": 0.1}, None, 0.1),
+    # The stage holds its force over a sample: on the mirror 2.7 and 1.2 % disagree, less with a shorter sample time.
+    ("cubic_stiffness", {"loss": 0.4, "amplitude": 3.0}, None, 0.03),
+    ("clearance", {"half_width": 1.0, "excess": 0.1}, None, 0.02),
     ("dead_zone", {"half_width": 3.0, "center": 20.0}, None, 1e-3),
     ("output_saturation", {"lower": -10.0, "upper": 1.2}, None, 1e-3),
     ("sensor_nonlinearity", {"second": 0.02, "third": -0.02}, None, 1e-3),

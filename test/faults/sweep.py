@@ -98,7 +98,7 @@ def make_inputs(folder: Path) -> None:
 
 
 def record() -> int:
-    """What the recorder does with messages and its bag, without the middleware."""
+    """Write messages to a bag as the recorder does, without the middleware."""
     import numpy as np
 
     from hyst_control.base.errors import InputError
@@ -211,7 +211,7 @@ def readable(folder: Path, output: str) -> str:
 
 
 def faults_of(case: Case, status: int, said: str, before: dict[str, str], whole: set[str], folder: Path) -> list[str]:
-    """What a failure cost."""
+    """Losses after a failure."""
     found = []
     after = content(folder)
     for name, digest in before.items():

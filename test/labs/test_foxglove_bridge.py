@@ -20,7 +20,7 @@ MESSAGE_DATA = 1  # first byte of a binary frame; then subscription (4 bytes), t
 
 
 class Channels:
-    """What a bridge logs, without a server."""
+    """Rows that a bridge logs, without a server."""
 
     def __init__(self, monkeypatch):
         self.rows = []

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags through rosbag2_py, of which a stand-in keeps what it is told: no wheel of it exists."""
+"""Bags written by rosbag2_py. It has no wheel, so a stub records the calls that it would receive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hyst_control.records.bags.rosbag2_writer import open_bag
 
 
 class Writer:
-    """What rosbag2_py.SequentialWriter was asked for."""
+    """Calls of rosbag2_py.SequentialWriter."""
 
     made: list = []
 

@@ -53,7 +53,7 @@ from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
 @dataclass(frozen=True)
 class Baseline:
-    """Baseline of one problem: its model extended by the model's known error, and the size of that error."""
+    """Baseline of one problem: its model extended by the model discrepancy, and the size of that error."""
 
     problem: Problem  # The new records; their model has stages for the known error and the session's zero
     carried: bool  # True when the model's error is carried over sample by sample
@@ -65,7 +65,7 @@ class Baseline:
     usual_zero: Annotated[Array, "A 3"]
     floor: Annotated[Array, "A"]  # Rms that an effect must remove from the residual to be named at all, measurement unit
     clean: Problem | None  # The clean records; None if the model file's discrepancy is used instead
-    error: Annotated[Array, "A"]  # Rms of the model's own error on the clean records without their zeros, measurement unit
+    error: Annotated[Array, "A"]  # Rms of the model discrepancy on the clean records without their zeros, measurement unit
     # What predicts this error on other commands; None where that is not known, or of axes that the model mixes
     learned: LearnedDiscrepancy | None = None
     # The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where
@@ -302,7 +302,7 @@ def _first_counted(piece: Piece) -> int:
 def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
     """The baseline records from the row on at which their command has wiped out the time before, where new records count from there too.
 
-    Until then a record shows the unknown memory of the time before it, which may be many times the model's own error. A new record
+    Until then a record shows the unknown memory of the time before it, which may be many times the model discrepancy. A new record
     that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
     """
     if any(wiped_out(piece.command) > _first_counted(piece) for piece in problem.pieces):

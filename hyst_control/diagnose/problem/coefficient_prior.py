@@ -28,7 +28,7 @@ from hyst_control.model_file import Model
 from hyst_control.records.session_zero import without_zero
 
 LARGEST = 0.3
-"""Largest relative deviation (1 sigma) of a coefficient beside the model's own error: a direction that the data cannot tell."""
+"""Largest relative deviation (1 sigma) of a coefficient beside the model discrepancy: a direction that the data cannot tell."""
 SMALL = 0.05
 """Difference step of a coefficient, in its standard deviations."""
 DIFFERENCE = 1e-4
@@ -154,7 +154,7 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
     A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
     independently, such coefficients make models that no clean record allows: on clean records the model is wrong by its own error.
     """
-    # problem: records, and the model's own error; without it, or where the coefficients scatter together, as a fit has found it,
+    # problem: records, and the model discrepancy; without it, or where the coefficients scatter together, as a fit has found it,
     # the scatter is returned unchanged
     if problem.own_error is None or scatter.joint is not None:
         return scatter
@@ -177,7 +177,7 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
 def pinned(scatter: Scatter, clean: Problem) -> Scatter:
     """Narrow coefficients that scatter together to what baseline records allow.
 
-    What a coefficient moves on a clean record by more than the model's own error there, it cannot have moved in the new one either.
+    What a coefficient moves on a clean record by more than the model discrepancy there, it cannot have moved in the new one either.
     The nominal values stay: how far a model is off on clean records is its own error.
     """
     if scatter.joint is None:

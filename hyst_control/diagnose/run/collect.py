@@ -91,7 +91,7 @@ def collect(
 
 
 def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
-    """Rms by which the coefficients of "no effect" move the simulation, beyond the model's own error, as a share of the range."""
+    """Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range."""
     problem, scatter = found.linearized.problem, found.linearized.scatter
     own = np.where(scatter.companions > 0.0, 0.0, found.none.solution.z)
     rows = problem.rows(found.linearized.columns @ own)
@@ -104,7 +104,7 @@ def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
 def _local_energy(problem: Problem, none: FittedHypothesis, scored: FittedHypothesis) -> float:
     """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
 
-    In units of the model's own error and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
+    In units of the model discrepancy and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
     lacks a part leaves just that in the clean records too.
     """
     if problem.own_spectrum is None or scored is none:

@@ -150,7 +150,7 @@ def search(
 
     def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
         count = len(candidate.members)
-        # Every parameter beyond the first may also follow the model's own error, which is no white noise.
+        # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
         # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
@@ -319,7 +319,7 @@ def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
 def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -> float:
     """Weight of a residual's samples: 1 for white noise of the stated size, less for what is larger and correlated.
 
-    Where the spectrum of the model's own error is known, its size and correlation together count, which are its density at low
+    Where the spectrum of the model discrepancy is known, its size and correlation together count, which are its density at low
     frequencies: a record of less noise than the clean ones leaves slow residuals, which are small.
 
     Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that

@@ -176,7 +176,7 @@ def cache_key(linearized: Linearized, members: Sequence[Member], seed: int, conf
         "configuration": configuration.digest(),
         "model": model_to_document(problem.model),
         "sample_time": problem.sample_time,
-        "weight": float(f"{problem.weight:.1g}"),  # of the model's own error
+        "weight": float(f"{problem.weight:.1g}"),  # of the model discrepancy
         "own_error": None if problem.own_spectrum is None else problem.own_spectrum.digest(),
         "hold": problem.hold,
         # A noise that is a little different has the same threshold.

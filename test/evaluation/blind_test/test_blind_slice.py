@@ -64,7 +64,7 @@ def test_the_numbers_before_the_decision_are_kept(results, tmp_path_factory):
 
 @pytest.mark.timeout(900)
 def test_effects_put_into_measured_records_are_named(tmp_path):
-    """Each is named, or the diagnosis says that it does not know: a wrong name at three times the model's own error is an error."""
+    """Each is named, or the diagnosis says that it does not know: a wrong name at three times the model discrepancy is an error."""
     try:
         results = diagnosed(Batch("injected", tmp_path / "run", SEED, INJECTED, {"plants": ["stack"]}))
     except InputError as error:
