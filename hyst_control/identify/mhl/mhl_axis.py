@@ -23,7 +23,7 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
 
-MOST = 0.95  # Of the mean slope: a rate correction that outweighs the hysteresis at high frequency has no stable inverse
+MOST = 0.95  # Of the mean slope: from it on the compensators refuse a model, as they cannot invert its rate correction
 K2_UNIT = 1e-3
 """Unit (s) of k2 in the parameter vector, which holds its logarithm."""
 
@@ -79,7 +79,7 @@ class Axis:
         """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
         most = MOST * abs(self.curves.full(curves))
-        rate = np.clip(rate, [-most, np.log(0.02)], [most, np.log(200.0)])
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [most, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrization(self) -> Parametrization:
