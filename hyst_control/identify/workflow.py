@@ -31,7 +31,7 @@ from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dataset import Dataset, Fit, Report
 from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
-from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
+from hyst_control.identify.data.hold_choice import CLEAR, ROUNDING, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
@@ -322,7 +322,7 @@ def _with_hold(datasets: list[Dataset], notes: list[str] | None) -> list[Dataset
     """The stretches of a record that does not state its hold, as pairs if its measurement answers the command of its own row."""
     longest = max(datasets, key=lambda data: len(data.command))
     late, same = hold_errors(longest)
-    if not same < CLEAR * late:
+    if not same < CLEAR * late or late < ROUNDING:
         return datasets
     if notes is not None:
         notes.append(

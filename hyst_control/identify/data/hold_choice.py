@@ -17,6 +17,7 @@ from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_
 
 ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
+ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
 CLEAR = 0.7
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken."""
 
