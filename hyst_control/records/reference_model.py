@@ -164,39 +164,49 @@ def initial_poles(count: int) -> Poles:
 def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Poles | None) -> Reference:
     """The model with the poles, of all iterations, that fit best on the rows that are not held out."""
     count, size = len(measured), max(float(np.std(measured)), 1e-300)
-    values = (measured - measured[0]) / size
-    inputs = _inputs(command, thresholds)
     held_out = np.arange(count) * BLOCKS // count % HELD_OUT == HELD_OUT // 2
-    used = ~held_out
-    seen = values[used]
-    best: tuple[float, Array, Array, Poles] = np.inf, values, values, initial_poles(count)
-    poles = best[3] if poles is None else poles
+    order = np.argsort(held_out, kind="stable")  # rows that are fitted first, so that their columns are no copy
+    place, fitted = np.empty_like(order), count - int(held_out.sum())
+    place[order] = np.arange(count)
+    values = (measured - measured[0]) / size
+    wanted = values[order]
+    seen = wanted[:fitted]
+    inputs = _inputs(command, thresholds)
+    poles = initial_poles(count) if poles is None else poles
+    best: tuple[float, Array, Array, Poles] = np.inf, wanted, wanted, poles
+    states = _width(poles) - 1
+    filtered = len(inputs) * (states + 1)
+    model = filtered + 2 + states
+    columns = np.empty((model + states, count))
+    columns[filtered], columns[filtered + 1] = 1.0, np.linspace(-1.0, 1.0, count)[order]
+    impulse = np.zeros((1, count))
+    impulse[0, 0] = 1.0
     for _ in range(ITERATIONS):
-        filtered, free = _columns(inputs, poles), _free_columns(poles, count)
-        model = len(filtered) + len(free)
-        # The measurement, too, passes the filters: its weights tell where their poles should be.
-        columns = np.concatenate([filtered, free, _columns(values[None], poles)[1:]])
-        rows = columns[:, used]
+        _filter(inputs, poles, place, columns[:filtered], with_inputs=True)
+        # What the filters' states at the start add; and the measurement, whose weights tell where the filters' poles should be.
+        _filter(impulse, poles, place, columns[filtered + 2 : model], with_inputs=False)
+        _filter(values[None], poles, place, columns[model:], with_inputs=False)
+        rows = columns[:, :fitted]
         normal, product = rows @ rows.T, rows @ seen
         sizes = np.sqrt(np.diag(normal)) + 1e-150
         normal /= np.outer(sizes, sizes)
         product /= sizes
         normal[np.diag_indices_from(normal)] += RIDGE
         predicted = (np.linalg.solve(normal[:model, :model], product[:model]) / sizes[:model]) @ columns[:model]
-        left = float(np.sum((seen - predicted[used]) ** 2)) / count
+        left = float(np.sum((seen - predicted[:fitted]) ** 2)) / count
         done = left > CONVERGED * best[0]
         if left < best[0]:
-            within = slice(len(filtered), model)
+            within = slice(filtered, model)
             alone = (np.linalg.solve(normal[within, within], product[within]) / sizes[within]) @ columns[within]
             best = left, predicted, alone, poles
         if done:
             break
         poles = _relocated(poles, np.linalg.solve(normal, product)[model:] / sizes[model:], count)
     _, predicted, alone, poles = best
-    unexplained, without_command = (float(np.mean((values - made)[held_out] ** 2)) for made in (predicted, alone))
-    number = np.arange(count) * BLOCKS // count // HELD_OUT
-    by_block = np.bincount(number[held_out], (values - predicted)[held_out] ** 2) / np.bincount(number[held_out])
-    return Reference(unexplained, by_block, without_command, measured[0] + predicted * size, poles, bool(thresholds))
+    unexplained, without_command = (float(np.mean((wanted - made)[fitted:] ** 2)) for made in (predicted, alone))
+    number = (np.arange(count) * BLOCKS // count // HELD_OUT)[held_out]
+    by_block = np.bincount(number, (wanted - predicted)[fitted:] ** 2) / np.bincount(number)
+    return Reference(unexplained, by_block, without_command, measured[0] + predicted[place] * size, poles, bool(thresholds))
 
 
 def _inputs(command: Array, thresholds: Sequence[float]) -> Array:
@@ -222,40 +232,46 @@ def _play(values: Array, threshold: float) -> Array:
 
 def _columns(inputs: Array, poles: Poles) -> Array:
     """Inputs (K, N), each followed by what a filter of each pole makes of the values before; of a pair the real and the imaginary part."""
-    return _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), np.array([_gain(pole) for pole in poles]))
-
-
-@njit(cache=True)
-def _filter_bank(inputs: Array, poles: Poles, gains: Array) -> Array:
-    width = 1
-    for pole in poles:
-        width += 2 if pole.imag else 1
-    found = np.empty((len(inputs) * width, inputs.shape[1]))
-    at = 0
-    for values in inputs:
-        found[at] = values
-        at += 1
-        for pole, gain in zip(poles, gains):
-            state = 0j
-            if pole.imag:
-                for row in range(len(values)):
-                    found[at, row], found[at + 1, row] = state.real, state.imag
-                    state = pole * state + gain * values[row]
-                at += 2
-            else:
-                for row in range(len(values)):
-                    found[at, row] = state.real
-                    state = complex(pole.real * state.real + gain * values[row])
-                at += 1
+    found = np.empty((len(inputs) * _width(poles), inputs.shape[1]))
+    _filter(inputs, poles, np.arange(inputs.shape[1]), found, with_inputs=True)
     return found
 
 
-def _free_columns(poles: Poles, count: int) -> Array:
-    """What the filters' states at the start add, a constant and a straight line."""
-    impulse = np.zeros((1, count))
-    impulse[0, 0] = 1.0
-    lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-    return np.concatenate([lines, _columns(impulse, poles)[1:]])
+def _width(poles: Poles) -> int:
+    """Columns of an input: itself and the filters' states."""
+    return 1 + len(poles) + int(np.count_nonzero(poles.imag))
+
+
+def _filter(inputs: Array, poles: Poles, place: Array, found: Array, *, with_inputs: bool) -> None:
+    gains = np.array([_gain(pole) for pole in poles])
+    _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), gains, place, found, with_inputs)
+
+
+@njit(cache=True)
+def _filter_bank(inputs: Array, poles: Poles, gains: Array, place: Array, found: Array, with_inputs: bool) -> None:
+    """Write the columns of inputs into `found`, each value of row k at `place[k]`."""
+    at = 0
+    states = np.empty(len(poles), np.complex128)
+    for values in inputs:
+        if with_inputs:
+            for row in range(len(values)):
+                found[at, place[row]] = values[row]
+            at += 1
+        states[:] = 0.0
+        for row in range(len(values)):
+            column, to, value = at, place[row], values[row]
+            for k in range(len(poles)):  # side by side, so that no step waits for the one before
+                pole, state = poles[k], states[k]
+                found[column, to] = state.real
+                if pole.imag:
+                    found[column + 1, to] = state.imag
+                    column += 2
+                    states[k] = pole * state + gains[k] * value
+                else:
+                    column += 1
+                    states[k] = complex(pole.real * state.real + gains[k] * value)
+        for pole in poles:
+            at += 2 if pole.imag else 1
 
 
 def _gain(pole: complex) -> float:
