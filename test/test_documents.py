@@ -16,7 +16,7 @@ from docs.reference.effects import RECORD
 from docs.reference.pages import pages as reference_pages
 from hyst_control.cli import parser
 from hyst_control.effects import EFFECTS as CATALOGUE
-from hyst_control.records.record_validity import NAMES
+from hyst_control.records.validity.findings import NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -10,8 +10,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.model_file import Model, simulate
-from hyst_control.records.record_against_model import Simulation
-from hyst_control.records.record_validity import Trial
+from hyst_control.records.validity.findings import Simulation, Trial
 
 LIGHT = 0.3
 """Damping up to which a pair of poles is a mode."""

@@ -23,10 +23,10 @@ from hyst_control.model_file import Model, load_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record
-from hyst_control.records.record_validity import examined
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
+from hyst_control.records.validity.checks import examined
 from hyst_control.reporting.tables import Table
 
 NOT_DESCRIBED = 20.0

@@ -38,9 +38,10 @@ from hyst_control.model_file import USUAL_UNITS, Model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Aligned, Record
-from hyst_control.records.record_validity import Trial, examined, refuse_invalid
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.tables.units import refusal_of_unit
+from hyst_control.records.validity.checks import examined, refuse_invalid
+from hyst_control.records.validity.findings import Trial
 
 AUTO = "auto"
 """In place of a family: the best one."""

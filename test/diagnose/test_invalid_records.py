@@ -15,8 +15,8 @@ from hyst_control.identify import workflow as identification
 from hyst_control.model_file import load_model, model_from_document, save_model, simulate
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.record_validity import NAMES
 from hyst_control.records.tables.importing import write_bag
+from hyst_control.records.validity.findings import NAMES
 
 MODEL = config_path("models/pea_hampi.yaml")
 

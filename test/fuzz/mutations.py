@@ -121,7 +121,10 @@ MODULES: dict[str, Module] = {
     "hyst_control/records/bags/mcap_stream.py": Module(BAGS),
     "hyst_control/records/bags/sqlite_bag.py": Module(BAGS),
     "hyst_control/records/bags/decompression.py": Module(BAGS),
-    "hyst_control/records/record_validity.py": Module(VALIDITY, "every"),
+    **{
+        f"hyst_control/records/validity/{name}.py": Module(VALIDITY, "every")
+        for name in ("causality", "time_shift", "clipping", "incoherence", "sensor", "two_records", "beside_model")
+    },
     "hyst_control/diagnose/report/invalid_records.py": Module(VALIDITY, "every"),
 }
 """Modules in which foreign numbers and files enter, or are judged."""

@@ -9,8 +9,9 @@ import pytest
 from scipy.signal import butter, lfilter, sosfilt
 
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.record_facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
-from hyst_control.records.record_validity import Trial, check_records, examined
+from hyst_control.records.validity.checks import check_records, examined
+from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
+from hyst_control.records.validity.findings import Trial
 
 STEP = 1e-3
 TIME = STEP * np.arange(6000)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
-from hyst_control.records.record_validity import NAMES, Finding, Trial, check_records, refuse_invalid
+from hyst_control.records.validity.checks import check_records, refuse_invalid
+from hyst_control.records.validity.findings import NAMES, Finding, Trial
 from hyst_plant_sim.physics import load_plant
 
 pytestmark = pytest.mark.long_file

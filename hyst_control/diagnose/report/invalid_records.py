@@ -13,7 +13,8 @@ from hyst_control.base.errors import InputError
 from hyst_control.identify.trial_beside_model import trial_beside
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
-from hyst_control.records.record_validity import Finding, Trial, examined
+from hyst_control.records.validity.checks import examined
+from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.reporting.provenance import Origin
 
 INVALID_RECORD = "invalid_record"

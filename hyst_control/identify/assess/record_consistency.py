@@ -20,7 +20,7 @@ from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model
 from hyst_control.records.averaged_spectra import LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra
-from hyst_control.records.record_validity import SHORTEST_RECORD
+from hyst_control.records.validity.checks import SHORTEST_RECORD
 
 LIKE = 1.3
 """Ratio of two records' ranges up to which they are compared: what a model lacks of a hysteresis changes with the amplitude."""

@@ -13,7 +13,7 @@ import numpy as np
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow
-from hyst_control.records.record_validity import Finding
+from hyst_control.records.validity.findings import Finding
 
 LEFT, LEFT_SHARE = 5, 0.03  # samples, and share, of a found delay that are left to the fit: a resonance makes it look longer
 

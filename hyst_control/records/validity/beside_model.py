@@ -8,15 +8,15 @@ part of what the record as it is leaves, so that what a machine does beyond its 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from itertools import permutations
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
-
-Simulation = Callable[[Array, float], Array]
-"""Measurements (N, A) that a model makes of commands (N, A) at a sample time in s."""
+from hyst_control.records.validity.findings import Finding, Simulation, Trial
+from hyst_control.records.validity.time_shift import in_words
+from hyst_control.records.validity.two_records import OPPOSED, PAIRED, SCALE
 
 LONGEST = 2**16
 """Rows, from the beginning, that are simulated."""
@@ -99,3 +99,62 @@ def _best_shift(expected: Array, measured: Array, reach: int) -> int:
 def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
     count = len(measured) - abs(shift)
     return misfit(expected[max(-shift, 0) :][:count], measured[max(shift, 0) :][:count])
+
+
+def model_findings(trial: Trial, moving: Sequence[int]) -> list[Finding]:
+    """What a model explains clearly better than the record as it is; notes on what it tells besides."""
+    if trial.simulated is None or not moving:
+        return []
+    expected, measured = trial.simulated[:LONGEST], trial.measurement[:LONGEST]
+    moved = [index for index in moving if np.ptp(expected[:, index]) > 0 and np.ptp(measured[:, index]) > 0]
+    nyquist = 0.5 / trial.sample_time
+    aliased = [mode for mode in trial.modes if mode > nyquist]
+    notes = []
+    if aliased:
+        detail = f"(Nyquist frequency {nyquist:.4g} Hz, mode at {aliased[0]:.4g} Hz)"
+        notes = [Finding("slow_sampling", trial.name, "", nyquist, aliased[0], detail)]
+    if moved and (order := best_order(expected[:, moved], measured[:, moved])) is not None:
+        return [
+            Finding("swapped_axes", trial.name, trial.axes[moved[k]], 1.0, PAIRED, "in the model")
+            for k, other in enumerate(order)
+            if other != k
+        ]
+    if (
+        trial.simulate is not None
+        and (found := meant(trial.command, trial.measurement, trial.sample_time, trial.simulate)) is not None
+    ):
+        return [_meant(trial, *found)]
+    return [finding for index in moved for finding in _axis_against_the_model(trial, index)] + notes
+
+
+def _meant(trial: Trial, name: str, factor: float) -> Finding:
+    if name == "wrong_rate":
+        detail = (
+            f": a sample rate of {factor / trial.sample_time:.4g} Hz instead of {1.0 / trial.sample_time:.4g} Hz fits the model"
+        )
+        return Finding(name, trial.name, "", factor, 1.0, detail)
+    if name == "scaled_command":
+        return Finding(name, trial.name, "", factor, 1.0, f"(scaled by {factor:g} it fits)")
+    return Finding(name, trial.name, "", 1.0, 1.0, "(so the model fits)")
+
+
+def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
+    assert trial.simulated is not None
+    axis, step = trial.axes[index], trial.sample_time
+    expected, measured = trial.simulated[:LONGEST, index], trial.measurement[:LONGEST, index]
+    shift = time_shift(expected, measured)
+    ratio, correlation = float(np.ptp(measured) / np.ptp(expected)), float(np.corrcoef(expected, measured)[0, 1])
+    if -shift * step > trial.delay + MIN_SHIFT * step and correlation > OPPOSED:
+        remedy = f"check that both recordings start together, or pass --shift {-shift * step:.3g}"
+        yield Finding(
+            "early_measurement", trial.name, axis, -shift * step, 0.0, f"by {in_words(-shift * step)} beside the model", remedy
+        )
+    elif shift > 0:
+        remedy = f"if the machine has no such delay, pass --shift {-shift * step:.3g}"
+        yield Finding(
+            "late_measurement", trial.name, axis, shift * step, 0.0, f"by {in_words(shift * step)} beside the model", remedy
+        )
+    elif correlation < OPPOSED:
+        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED)
+    if not 1.0 / SCALE < ratio < SCALE:
+        yield Finding("scaled_measurement", trial.name, axis, ratio, SCALE if ratio > 1 else 1.0 / SCALE)

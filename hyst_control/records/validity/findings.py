@@ -1,0 +1,79 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""What record checks look at, and what they say: stretches of records, and findings with their texts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from hyst_control.base.arrays import Array
+from hyst_control.base.yaml_files import read_yaml
+
+Simulation = Callable[[Array, float], Array]
+"""Measurements (N, A) that a model makes of commands (N, A) at a sample time in s."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A gapless stretch of a record.
+
+    command (N, A) in V and measurement (N, A), sample_time in s, the axes' names, unit of the measurement; simulated (N, A): what a model
+    makes of the command; simulate: the model, at any command and sample time; modes: the frequencies of its modes, Hz; delay: its own, s.
+    """
+
+    name: str
+    command: Array
+    measurement: Array
+    sample_time: float
+    axes: tuple[str, ...]
+    simulated: Array | None = None
+    unit: str = "um"
+    simulate: Simulation | None = None
+    modes: tuple[float, ...] = ()
+    delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a record.
+
+    name: `NAMES`; record: its trial's name (two of them joined by " and "); axis: name, "" for all; value: what was found; limit: the
+    value that it may have; detail: the value in words.
+    """
+
+    name: str
+    record: str
+    axis: str
+    value: float
+    limit: float
+    detail: str = ""
+    remedy: str = ""
+
+    def text(self) -> str:
+        """As one line for a person: what, where, remedy."""
+        what, remedy = NAMES[self.name]
+        where = f"{self.record}: {self.axis}" if self.axis else self.record
+        detail = self.detail or f"({self.value:.3g}, limit {self.limit:.3g})"
+        return f"{where}: {what} {detail}: {self.remedy or remedy}"
+
+    def document(self) -> dict[str, str | float]:
+        """As plain JSON types."""
+        return {"name": self.name, "record": self.record, "axis": self.axis, "value": self.value, "limit": self.limit}
+
+
+NAMES: dict[str, list[str]] = read_yaml(Path(__file__).with_name("findings.yaml"))
+"""Text of each finding, and the remedy."""
+
+NOTES = (
+    "late_measurement",
+    "lost_rows",
+    "at_range_end",
+    "clipped_command",
+    "copied_command",
+    "held_command",
+    "implausible_range",
+    "slow_sampling",
+)
+"""Findings with which a record is used all the same."""

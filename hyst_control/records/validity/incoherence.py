@@ -1,0 +1,96 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""An axis whose measurement follows its commands no more than those of another time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.records.averaged_spectra import Spectra, segment_length
+from hyst_control.records.validity.findings import Finding, Trial
+from hyst_control.records.validity.reference_model import Reference, continued, hysteretic_reference, linear_reference
+
+LONGEST_RECORD = 2**20
+"""Samples, from the beginning, by whose coherence a record is judged."""
+
+ANOTHER_TIME = 0.382
+"""Share of a record from which its commands of another time are taken."""
+OTHER_TIMES, LINEAR_FOLLOWS = (0.236, ANOTHER_TIME, 0.618), 0.5
+"""Other times with which a linear model is compared, and the share of the least of theirs that its own command's leaves at most."""
+
+FOLLOWS = 0.2
+"""Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
+
+EXPLAINED = 0.3
+"""Share of a measurement's power that is coherent with the commands, from which it follows them."""
+
+EMPTY = 0.01
+"""Power relative to the mean below which a frequency is not excited."""
+
+MAINS = (50.0, 60.0)
+
+
+def _of_another_time(rows: Array, shift: float = ANOTHER_TIME) -> Array:
+    """Rows (N, A) of another time of a record, by no simple fraction of it: it may be periodic."""
+    return np.roll(rows, int(shift * len(rows)), axis=0)
+
+
+def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Array, measured: Array) -> list[Finding]:
+    """An axis that follows its commands no more than those of another time."""
+    explained = coherent_share(trial, index)
+    if explained >= EXPLAINED:
+        return []
+    others = [hysteretic_reference(_of_another_time(command, shift), measured).unexplained for shift in OTHER_TIMES]
+    if ahead.unexplained < FOLLOWS * min(others):
+        return []
+    # A machine whose memory is as long as the record: play operators of any slow command then explain it between held-out blocks, and
+    # only linear models show whose command it was.
+    own = linear_reference(command, measured)
+    commands = (_of_another_time(command, shift) for shift in OTHER_TIMES)
+    # A hum is explained by any command once a pole stands at its frequency: the other times begin with the same poles, too.
+    fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
+    if own.unexplained < LINEAR_FOLLOWS * min(fit.unexplained for fit in fits):
+        return []
+    return [Finding(_kind_of_incoherence(trial, index), trial.name, trial.axes[index], explained, EXPLAINED)]
+
+
+def coherent_share(trial: Trial, index: int) -> float:
+    """Share of an axis' power that is coherent with the commands."""
+    rows = slice(0, LONGEST_RECORD)
+    length = segment_length(len(trial.command[rows]))
+    return float(Spectra.of(trial.command[rows], trial.measurement[rows], length).explained[index])
+
+
+def _kind_of_incoherence(trial: Trial, index: int) -> str:
+    """Name of the finding on an axis that its command does not explain."""
+    command, values = trial.command[:, index], trial.measurement[:, index]
+    smooth = _next_sample_correlation(values)
+    centered = (values - values.mean()) * np.hanning(len(values))
+    power = np.abs(np.fft.rfft(centered)) ** 2
+    power[0] = 0.0
+    width = 1.0 / (len(values) * trial.sample_time)
+    frequency = np.arange(len(power)) * width
+    hum = sum(float(power[np.abs(frequency - mains) < max(1.0, 2.5 * width)].sum()) for mains in MAINS)
+    if hum > 0.5 * float(power.sum()):
+        return "unplugged_sensor"
+    if abs(smooth) < 0.3:
+        return "noise_alone"
+    if in_no_order(command):
+        return "shuffled_command"
+    return "unplugged_sensor" if float(power[:4].sum()) > 0.5 * float(power.sum()) else "unrelated_measurement"
+
+
+def in_no_order(values: Array) -> bool:
+    """True where a signal's power is the same at all frequencies, as that of noise and of shuffled samples is.
+
+    Of what was built to drive a stage many frequencies are empty; of noise's about one in a hundred have a hundredth of the mean.
+    """
+    power = np.abs(np.fft.rfft(values - values.mean()))[1:] ** 2
+    return bool(np.mean(power < EMPTY * power.mean()) < 3.0 * EMPTY)
+
+
+def _next_sample_correlation(values: Array) -> float:
+    centered = values - values.mean()
+    power = float(centered @ centered)
+    return float(centered[1:] @ centered[:-1]) / power if power else 0.0

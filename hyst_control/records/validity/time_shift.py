@@ -1,0 +1,100 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""A measurement that is earlier or later than its command: by the same time everywhere, or by one that grows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.records.validity.findings import Finding, Trial
+from hyst_control.records.validity.reference_model import Reference, continued, independent_sines, shift_curve, surely_better
+from hyst_control.records.validity.rows import CLEAR_LEAD, HALF, MAX_PAIRED, MIN_SINES, SOUND, CondensedRows
+from hyst_control.records.validity.sensor import MODELED
+
+LATE = 10.0
+"""Ratio of the powers that a model leaves without and with a delay from which the delay is reported."""
+
+SMALL_LEAD, MAX_SMALL_LEAD = 2, 8
+"""Rows of a lead that is always tried, and up to which it is doubled."""
+
+SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
+"""Sections of a record in which a lead is sought that grows, the rows of one, how many must show it, and by how many sines each."""
+
+
+def in_words(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds < 10.0 else f"{seconds:.3g} s"
+
+
+def time_shifts(trial: Trial, rows: CondensedRows, index: int, own: Reference) -> tuple[Reference, Reference, float, list[Finding]]:
+    """The model of the rows with its delay, and begun with a lead's poles; what a lead leaves, what is told of either."""
+    command, measured = rows.inputs(index), rows.measurement[:, index]
+    reach, informative = len(measured) // 8, independent_sines(rows.command[:, index]) >= MIN_SINES
+    curves = [shift_curve(command, measured, poles, reach) for poles in (own.poles, own.poles[:0])]
+
+    def finding(name: str, shift: int, text: str) -> list[Finding]:
+        seconds = rows.together * trial.sample_time * shift
+        remedy = f"{text} --shift {-seconds:.3g}"
+        return [Finding(name, trial.name, trial.axes[index], abs(seconds), 0.0, f"by {in_words(abs(seconds))}", remedy)]
+
+    delays = {int(np.argmin(curve[reach:])) for curve in curves if curve[reach:].min() < 0.5 * curve[reach]}
+    later = {each: _continued_at(each, command, measured, own) for each in delays}
+    best = min(later, key=lambda each: later[each].unexplained, default=0)
+    inside = SMALL_LEAD < best < reach - SMALL_LEAD  # a periodic command is explained by every period of delay
+    if informative and inside and surely_better(later[best], own, LATE):
+        return later[best], later[best], np.inf, finding("late_measurement", best, "if the machine has no such delay, pass")
+    own = delayed = min([own, *later.values()], key=lambda fit: fit.unexplained)
+    if not informative:
+        return delayed, own, np.inf, []
+    early = {-SMALL_LEAD} | {
+        int(np.argmin(curve[:reach])) - reach for curve in curves if curve[:reach].min() < 0.5 * curve[reach:].min()
+    }
+    leads = {each: _continued_at(each, command, measured, own) for each in early}
+    shift = -2 * SMALL_LEAD
+    while shift >= -MAX_SMALL_LEAD and leads[shift // 2].unexplained < 0.5 * own.unexplained:
+        leads[shift] = _continued_at(shift, command, measured, leads[shift // 2])
+        shift *= 2
+    best = min(leads, key=lambda each: leads[each].unexplained)
+    if leads[best].unexplained < own.unexplained:
+        own = min(own, continued(command, measured, leads[best]), key=lambda fit: fit.unexplained)
+    if leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
+        return (
+            delayed,
+            own,
+            leads[best].unexplained,
+            finding("early_measurement", best, "check that both recordings start together, or pass"),
+        )
+    return delayed, own, np.inf, []
+
+
+def growing_lead(trial: Trial, index: int) -> list[Finding]:
+    """A lead that is not the same everywhere in a record, as where rows of the measurement were lost and closed up."""
+    command, measured = trial.command, trial.measurement[:, index]
+    if command.shape[1] > MAX_PAIRED:
+        command = command[:, [index]]
+    count = min(len(measured) // SECTIONS, MAX_SECTION)
+    reach, static = count // 8, np.zeros(0, complex)
+    intervals = []
+    for begin in np.linspace(0, len(measured) - count, SECTIONS).astype(int):
+        rows = slice(begin, begin + count)
+        if independent_sines(trial.command[rows, index]) < MIN_SECTION_SINES:
+            continue
+        curve = shift_curve(command[rows], measured[rows], static, reach)
+        if curve.min() < MODELED:
+            possible = np.flatnonzero(curve <= 1.25 * max(curve.min(), 0.01 * SOUND)) - reach
+            if np.ptp(possible) <= reach // 8:
+                intervals.append((int(possible[0]), int(possible[-1])))
+    if len(intervals) < MIN_SECTIONS or np.any(np.diff(np.mean(intervals, axis=1)) >= 0.0):
+        return []
+    earliest = intervals[-1][1]
+    if earliest >= -SMALL_LEAD or intervals[0][0] - earliest <= SMALL_LEAD:
+        return []
+    lead = -earliest * trial.sample_time
+    detail = f"(the measurement leads the command by a time that grows to {in_words(lead)})"
+    return [Finding("lost_rows", trial.name, trial.axes[index], lead, 0.0, detail)]
+
+
+def _continued_at(shift: int, command: Array, measured: Array, begun: Reference) -> Reference:
+    """A model of a measurement that is taken `shift` rows later."""
+    end = len(measured) - abs(shift)
+    return continued(command[max(-shift, 0) :][:end], measured[max(shift, 0) :][:end], begun)
