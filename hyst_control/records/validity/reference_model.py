@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from hyst_control.base.arrays import Array, Complex
+from hyst_control.base.arrays import Array, Complex, Integers
 
 Poles = Complex
 
@@ -242,13 +242,13 @@ def _width(poles: Poles) -> int:
     return 1 + len(poles) + int(np.count_nonzero(poles.imag))
 
 
-def _filter(inputs: Array, poles: Poles, place: Array, found: Array, *, with_inputs: bool) -> None:
+def _filter(inputs: Array, poles: Poles, place: Integers, found: Array, *, with_inputs: bool) -> None:
     gains = np.array([_gain(pole) for pole in poles])
     _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), gains, place, found, with_inputs)
 
 
 @njit(cache=True)
-def _filter_bank(inputs: Array, poles: Poles, gains: Array, place: Array, found: Array, with_inputs: bool) -> None:
+def _filter_bank(inputs: Array, poles: Poles, gains: Array, place: Integers, found: Array, with_inputs: bool) -> None:
     """Write the columns of inputs into `found`, each value of row k at `place[k]`."""
     at = 0
     states = np.empty(len(poles), np.complex128)
