@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hyst_control.base.signals import convolved, correlated, lagging, low_passed, periodogram
+from hyst_control.base.signals import averaged_periodogram, convolved, correlated, lagging, low_passed, periodogram
 
 ROWS = np.random.default_rng(0).standard_normal((999, 2)).cumsum(axis=0)
 
@@ -31,6 +31,15 @@ def test_spectrum(count, linear):
     np.testing.assert_allclose(frequency, expected[0])
     np.testing.assert_allclose(power, expected[1], atol=1e-9 * expected[1].max())
     np.testing.assert_allclose(periodogram(rows[:, 0], 50.0, linear)[1], power[:, 0])
+
+
+@pytest.mark.parametrize("length", [2, 100, 101, 999])
+@pytest.mark.parametrize("centered", [False, True])
+def test_averaged_spectrum(length, centered):
+    frequency, power = averaged_periodogram(ROWS[:, 0], 50.0, length, centered)
+    expected = signal.welch(ROWS[:, 0], 50.0, "hann", length, detrend="constant" if centered else False)
+    np.testing.assert_allclose(frequency, expected[0])
+    np.testing.assert_allclose(power, expected[1], atol=1e-9 * expected[1].max())
 
 
 @pytest.mark.parametrize("corner", [0.05, 0.4])

@@ -38,6 +38,19 @@ def periodogram(rows: Annotated[Array, "N ..."], rate: float, linear: bool = Fal
     return frequency, np.asarray(power.reshape(-1, *rows.shape[1:]), dtype=np.float64)
 
 
+def averaged_periodogram(
+    values: Annotated[Array, "N"], rate: float, length: int, centered: bool = True
+) -> tuple[Annotated[Array, "F"], Annotated[Array, "F"]]:
+    """Frequencies (Hz) and one-sided density of a signal by Welch's method: Hann windows of a length, each half over the one before."""
+    segments = np.lib.stride_tricks.sliding_window_view(values, length)[:: length - length // 2]
+    if centered:
+        segments = segments - segments.mean(axis=1, keepdims=True)
+    window = np.hanning(length + 1)[:-1]
+    power = np.mean(np.abs(rfft(segments * window)) ** 2, axis=0) / (rate * np.sum(window**2))
+    power[1 : None if length % 2 else -1] *= 2.0
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate), dtype=np.float64), np.asarray(power, dtype=np.float64)
+
+
 def low_passed(rows: Annotated[Array, "N ..."], corner: float) -> Annotated[Array, "N ..."]:
     """Rows after a Butterworth low-pass of second order forward and backward, its corner in half the sample rate."""
     frequency = np.arange(len(rows)) / len(rows)

@@ -77,6 +77,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.control.learning.iterative_learning import IterativeLearning
     from hyst_control.control.learning.learning_trials import learn_from_records, trial_table
     from hyst_control.model_file import load_model
+    from hyst_control.records.bags.bag_files import bags_in
     from hyst_control.records.bags.bag_reader import read_bag
 
     model = load_model(arguments.model)
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if arguments.bags:
         if arguments.reference or arguments.plant or not arguments.period:
             raise InputError("give --period with bags, and neither --reference nor --plant")
-        records = [read_bag(bag) for bag in arguments.bags]
+        records = [read_bag(bag) for bag in bags_in(arguments.bags)]
         sample_time = records[0].sample_time(("measurement",))
         longest = max(len(record.signal("measurement").time) for record in records) * sample_time
         if not 0.5 * sample_time < arguments.period <= longest:
@@ -113,11 +114,12 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 def _filter(arguments: argparse.Namespace, model: Model, period: int, sample_time: float) -> LearningFilter:
     from hyst_control.base.errors import InputError
     from hyst_control.control.learning.learning_filter import measured_filter, model_filter
+    from hyst_control.records.bags.bag_files import one_bag
     from hyst_control.records.bags.bag_reader import read_bag
 
     if not arguments.response:
         return model_filter(model, period, sample_time=sample_time, mode_spread=arguments.mode_spread)
-    [data] = read_bag(arguments.response).aligned(("command", "measurement"))
+    [data] = read_bag(one_bag(arguments.response)).aligned(("command", "measurement"))
     if abs(data.sample_time - sample_time) > 1e-3 * sample_time:
         raise InputError(f"--response: {arguments.response}: sample time {data.sample_time:g} s, {sample_time:g} s is needed")
     return measured_filter(data.values["command"], data.values["measurement"], period, sample_time)

@@ -36,7 +36,9 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("files", nargs="+", metavar="BAG", help="recorded bags, or a model file (.yaml) or fit report (.json)")
+    parser.add_argument(
+        "files", nargs="+", metavar="BAG", help="recorded bags, a folder of them, or a model file (.yaml) or fit report (.json)"
+    )
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--xy",
@@ -113,6 +115,7 @@ def _of_report(path: str) -> list[Panel]:
 def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...]]:
     """Panels of bags that the options ask for, and the notes on reading the bags."""
     from hyst_control.base.errors import InputError
+    from hyst_control.records.bags.bag_files import bags_in
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.reporting.frequency_figures import bode_of_record
     from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
@@ -126,12 +129,13 @@ def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...
     wanted = ("command", "measurement", "applied") if compared else arguments.signals
     if xy is not None and not wanted:
         wanted = [name.partition(".")[0] for name in xy]
-    if compared and len(arguments.files) > 1:
+    bags = bags_in(arguments.files)
+    if compared and len(bags) > 1:
         raise InputError("--bode, --model: are of one bag: give one")
     if arguments.color and xy is None:
         raise InputError("--color: is of loops: give --xy too")
     record, *others = records = [
-        read_bag(path, arguments.namespace, topics=wanted).between(arguments.begin, arguments.end) for path in arguments.files
+        read_bag(bag, arguments.namespace, topics=wanted).between(arguments.begin, arguments.end) for bag in bags
     ]
     notes = tuple(note for each in records for note in each.notes)
     if arguments.model:

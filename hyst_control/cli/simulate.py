@@ -42,6 +42,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.base import progress
     from hyst_control.base.errors import InputError
     from hyst_control.model_file import load_model, simulate
+    from hyst_control.records.bags.bag_files import one_bag
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.records.excitation.excitation import build
     from hyst_control.records.excitation.excitation_files import read_description
@@ -59,7 +60,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if arguments.bag:
         if arguments.rate is not None:
             raise InputError("--rate: a bag has its own rate: leave it out")
-        record = read_bag(arguments.bag, arguments.namespace, topics=("command",))
+        record = read_bag(one_bag(arguments.bag), arguments.namespace, topics=("command",))
         [data] = record.aligned(["command"])
         commands, sample_time, hold = data.values["command"], data.sample_time, record.hold
         if commands.shape[1] != len(model.axes):

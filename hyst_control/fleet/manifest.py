@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.base.errors import InputError
+from hyst_control.records.bags.bag_files import bags_in
 
 TABLES = (".csv", ".parquet")
 OWN = ("bag", "unit", "time", "model", "baseline")
@@ -71,7 +72,7 @@ def read_manifest(
         found = sorted(glob.glob(source, recursive=True)) if glob.has_magic(source) else [source]
         if not found:
             raise InputError(f"{source}: no file or folder has such a name")
-        bags += found
+        bags += map(str, bags_in(found))
     entries += _of_names(bags, names)
     if not entries:
         raise InputError(f"{', '.join(sources) or 'manifest'}: lists no records")

@@ -86,12 +86,17 @@ class IioStage(StageNode):
         given = self.settings
         self._outputs: list[IioChannel] = []
         self._inputs: list[IioChannel] = []
-        for name, device, into in (("outputs", given.dac, self._outputs), ("inputs", given.adc, self._inputs)):
-            channels = getattr(given, name)
-            if len(channels) != len(self.axes):
-                raise InputError(f"parameter {name}: {len(channels)} channels, {len(self.axes)} axes")
-            folder = _device(Path(given.devices), device)
-            into += [IioChannel(folder, channel) for channel in channels]
+        try:
+            for name, device, into in (("outputs", given.dac, self._outputs), ("inputs", given.adc, self._inputs)):
+                channels = getattr(given, name)
+                if len(channels) != len(self.axes):
+                    raise InputError(f"parameter {name}: {len(channels)} channels, {len(self.axes)} axes")
+                folder = _device(Path(given.devices), device)
+                for channel in channels:
+                    into.append(IioChannel(folder, channel))
+        except Exception:
+            self.disconnect()  # of those that were opened before: the node may try again any number of times
+            raise
 
     def disconnect(self) -> None:
         """Close the channels; the DAC holds what it has."""

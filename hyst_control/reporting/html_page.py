@@ -69,7 +69,7 @@ def figure_markup(figure: go.Figure, height: int = 420, min_width: int = 0) -> M
 @cache
 def _library() -> str:
     """The plotting library, compressed (gzip, base64)."""
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 6, mtime=0)).decode()
 
 
 def write_page(

@@ -17,6 +17,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import replacing
+from hyst_control.base.signals import averaged_periodogram
 from hyst_control.records.motion_frequency import motion_frequency
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.html_page import COLORS, Page
@@ -165,8 +166,6 @@ def _shades(pairs: Sequence[_Pair], color: str | None, several: bool) -> list[Ar
 
 def spectra(*records: Record) -> list[Panel]:
     """Draw the amplitude spectral density of every signal (Welch's method, Hann windows), signals of the same unit together."""
-    from scipy.signal import welch  # takes a second
-
     for record in records:
         record.check(list(record.signals))
     panels = []
@@ -175,7 +174,7 @@ def spectra(*records: Record) -> list[Panel]:
         for name, time, column in curves:
             if len(time) >= SEGMENTS:
                 rate = 1.0 / float(np.median(np.diff(time)))
-                frequency, density = welch(column, rate, nperseg=max(2, 2 * len(column) // SEGMENTS), detrend="constant")
+                frequency, density = averaged_periodogram(column, rate, max(2, 2 * len(column) // SEGMENTS))
                 lines.append(Line(name, *thinned(frequency[1:], np.sqrt(density[1:]))))
         panels.append(Panel("frequency [Hz]", f"{QUANTITIES.get(unit, '')} density [{unit}/√Hz]".strip(), tuple(lines), "xy"))
     return panels

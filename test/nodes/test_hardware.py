@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 import numpy as np
@@ -223,6 +224,8 @@ def test_iio_device_or_channel_that_is_not_there_is_one_line(bench, iio, changes
     with pytest.raises(InputError, match=reason) as error:
         bench.add(IioStage, **{**SETTINGS, "devices": str(iio), **IIO, **changes})
     assert "\n" not in str(error.value)
+    opened = [os.path.realpath(f"/proc/self/fd/{each}") for each in os.listdir("/proc/self/fd")]
+    assert not [path for path in opened if path.startswith(f"{iio}/iio:device")], "what was opened before is closed again"
 
 
 def test_controller_of_physik_instrumente_through_its_own_package(bench):

@@ -17,9 +17,9 @@ import numpy as np
 import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.subplots import make_subplots
-from scipy.signal import welch
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import averaged_periodogram
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
@@ -279,7 +279,7 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
         suffix = f", {name}" if len(axes) > 1 else ""
         dash = ("solid", "dot", "dashdot")[axis % 3]
         for label, values, colour in lines:
-            frequency, power = welch(longest.measured[:, axis] - values[:, axis], rate, nperseg=window, detrend=False)
+            frequency, power = averaged_periodogram(longest.measured[:, axis] - values[:, axis], rate, window, centered=False)
             figure.add_scatter(
                 x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line={"color": colour, "width": 1.3, "dash": dash}
             )

@@ -20,6 +20,9 @@ from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unkn
 FEW = 2
 """Parameters up to which fits begin at the starts themselves too."""
 
+FAR = 4.0
+"""Misfit of a start, in those of the nominal model, from which the start is too large an effect to lead to the gap's."""
+
 
 @dataclass(frozen=True)
 class Begun:
@@ -48,27 +51,12 @@ def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list
 
 
 def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
-    """Fits from those starts that a linear step makes most of, the coefficients' columns as they are: best first."""
+    """Fits from the most promising starts, the coefficients' columns as they are: best first."""
     unknowns = candidate.unknowns()
-    starts = (
-        _nearby(linearized, unknowns, candidate.members[0], starts, settings.scanned) if len(candidate.members) == 1 else starts
-    )
+    if len(candidate.members) == 1:
+        starts = _nearby(linearized, unknowns, candidate.members[0], starts, settings.scanned)
     if len(starts) > settings.followed:
-        ranked: list[tuple[float, int, Array]] = []
-        for start in starts:
-            try:
-                left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
-                ranked.append((left, len(ranked), there))
-            except InputError:
-                continue
-        leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
-        if len(starts[0]) == 1:
-            starts = leading + _nearest(linearized, unknowns, starts)
-        elif len(starts[0]) <= FEW:
-            # Beside a great gap the first step, in all coefficients too, may lead to the end of a range: begin where the starts are too.
-            starts = [*leading, *starts]
-        else:
-            starts = leading
+        starts = _promising(linearized, candidate, unknowns, starts, settings)
     tried: list[Solution] = []
     for start in starts:
         try:
@@ -76,6 +64,41 @@ def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array]
         except InputError:
             continue
     return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
+
+
+def _promising(
+    linearized: Linearized, candidate: Candidate, unknowns: Unknowns, starts: Sequence[Array], settings: SearchSettings
+) -> list[Array]:
+    """Where fits of an effect of several starts begin: where a linear step leads that promises most, and at starts themselves.
+
+    Beside a great gap the linear step, in all coefficients too, may lead to the end of a range. So effects of few parameters begin at their
+    starts too: the closest to the record, and those that are not off by far more than the nominal model is: whatever explains the gap is
+    about as large as the gap.
+    """
+    if len(starts[0]) == FEW:
+        misfits = [_misfit_at(linearized, unknowns, start) for start in starts]
+        order = sorted(range(len(starts)), key=misfits.__getitem__)
+        most = FAR * misfit_of(linearized, linearized.measured - linearized.nominal)
+        return [starts[i] for rank, i in enumerate(order) if rank < settings.followed or misfits[i] <= most]
+    ranked: list[tuple[float, int, Array]] = []
+    for start in starts:
+        try:
+            left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
+            ranked.append((left, len(ranked), there))
+        except InputError:
+            continue
+    leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
+    if len(starts[0]) > FEW:
+        return leading
+    return [*leading, min(starts, key=lambda start: _misfit_at(linearized, unknowns, start))]
+
+
+def _misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> float:
+    """Misfit of an effect as it is, coefficients marginalized about the nominal ones; infinite where it cannot be simulated."""
+    try:
+        return misfit_of(linearized, linearized.measured - linearized.simulate(np.zeros(linearized.count), unknowns, start))
+    except InputError:
+        return np.inf
 
 
 def _gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
@@ -110,19 +133,6 @@ def _possible(linearized: Linearized, unknowns: Unknowns, begun: Solution) -> Ar
     if left(1.0) <= 2.0 * begun.misfit:
         return begun.z
     return min((1.0, *LENGTHS[1:], 0.0), key=left) * begun.z
-
-
-def _nearest(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array]) -> list[Array]:
-    """The start that comes closest to the record as it is: of one parameter, a linear step may promise too much from afar."""
-    nominal = np.zeros(linearized.count)
-
-    def left(start: Array) -> float:
-        try:
-            return misfit_of(linearized, linearized.measured - linearized.simulate(nominal, unknowns, start))
-        except InputError:
-            return np.inf
-
-    return [min(starts, key=left)]
 
 
 def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:

@@ -33,6 +33,14 @@ def bags_in(paths: Iterable[str | Path]) -> list[Path]:
     return found
 
 
+def one_bag(path: str | Path) -> Path:
+    """The bag of a path, which may be a folder with nothing but one bag; raises `InputError` where it holds several."""
+    found = bags_in([path])
+    if len(found) > 1:
+        raise InputError(f"{path}: holds {len(found)} bags: give one of them, such as {found[0]}")
+    return found[0]
+
+
 def _is_bag_folder(path: Path) -> bool:
     return path.is_dir() and any(file.name.endswith((*STORAGE, *COMPRESSED)) for file in path.iterdir())
 
