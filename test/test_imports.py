@@ -32,10 +32,9 @@ ROOMS = (  # from the top of the house down: a room imports from itself and from
     "chain",
     "base",
 )
-ROS_OUTSIDE = {  # nodes that a benchmark compares ours with, or measures; a bridge that listens to them
+ROS_OUTSIDE = {  # nodes that a benchmark compares ours with; a bridge that listens to them
     "hyst_control.labs.foxglove_bridge",
     "evaluation.benchmarks.plain_loop",
-    "evaluation.benchmarks.many_axes_nodes",
 }
 ONE_PLACE = {  # what only one module may use, so that there is one way of doing it
     "concurrent": "hyst_control.base.parallel",

@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage of an identification's intervals: how often the truth lies within the 90 % interval of an identified model.
 
-Each case is a plant of the family that is fitted, with parameters that are drawn anew for every run, a short record of its own noise,
-and one identification. The interval of a number is value ± 1.645 standard deviations of `uncertainty`. Noise is white, colored (its
-power below a corner, as of drift and vibration, so that neighboring residuals agree), or the rounding of a converter.
+A case is a plant of the fitted family with parameters drawn anew for every run, a short record with its own noise, and one identification.
 """
 
 from __future__ import annotations

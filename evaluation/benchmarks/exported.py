@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Speed, size and bit equality of the exported C on this machine, alone and as the nodes call it."""
+"""Speed, size and bit equality of the exported C on this machine."""
 
 from __future__ import annotations
 
@@ -12,21 +12,16 @@ from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
-from hyst_control.control.feedback.sensor_watch import MeasurementWatch
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator
-from hyst_control.export.backend import CompiledFeedforward, CompiledPI
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Controller, FaultResponse
 from hyst_control.export.programs import Exported, FeedforwardOptions, feedforward, simulator
-from hyst_control.model_file import Model, load_model
+from hyst_control.model_file import load_model
 from hyst_control.reporting.tables import Table
 
 ROWS = 20_000
 REPEATS = 30
-TICKS, TURNS = 4000, 10
-"""Ticks of a turn, and turns of which the best counts, where Python calls for every tick."""
 COMPARED = 10_000_000
 """Samples over which C and Python are compared."""
 BLOCK = 500_000
@@ -47,40 +42,9 @@ def run(table: Table) -> None:
         seconds, state = step_time(compensator, rate, model.units["measurement"])
         table.add("exported", case, "c", "step_time", "us", 1e6 * seconds, n=REPEATS)
         table.add("exported", case, "c", "state_size", "byte", state)
-        for backend in ("python", "c"):
-            parts = tick_times(model, kind, rate, backend)
-            for part, spent in zip(("feedforward", "feedback"), parts, strict=True):
-                table.add(
-                    "a tick from Python, as in the nodes", f"{case}: {part}", backend, "step_time", "us", 1e6 * spent, n=TURNS
-                )
     for case, exported in compared():
         progress.step(f"{case}: {COMPARED} samples in C and in Python")
         table.add("exported", case, "c", "samples_that_differ", "samples", differences(exported), n=COMPARED)
-
-
-def tick_times(model: Model, kind: str, rate: float, backend: str) -> tuple[float, float]:
-    """Seconds of processor time that the feedforward and the feedback take, called for one tick at a time as the nodes do."""
-    compensator, law = build_compensator(model, kind, sample_time=1.0 / rate), PI(0.3, 900.0, 1.0 / rate, 0.0, 50.0, 2e5)
-    axes = len(model.axes)
-    feeding = compensator if backend == "python" else CompiledFeedforward(compensator, axes, 1.0 / rate)
-    loop = SafeLoop(
-        law.start(axes) if backend == "python" else CompiledPI(law, axes),
-        MeasurementWatch(-1e6, 1e6, 0, 0.0),
-        Safety(np.zeros(axes), 1000.0),
-    )
-    loop.restart(np.zeros(axes), away=False)
-    rows = np.repeat(1.0 - 0.9 * np.cos(0.02 * np.arange(TICKS))[:, None], axes, axis=1)
-    feeding.settle(rows[0])
-    best = np.full(2, np.inf)
-    for _ in range(TURNS):
-        clocks = [time.thread_time()]
-        ahead = [feeding.process(rows[k : k + 1]) for k in range(TICKS)]
-        clocks.append(time.thread_time())
-        for k in range(TICKS):
-            loop.closed(rows[k : k + 1], 0.99 * rows[k : k + 1], ahead[k])
-        clocks.append(time.thread_time())
-        best = np.minimum(best, np.diff(clocks) / TICKS)
-    return float(best[0]), float(best[1])
 
 
 def step_time(compensator: Compensator, rate: float, unit: str) -> tuple[float, int]:

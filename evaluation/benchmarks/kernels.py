@@ -24,6 +24,7 @@ from hyst_control.chain.hysteresis.madelung import Madelung, madelung_branches
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
 from hyst_control.chain.linear.linear_kernels import advance_single
 from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.reporting.tables import Table
 
 ROWS = 200_000
 REPEATS = 9
@@ -38,21 +39,8 @@ class Pair:
     other: Callable[[], Array]  # Runs the C loop over the same samples
 
 
-@dataclass(frozen=True)
-class KernelRate:
-    """Samples per second of one kernel; subject "hyst" or "c"."""
-
-    case: str
-    subject: str
-    rate: float
-
-
-def run() -> list[KernelRate]:
-    """Rates of every kernel and of its C counterpart, the best of several runs each.
-
-    The runs of the two alternate, so that a drifting machine speed meets both. Raises `InputError` without gcc.
-    """
-    rows: list[KernelRate] = []
+def run(table: Table) -> None:
+    """Add rates of every kernel and of its C counterpart, the best of several runs that alternate, so that a drift of speed meets both."""
     with tempfile.TemporaryDirectory() as folder:
         library = compiled_library(Path(folder))
         for pair in (prandtl_ishlinskii(library), linear(library), madelung(library)):
@@ -65,8 +53,7 @@ def run() -> list[KernelRate]:
                     call()
                     seconds.append(time.perf_counter() - begin)
             for subject, seconds in zip(("hyst", "c"), times, strict=True):
-                rows.append(KernelRate(pair.case, subject, ROWS / min(seconds)))
-    return rows
+                table.add("kernels", pair.case, subject, "kernel_rate", "samples/s", ROWS / min(seconds), n=REPEATS)
 
 
 def compiled_library(folder: Path) -> ctypes.CDLL:

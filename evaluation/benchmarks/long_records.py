@@ -2,9 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time and memory of import, simulate, validate and identify by the length of the record, each in a process of its own.
 
-Memory is what a process has taken for itself (RssAnon), at its largest: pages of temporary files, which the system takes back as it
-needs them, are none of it. A command streams where its memory stays as the record grows, and is linear where its time per sample does;
-processor time tells so on a machine that has other work too.
+Memory is the largest that a process has taken for itself (RssAnon): pages of temporary files, which the system takes back, are none of it.
 """
 
 from __future__ import annotations

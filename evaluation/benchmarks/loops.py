@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed, latency, loss and load of the loop through the real nodes, beside the same loop in plain rclpy.
 
-The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model, 5 kHz. Every case runs in
-separate processes on a separate ROS domain; the figures come from the nodes' diagnostics, from the operating system
-(processor time, memory) and from the bag.
+The loop is the MHL paper's: two axes, inverse hysteresis and PI feedback on the published model. Every case has processes and a ROS domain
+of its own; figures come from the nodes' diagnostics, the operating system and the bag.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evaluation.benchmarks import bare_timer
 from hyst_control.base import progress
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
@@ -36,6 +35,8 @@ from hyst_control.reporting.tables import Table
 
 SECONDS = 6.0
 """Length of one measurement; diagnostics come once a second."""
+TITLES = {"lockstep": "lockstep, MHL loop of two axes", "timer": "wall clock, 1 kHz"}
+"""Tables by schedule."""
 LOCKSTEP_RATE, TIMER_RATE = 5000.0, 1000.0  # Hz
 START_TIMEOUT = 90.0  # s; a first start compiles the kernels
 SETTLING = 2.0  # s, of a run before it is measured
@@ -83,31 +84,19 @@ class Watched(Enum):
 
 def run(table: Table, seconds: float = SECONDS) -> None:
     """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder."""
-    name = "lockstep, MHL loop of two axes"
-    streamed = f"composed, reference streamed in {STREAMED} rows"
-    table.add(
-        name, streamed, "hyst", "rounds_rate", "rounds/s", measure("composed", "hyst", "lockstep", seconds, block=STREAMED).rate
-    )
-    for case in ("composed", "processes"):
+    streamed = measure("composed", "hyst", "lockstep", seconds, block=STREAMED)
+    _add(table, "lockstep", f"composed, reference streamed in {STREAMED} rows", "hyst", streamed)
+    for schedule, case in product(TITLES, ("composed", "processes")):
         for subject in ("hyst", "plain rclpy"):
-            measured = measure(case, subject, "lockstep", seconds)
-            table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
+            _add(table, schedule, case, subject, measure(case, subject, schedule, seconds))
+        if (schedule, case) == ("timer", "composed"):
+            _add(table, schedule, f"{case}, backend: c", "hyst", measure(case, "hyst", schedule, seconds, backend="c"))
         for way in ("", " from outside") if case == "composed" else ("",):
             with tempfile.TemporaryDirectory() as folder:
-                measured = measure(case, "hyst", "lockstep", seconds, Path(folder) / "bag", outside=bool(way))
-                table.add(name, f"{case}, recorded{way}", "hyst", "rounds_rate", "rounds/s", measured.rate)
-                table.add(name, f"{case}, recorded{way}", "hyst", "loss", "%", message_loss(Path(folder) / "bag")[0])
-    for case in ("composed", "processes"):
-        for subject in ("hyst", "plain rclpy"):
-            _add_timing(table, case, subject, measure(case, subject, "timer", seconds))
-        if case == "composed":
-            _add_timing(table, f"{case}, backend: c", "hyst", measure(case, "hyst", "timer", seconds, backend="c"))
-        for way in ("", " from outside") if case == "composed" else ("",):
-            with tempfile.TemporaryDirectory() as folder:
-                measured = measure(case, "hyst", "timer", seconds, Path(folder) / "bag", outside=bool(way))
-                _add_timing(table, f"{case}, recorded{way}", "hyst", measured)
-                loss, count = message_loss(Path(folder) / "bag")
-                table.add("wall clock, 1 kHz", f"{case}, recorded{way}", "hyst", "loss", "%", loss, n=count)
+                bag, recorded = Path(folder) / "bag", f"{case}, recorded{way}"
+                _add(table, schedule, recorded, "hyst", measure(case, "hyst", schedule, seconds, bag, outside=bool(way)))
+                loss, count = message_loss(bag)
+                table.add(TITLES[schedule], recorded, "hyst", "loss", "%", loss, n=count)
     dashboard(table, seconds)
 
 
@@ -118,7 +107,7 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
     """
     for priority in (0, PRIORITY):
         case = f"composed{f', SCHED_FIFO {priority}' if priority else ''}"
-        _add_timing(table, f"{case}, no live view", "hyst", measure("composed", "hyst", "timer", seconds, priority=priority))
+        _add(table, "timer", f"{case}, no live view", "hyst", measure("composed", "hyst", "timer", seconds, priority=priority))
         watched = measure("composed", "hyst", "timer", seconds, watched=Watched.BY_NOBODY, priority=priority)
         _add_view(table, f"{case}, live view", watched)
         if not _browser()[0] or find_spec("bokeh") is None:
@@ -130,30 +119,23 @@ def dashboard(table: Table, seconds: float = SECONDS) -> None:
 
 def _add_view(table: Table, case: str, measured: Run) -> None:
     """Timing of the loop, and the processor time of a poll of its live view, which comes 20 times a second."""
-    _add_timing(table, case, "hyst", measured)
+    _add(table, "timer", case, "hyst", measured)
     for label in ("p50", "p99"):
         value = float(measured.values["live_view"][f"poll {label} [us]"])
-        table.add("wall clock, 1 kHz", case, "hyst", f"poll_{label}", "us", value)
+        table.add(TITLES["timer"], case, "hyst", f"poll_{label}", "us", value)
 
 
-def _add_timing(table: Table, case: str, subject: str, measured: Run) -> None:
-    name = "wall clock, 1 kHz"
-    for label in ("p50", "p99", "p99.9"):
-        table.add(name, case, subject, f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
-    for label in ("p50", "p99", "p99.9"):
-        table.add(name, case, subject, f"latency_{label}", "us", measured.microseconds(f"loop latency {label} [us]"))
+def _add(table: Table, schedule: str, case: str, subject: str, measured: Run) -> None:
+    """Rate of a loop, under the timer with its periods, latencies and load."""
+    name = TITLES[schedule]
+    if schedule == "lockstep":
+        table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
+        return
+    for quantity, entry in (("period", "period"), ("latency", "loop latency")):
+        for label in ("p50", "p99", "p99.9"):
+            table.add(name, case, subject, f"{quantity}_{label}", "us", measured.microseconds(f"{entry} {label} [us]"))
     table.add(name, case, subject, "rate", "Hz", measured.rate)
     table.add(name, case, subject, "cpu", "%", measured.cpu)
-
-
-def soak(table: Table, minutes: float) -> None:
-    """Run in lockstep, then a sixth of that on the wall clock, with a plant and with a stage on hardware: rate, loss, growth of memory.
-
-    All are composed and recorded; the stage is simulated, and its process runs under SCHED_FIFO where the system allows it.
-    """
-    soak_lockstep(table, minutes)
-    _soak(table, "timer", "soak, wall clock 1 kHz", minutes / 6.0, "plant")
-    soak_wall_clock(table, minutes / 6.0)
 
 
 def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
@@ -162,17 +144,8 @@ def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
 
 
 def soak_wall_clock(table: Table, minutes: float = 10.0) -> None:
-    """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory.
-
-    Afterwards a bare loop of the same priority waits for as many ticks: those that it misses are the computer's.
-    """
-    name = "soak, stage on hardware, 1 kHz"
-    _soak(table, "timer", name, minutes, STAGE)
-    progress.step(f"a bare loop, for comparison: {60.0 * minutes:g} s")
-    wakes = bare_timer.measure(TIMER_RATE, 60.0 * minutes, PRIORITY)
-    case = f"{minutes:g} min, {'no real-time priority' if wakes.refused else f'SCHED_FIFO {PRIORITY}'}"
-    table.add(name, case, "bare loop", "missed_ticks", "", wakes.missed, n=wakes.ticks + wakes.missed)
-    table.add(name, case, "bare loop", "latest_wake", "us", 1e6 * wakes.latest, n=wakes.ticks + wakes.missed)
+    """Run at 1 kHz on the wall clock against a stage on hardware: lost rows, missed ticks, processor load, memory."""
+    _soak(table, "timer", "soak, stage on hardware, 1 kHz", minutes, STAGE)
 
 
 def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) -> None:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Baseline of `hyst bench`: the same loop in plain rclpy (SingleThreadedExecutor, message objects, one callback per message).
 
-Reference, feedforward, feedback and plant as four small nodes with the computations of the package's nodes and nothing else: no checks
-of messages, no repetition, no recorder. Run by name: `python -m evaluation.benchmarks.plain_loop plant SETTINGS.json`.
+Four small nodes with the computations of the package's nodes and nothing else: no checks of messages, no repetition, no recorder.
 """
 
 from __future__ import annotations

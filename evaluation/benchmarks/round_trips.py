@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Round trip of every family: a known plant of it, records as laboratories have them, its identification, and another session.
 
-Records of a bipolar drive begin amid a motion, with a sensor's zero of 5 % of the range, a drift of 2 % and 12-bit rounding; each
-record has a zero and a drift of its own. The truth is a chain of the family's own stages, behind a drive of 5 V ± 40 V, so what is left
-is what the beginning, the zero, the drift and the rounding cost.
+Records begin amid a motion, with a sensor's zero of 5 % of the range, a drift of 2 % and 12-bit rounding; the truth is a chain of the
+family's own stages, so what is left is what these cost.
 """
 
 from __future__ import annotations

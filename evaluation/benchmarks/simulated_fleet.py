@@ -1,11 +1,9 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them in some run.
+"""Simulated fleets: units drawn from a population, recorded night after night, effects that begin on some of them in some night.
 
-A unit's coefficients scatter about the nominal plant's, those of its nights a little about its own; the temperature of a night, which
-all units share, changes every gain. Units hang on drivers, in turn. On some units an effect begins in some night; on all units of one
-driver the driver's low-pass becomes slower in one night: a cause that they share. Every night has the same command, and the first
-nights, in which nothing has begun, are every record's clean records.
+Coefficients scatter from unit to unit, a little from night to night; the night's temperature changes every gain. On all units of one driver
+its low-pass becomes slower in one night: a cause that they share. Nothing has begun in the first nights, every record's clean records.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.blind_test.case_records import respond
 from evaluation.blind_test.effect_sizes import SEVERITIES, draw_effect
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
@@ -173,15 +172,14 @@ def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: 
         "stroke": [0.0, setup.stroke],
         "effects": [own] if own else [],
     }
-    plant = load_plant(document, seed=seed, sample_time=setup.sample_time, **{**coefficients, "noise": noise * setup.stroke})
-    first = plant.reset(rows[0])
-    return np.concatenate([first[None], plant.step(rows)[:-1]])[:, 0]
+    changes = {**coefficients, "noise": noise * setup.stroke}
+    return respond(load_plant(document, seed=seed, sample_time=setup.sample_time, **changes), rows)[:, 0]
 
 
-def _moved(value: Any, random: np.random.Generator, size: float) -> Any:
+def _moved(value: Any, random: np.random.Generator) -> Any:
     if isinstance(value, list):
-        return [_moved(each, random, size) for each in value]
-    return value * (1.0 + size * random.standard_normal())
+        return [_moved(each, random) for each in value]
+    return value * (1.0 + NIGHT_SCATTER * random.standard_normal())
 
 
 def _record_unit(job: tuple[Unit, Array, str]) -> str:
@@ -192,7 +190,7 @@ def _record_unit(job: tuple[Unit, Array, str]) -> str:
     coefficients = scatter(PLANT, unit.seed, SCATTER)
     for night, temperature in enumerate(temperatures):
         random = np.random.default_rng([unit.seed, night])
-        tonight = _moved_all(coefficients, random)
+        tonight = {name: _moved(value, random) for name, value in coefficients.items()}
         effect = unit.effect if night >= unit.begins else {}
         measured = _measured(effect, tonight, int(random.integers(1 << 31)), NOISE)
         measured = measured * (1.0 + EXPANSION * (temperature - 20.0))
@@ -202,10 +200,6 @@ def _record_unit(job: tuple[Unit, Array, str]) -> str:
         }
         write_bag(Path(folder) / f"{unit.name}_{night:03d}", Record(signals, unit.name))
     return unit.name
-
-
-def _moved_all(coefficients: Mapping[str, Any], random: np.random.Generator) -> dict[str, Any]:
-    return {name: _moved(value, random, NIGHT_SCATTER) for name, value in coefficients.items()}
 
 
 def _write_manifest(folder: Path, units: list[Unit], temperatures: Array) -> None:

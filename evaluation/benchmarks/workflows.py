@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time and memory of an identification and of a diagnosis, each in a separate process, and the speed of the reference simulations."""
+"""Time and memory of an identification and of a diagnosis, each in a separate process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from evaluation.blind_test.case_drawing import draw
-from evaluation.blind_test.case_records import record_of, run_case
+from evaluation.blind_test.case_records import record_of, respond, run_case
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SETUPS
 from hyst_control.base.arrays import Array
@@ -38,48 +38,25 @@ IDENTIFIED: dict[str, tuple[str, tuple[str, ...], str, float, Callable[[float], 
 }
 """By family: truth plant, axes, unit, noise, and the excitation of the family's paper."""
 PLANTS = ("pea_published", "fsm_published", "third")
-TRUTH = ("pea", "pea_published", "fsm", "fsm_published", "third")
-REPEATS = 5
 DRIVEN = 1.8
 """Length of the excitation that is diagnosed, s: with its rests a record of 2 s."""
 SHORT = 0.4
 """The same of the record that kernels are compiled with, s."""
-TENFOLD = "pea_published"
-"""Plant of which a record of ten times the length is diagnosed as well."""
 
 
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
-    """Measure reference simulations, identifications, and diagnoses with a new and with a cached threshold."""
-    for name in TRUTH:
-        table.add("truth plants", f"{RATE / 1e3:g} kHz, one core", name, "speed", "x real time", _alone(speed, name), n=REPEATS)
+    """Measure identifications, and diagnoses with a new and with a cached threshold."""
     for family in IDENTIFIED:
         elapsed, processor, memory, rows = _alone(identification, family, seconds)
         case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
         table.add("identification", case, family, "identify_time", "s", elapsed, n=rows)
         table.add("identification", case, family, "identify_processor_time", "s", processor, n=rows)
         table.add("identification", case, family, "identify_memory", "MiB", memory, n=rows)
-    for plant, driven in [*((plant, DRIVEN) for plant in plants), *((TENFOLD, 10.0 * DRIVEN) for _ in plants[:1])]:
-        fresh, cached, rows, seconds_of_record = _alone(diagnosis, plant, driven)
+    for plant in plants:
+        fresh, cached, rows, seconds_of_record = _alone(diagnosis, plant)
         case = f"{seconds_of_record:.2g} s at {rows / seconds_of_record / 1e3:.3g} kHz"
         table.add("diagnosis", f"{case}, threshold calibrated", plant, "diagnose_time", "s", fresh, n=rows)
         table.add("diagnosis", f"{case}, threshold cached", plant, "diagnose_time", "s", cached, n=rows)
-
-
-def speed(name: str) -> float:
-    """Simulated seconds per second of processor time of a reference simulation under a 50 Hz sine: the median of `REPEATS`."""
-    truth = load_plant({"plant": name}, seed=1, sample_time=1.0 / RATE)
-    lower, upper = np.broadcast_to(np.array(truth.rating, dtype=float), (2,))
-    time_axis = np.arange(round(RATE)) / RATE
-    column = lower + (upper - lower) * (0.5 - 0.45 * np.cos(2 * np.pi * 50.0 * time_axis))
-    rows = np.repeat(column[:, None], len(truth.axes), axis=1)
-    truth.reset(rows[0])
-    truth.step(rows[:100])  # compiles the kernels
-    spent = []
-    for _ in range(REPEATS):
-        begin = time.process_time()
-        truth.step(rows)
-        spent.append(time.process_time() - begin)
-    return len(rows) / RATE / float(np.median(spent))
 
 
 def identification(family: str, seconds: float) -> tuple[float, float, float, int]:
@@ -89,9 +66,7 @@ def identification(family: str, seconds: float) -> tuple[float, float, float, in
     once, count = len(rows), round(seconds * RATE)
     rows = np.tile(rows, (-(-count // once), 1))[:count]
     truth = load_plant({"plant": plant}, seed=1, sample_time=1.0 / RATE, noise=noise)
-    first = truth.reset(rows[0])
-    measured = np.concatenate([first[None], truth.step(rows)[:-1]])
-    dataset = Dataset("bench", rows, measured, 1.0 / RATE, axes, unit)
+    dataset = Dataset("bench", rows, respond(truth, rows), 1.0 / RATE, axes, unit)
     identify([dataset.rows(0, min(once, count))], family)
     begin, before = time.perf_counter(), processor_time()
     identify([dataset], family)
@@ -99,10 +74,10 @@ def identification(family: str, seconds: float) -> tuple[float, float, float, in
     return elapsed, processor, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
 
 
-def diagnosis(plant: str, driven: float = DRIVEN) -> tuple[float, float, int, float]:
+def diagnosis(plant: str) -> tuple[float, float, int, float]:
     """Time of one diagnosis: one effect, diagnostic excitation, sampled at `RATE`. Changes the plant's setup in this process."""
     SETUPS[plant] = replace(SETUPS[plant], sample_time=1.0 / RATE)
-    case = replace(draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0], duration=driven)
+    case = replace(draw(0, 1, [plant], {"single": 1.0}, ["rich"])[0], duration=DRIVEN)
     record: Record = record_of(case, run_case(case))
     model = nominal(plant, case.noise)
     short = replace(case, duration=SHORT)

@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cases of the blind test, drawn by a seed and balanced: kinds, plants, excitations, noise, and effects of drawn size.
 
-A case is a truth plant whose coefficients scatter, one of four excitations, one of two noise levels, and effects of drawn size:
-one, two, none, coefficients off by more than their tolerance, or an effect outside the catalogue; they act from the start or, where
-asked for, from a time within the record. Seeds 0 to 999 are for tuning, scoring seeds begin at 100000; an effect has several
-realizations (place, phase, law, …), of which tuning seeds draw only some.
+Seeds 0 to 999 are for tuning, scoring seeds begin at 100000; an effect has several realizations (place, phase, law, …), of which tuning
+seeds draw only some.
 """
 
 from __future__ import annotations

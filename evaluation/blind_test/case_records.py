@@ -65,13 +65,17 @@ def commands(case: Case) -> Annotated[Array, "N A"]:
     return np.concatenate([np.zeros((20, axes)), ramp[:, None] * rows[0], rows])
 
 
+def respond(plant: Plant, rows: Annotated[Array, "N A"]) -> Annotated[Array, "N A"]:
+    """Measurement of a plant that starts settled at the first row of its command."""
+    return np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]])
+
+
 def run_case(case: Case, **included: bool) -> dict[str, Array]:
     """Simulate a case."""
     truth = plant_of(case, **included)
     rows, setup = commands(case), SETUPS[case.plant]
     if case.excitation != "closed_loop":
-        first = truth.reset(rows[0])
-        return {"command": rows, "measurement": np.concatenate([first[None], truth.step(rows)[:-1]])}
+        return {"command": rows, "measurement": respond(truth, rows)}
     controller = PI(setup.gains[0], setup.gains[1], setup.sample_time, setup.command[0], setup.command[1]).start(rows.shape[1])
     signals = run_loop(rows, None, controller, truth)
     return {name: signals[name] for name in ("reference", "feedforward", "feedback", "command", "measurement")}

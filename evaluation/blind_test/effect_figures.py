@@ -1,10 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the effects: a record with each and without it.
-
-`hyst cases figures --output docs/figures/effects` draws them. The records are of the reference simulation of the PEA (effects that need
-two axes: of the mirror) without noise. The effects are stronger than in a blind case, so that they are visible.
-"""
+"""Figures of the effects (`hyst cases figures`): a record with each and without it, stronger than in a blind case."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from evaluation.blind_test.case_records import respond
 from evaluation.blind_test.effect_sizes import FILE
 from hyst_control.base.arrays import Array
 from hyst_plant_sim.physics import EFFECTS, Plant, load_plant
@@ -68,7 +65,7 @@ def draw(name: str, path: Path) -> None:
     left, middle, right = parts
 
     time, rows = jumps(example, plants[0])
-    without, found = (_answer(plant, rows) for plant in plants)
+    without, found = (respond(plant, rows)[:, 0] for plant in plants)
     above, below = left.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     scale, seconds = (1e3, "ms") if example.span < 0.5 else (1.0, "s")
     above.plot(scale * time, without, color=grey, lw=1.2)
@@ -78,7 +75,7 @@ def draw(name: str, path: Path) -> None:
     below.set(xlabel=f"time, {seconds}", ylabel="gap")
 
     rows = multisine(plants[0])
-    without, found = (_answer(plant, rows) for plant in plants)
+    without, found = (respond(plant, rows)[:, 0] for plant in plants)
     axes = middle.subplots()
     for values, color, width in ((without, grey, 1.6), (found, blue, 0.8), (found - without, orange, 0.8)):
         frequency, density = welch(values, 1.0 / SAMPLE_TIME, nperseg=4096, detrend=False)
@@ -87,7 +84,7 @@ def draw(name: str, path: Path) -> None:
     axes.set(xlabel="frequency, Hz", ylabel=f"{unit} / √Hz", xlim=(5.0, 1e4), ylim=(1e-6 * top, 4.0 * top))
 
     command, rows = loop(example, plants[0])
-    without, found = (_answer(plant, rows)[-len(command) :] for plant in plants)
+    without, found = (respond(plant, rows)[-len(command) :, 0] for plant in plants)
     axes = right.subplots()
     axes.plot(command, without, color=grey, lw=1.2)
     axes.plot(command, found, color=blue, lw=0.8)
@@ -107,11 +104,6 @@ def _save(canvas: FigureCanvasAgg, path: Path) -> None:
 
 def _plant(example: Example, effects: list[dict[str, Any]]) -> Plant:
     return load_plant({"plant": example.plant, "effects": effects}, seed=1, sample_time=SAMPLE_TIME, noise=0.0)
-
-
-def _answer(plant: Plant, rows: Array) -> Array:
-    """The first axis' measurement (N,)."""
-    return np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]])[:, 0]
 
 
 def _on_axes(first: Array, second: Array, plant: Plant) -> Array:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ideal observer: how often the best possible diagnosis would name the true effect of a case.
 
-It knows the noise, the model's discrepancy and what each effect would do at its best fit, coefficients and session effects included; it
-names the effect that comes closest to the record. Let d_j be what the fit of effect j differs by from that of the true one, in units of
-noise and discrepancy. With noise n ~ N(0, I) effect j comes closer than the true one where dⱼᵀn > ½ dⱼᵀdⱼ, so that only the products
-of the differences are needed. No algorithm is right more often where all effects are equally likely.
+It knows the noise, the model's discrepancy and every effect's best fit, and names the effect that comes closest to the record. Let d_j be
+what the fit of effect j differs by from that of the true one, in units of noise and discrepancy. With noise n ~ N(0, I) effect j comes
+closer where dⱼᵀn > ½ dⱼᵀdⱼ, so that only the products of the differences are needed.
 """
 
 from __future__ import annotations

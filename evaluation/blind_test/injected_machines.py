@@ -2,14 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Machines into whose records effects are put, measured and simulated: their records for models and for cases.
 
-- stack (`pea_p885`): eight cycles each, the first two of which fill the memory. Models are identified from full cycles of the first file
-  and from two stretches of the second, cases come from other stretches; tuning seeds see stretches of the second file's
-  first half, scoring seeds of its second half, where an inverse operator shaped the command. The repeated full cycles have clean records
-  of the same command.
-- mirror (`fsm_cubespec`): three levels; models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth. The period of
-  a record is repeated, that of its clean record is the other measured one.
-- `third` (`hyst_plant_sim/physics`) and a Bouc-Wen stage, both simulated with noise: machines that no family of models here matches. Their
-  models are identified from two clean records as a user would, cases are other records. Only scoring seeds see the Bouc-Wen stage.
+- stack (`pea_p885`): stretches of eight cycles, the first two of which fill the memory; tuning seeds see the second file's first half,
+  scoring seeds its second half, where an inverse operator shaped the command.
+- mirror (`fsm_cubespec`): models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth; the other measured period of
+  a record is its clean record.
+- `third` and a Bouc-Wen stage, simulated with noise: machines that no family here matches. Only scoring seeds see the Bouc-Wen stage.
 """
 
 from __future__ import annotations
@@ -21,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.mirror_models import DELAYS, fit, stated_model
+from evaluation.blind_test.case_records import respond
+from evaluation.blind_test.mirror_models import DELAYS, ORDER, stated_model
 from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
@@ -116,7 +114,7 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
         return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
 
     def model() -> Model:
-        return stated_model(fit(data, DELAYS[-1]), data, other, data.name)
+        return stated_model(mirror.fit_level(data, ORDER, DELAYS[-1]), data, other, data.name)
 
     warm_up = mirror.PERIOD * mirror.SAMPLE_TIME
     return Machine(
@@ -144,7 +142,7 @@ def simulated_machine(name: str, scoring: bool) -> Machine:
         if name != "third":
             return Clean(f"{name}, seed {seed}", rows, bouc_wen_stage.respond(rows, seed))
         plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
-        return Clean(f"{name}, seed {seed}", rows, np.concatenate([plant.reset(rows[0])[None], plant.step(rows)[:-1]]))
+        return Clean(f"{name}, seed {seed}", rows, respond(plant, rows))
 
     def model() -> Model:
         records = [record(seed) for seed in MODEL_SEEDS]

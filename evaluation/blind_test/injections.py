@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that are put into measured records, single and outside the catalogue, and their strength for a given size.
 
-Effects of the sensor act on the measurement; effects of the drive that can be inverted act backwards on the command: the recorded command
-u is what the effect made of another one, c, and c takes its place. They are written here with numpy and scipy alone: nothing is shared
-with the catalogue that is tested.
+Effects of the drive act backwards on the command: the recorded command u is what the effect made of another one, c, and c takes its
+place. They are written with numpy and scipy alone: nothing is shared with the catalogue that is tested.
 """
 
 from __future__ import annotations

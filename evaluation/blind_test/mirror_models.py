@@ -12,13 +12,11 @@ from scipy.linalg import block_diag
 
 from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
-from evaluation.reproduction.periodic_fit import refined
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
 from hyst_control.chain.stage import Stage, frozen
-from hyst_control.identify.modal.modal_candidate import Candidate, error_of
-from hyst_control.identify.modal.modal_fit import subspace
+from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -28,17 +26,10 @@ ORDER = 46
 DELAYS = (0.0, 0.25, 0.5, 0.75)
 """Candidates in samples; the fifth realization chooses among them."""
 LOST_GAIN = 0.05
-MODE = "mode at"
-"""Begin of the names of modes that a model loses."""
 MIN_SHARE = 1.0
 """Energy of a deleted mode, relative to the residual of the whole model, above which its loss is diagnosed."""
-
-
-def fit(level: mirror.Level, delay: float) -> Candidate:
-    """Fit the linear model of a level, with its relative error on the fifth realization."""
-    data = [level.spectra(mirror.FIT)]
-    found = refined(data, subspace(data, [ORDER], np.full(3, delay), "zoh")[0], 25)
-    return replace(found, held_out=error_of(found.model, [level.spectra(mirror.SELECT)]))
+HIGHEST_MODE = 3000.0
+"""Hz, below which modes are deleted: the excitation ends at 3200 Hz."""
 
 
 def rms_error(model: Model, level: mirror.Level, realization: int) -> float:
@@ -86,7 +77,7 @@ def models_without_elements(model: Model, level: mirror.Level, floor: float) -> 
         crippled = with_stages(model, *before, without_states(whole, block))
         lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
         if np.mean(lost**2) > MIN_SHARE * floor**2:
-            yield f"{MODE} {frequency:.0f} Hz", ("resonance",), crippled
+            yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
 
 
 def with_stages(model: Model, *stages: Stage) -> Model:
@@ -114,7 +105,7 @@ def oscillating(whole: StateSpace) -> Iterator[tuple[slice, float]]:
         size = 2 if row + 1 < len(a) and a[row, row + 1] else 1
         if size == 2:
             frequency = float(np.abs(np.linalg.eigvals(a[row : row + 2, row : row + 2])[0])) / (2 * np.pi)
-            if frequency < mirror.BANDS[-1] - 200.0:
+            if frequency < HIGHEST_MODE:
                 yield slice(row, row + 2), frequency
         row += size
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.blind_test.case_records import respond
 from evaluation.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, TOLERANCE
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
@@ -55,7 +56,7 @@ def _identified(plant: str) -> tuple[Model, float]:
 
     def clean(spec: Mapping[str, Any]) -> tuple[Array, Array]:
         rows = build(spec, setup.sample_time, len(truth.axes))
-        return rows, np.concatenate([truth.reset(rows[0])[None], truth.step(rows)[:-1]])
+        return rows, respond(truth, rows)
 
     diagnostic = {"signal": "diagnostic", "lowest": low, "highest": high}
     records = [clean({**spec, "peak": high}), *(clean({**diagnostic, "seed": seed}) for seed in CLEAN_SEEDS)]

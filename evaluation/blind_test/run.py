@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The blind test: cases are made, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (baseline records beside the new
-one; the command of a later session, for which the reduction is predicted; the begin that does not count). labels.json is kept separate (its
-SHA-256 is printed before anything is diagnosed). The output of the diagnosis is reports/NAME.json (and .yaml, the augmented model),
-evidence/NAME.json and separation/NAME.json (how far the effects' fits are apart, for the ideal observer). results.csv has a row for every
-case. A run that was interrupted goes on where it stopped.
+Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (clean records; the command of
+a later session; the begin that does not count). labels.json, whose SHA-256 is printed first, is kept apart. Its output is
+reports/NAME.json, with the augmented model in .yaml, and separation/NAME.json for the ideal observer. results.csv has a row for every
+case.
 """
 
 from __future__ import annotations
@@ -16,8 +15,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
-from enum import Enum
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,6 @@ from evaluation.blind_test.case import Case, Made, as_document, from_document
 from evaluation.blind_test.case_drawing import draw
 from evaluation.blind_test.ideal_observer import separation
 from evaluation.blind_test.injected_machines import PLANTS, SCORING, machines_of
-from evaluation.blind_test.injected_plan import planned
 from evaluation.blind_test.scores import ERROR, Result, metrics, score, table, write_results
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_json
@@ -37,8 +34,9 @@ from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.run.diagnosis import RULES
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
-from hyst_control.model_file import load_model, save_model
+from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.record import Record
 from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.tables import Table
 
@@ -84,7 +82,7 @@ class Batch:
             return draw(self.seed, self.count, **self.options)
         if self.source == "injected":
             machines = machines_of(self.options.get("plants") or PLANTS, self.seed >= SCORING)
-            return list(planned(machines, self.seed, self.count))
+            return list(injected.planned(machines, self.seed, self.count))
         return withheld.drawn(**self.options)
 
     def cases(self) -> list[Case]:
@@ -200,7 +198,7 @@ def _jobs(batch: Batch, absolute: bool) -> list[Job]:
     """Diagnoses that have no report yet; of some cases, single effects on the rich record, a second one without the effect."""
     folder, left_out = batch.folder.resolve() if absolute else batch.folder, batch.left_out
     jobs: list[Job] = []
-    for name in ("reports", "reports_left_out", "evidence", "separation"):
+    for name in ("reports", "reports_left_out", "separation"):
         (folder / name).mkdir(exist_ok=True)
     for case in batch.cases():
         place, file = str(folder / "cases" / case.name), f"{case.name}.json"
@@ -230,15 +228,20 @@ def _make_one(job: tuple[Case, Path]) -> Case:
     return made.of(case)
 
 
+def read_case(place: Path) -> tuple[Record, Model, float, list[Record]]:
+    """Record, model, begin that does not count, and baseline records of a case, from its files."""
+    warm_up = read_json(place / "case.json")["warm_up"] if (place / "case.json").exists() else 0.0
+    clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
+    return read_bag(place / "bag"), load_model(place / "model.yaml"), warm_up, clean
+
+
 def _diagnose_one(job: Job) -> str:
     """Diagnose a case from its files; return its name."""
     place, report = Path(job[0]), Path(job[1])
     begin, worked = time.monotonic(), time.process_time()
-    warm_up = read_json(place / "case.json")["warm_up"] if (place / "case.json").exists() else 0.0
     diagnosis = better = None
     try:
-        clean = [read_bag(path) for path in sorted(place.glob("clean_*"))]
-        record, model = read_bag(place / "bag"), load_model(place / "model.yaml")
+        record, model, warm_up, clean = read_case(place)
         document, diagnosis, better = diagnosed([record], model, without=job[2], warm_up=warm_up, baseline=clean, core=job[3])
     except Exception as error:  # a fault of the diagnosis costs this case: no name, which every score counts as wrong
         text = f"{type(error).__name__}: {error}"
@@ -249,8 +252,6 @@ def _diagnose_one(job: Job) -> str:
     if better is not None:
         save_model(better, report.with_suffix(".yaml"))
     if diagnosis is not None and not job[2]:
-        evidence = [plain(part.evidence) for part in diagnosis.parts]
-        (report.parents[1] / "evidence" / report.name).write_text(json.dumps(evidence))
         write_json(report.parents[1] / "separation" / report.name, [separation(part) for part in diagnosis.parts])
     write_json(report, document)
     return place.name
@@ -279,19 +280,6 @@ def _names(due: Sequence[tuple[Job, float | None]], workers: Workers, note: Call
         if outcome.result is None:
             note(f"a case was not diagnosed: {outcome.reason}")
         yield outcome.result or ""
-
-
-def plain(value: Any) -> Any:
-    """The numbers that a decision was based on as JSON types; infinity stays what Python's JSON writes for it."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (set, frozenset)):
-        return sorted(map(plain, value))
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    return value.value if isinstance(value, Enum) else value.item() if isinstance(value, np.generic) else value
 
 
 def _digest(path: Path) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from evaluation.blind_test.case import Case, Label, Made
-from evaluation.blind_test.case_records import commands, plant_of, record_of, run_case
+from evaluation.blind_test.case_records import commands, plant_of, record_of, respond, run_case
 from evaluation.blind_test.nominal_models import nominal, stated_noise
 from evaluation.blind_test.plant_setups import SETUPS
 from hyst_control.base.arrays import Array
@@ -65,7 +65,7 @@ def _difference(case: Case, other: Case, scattered: bool = True) -> Array:
     if case.excitation == "closed_loop":  # a loop hides a gap: both plants are driven by the same command
         command = run_case(case, noisy=False)["command"]
         truth, bare = plant_of(case, noisy=False), plant_of(other, noisy=False, scattered=scattered)
-        measured, expected = (np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]]) for plant in (truth, bare))
+        measured, expected = respond(truth, command), respond(bare, command)
     else:
         measured = run_case(case, noisy=False)["measurement"]
         expected = run_case(other, noisy=False, scattered=scattered)["measurement"]

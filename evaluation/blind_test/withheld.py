@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Withheld cases: measured records, and models of their machine that lost one element, or never had it.
 
-The mirror (`fsm_cubespec`): a linear model per level, fitted on realizations 1-4, its input delay chosen on the fifth, loses its delay, the
-coupling of its axes, 5 % of its gain, and each mode in turn; the sixth realization is diagnosed. The error of the whole model on the fifth
-is what it states of itself. Then the true unknown: a level's model against the records of a higher one. The stack (`pea_p885`): a model
-without hysteresis, and one with too few operators, against the nested loops of another file.
+The mirror: a linear model per level, fitted on realizations 1-4, states its error on the fifth and loses delay, coupling, 5 % of its gain
+and each mode in turn; the sixth is diagnosed, then that of a higher level. The stack: models without hysteresis and with too few
+operators.
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ import numpy as np
 from evaluation.blind_test.case import Case, Label, Made, plain_record
 from evaluation.blind_test.mirror_models import (
     DELAYS,
-    MODE,
-    fit,
+    ORDER,
     models_without_elements,
     record_of,
     rms_error,
@@ -44,19 +42,16 @@ CLEAN_ROWS, STRETCH = 7200, 1800
 """Rows of the second file, and of a record of it, on which the stack's whole model states its error."""
 PLANTS = ("stack", "mirror")
 LEVELS = mirror.LEVELS
-MODES = {"none": (), "middle": LEVELS[1:2], "all": LEVELS}
-"""Levels (mV) whose model loses each of its modes."""
 NOTHING = "nothing"
 """Withheld where the model is whole."""
 HYSTERESIS = ("hysteresis_width", "hysteresis_shape", "backlash", "hysteresis_rate")
 
 
-def drawn(plants: Sequence[str] = PLANTS, levels: Sequence[int] = LEVELS, modes: str = "all") -> list[Case]:
-    """List the cases of some plants, and of the mirror's models of some levels."""
+def drawn(plants: Sequence[str] = PLANTS) -> list[Case]:
+    """List the cases of some plants."""
     rows = [("stack", one) for one in _stack().values()] if "stack" in plants else []
-    for level in levels if "mirror" in plants else ():
-        kept = [one for element, one in _mirror(level).items() if level in MODES[modes] or not element.startswith(MODE)]
-        rows += [(f"mirror, {level} mV", one) for one in kept]
+    for level in LEVELS if "mirror" in plants else ():
+        rows += [(f"mirror, {level} mV", one) for one in _mirror(level).values()]
     return [
         Case(f"case_{index:04d}", plant, one.label.kind, one.record.source, 0.0, 0, one.effects, source="withheld")
         for index, (plant, one) in enumerate(rows)
@@ -84,9 +79,9 @@ def _without(element: str, right: tuple[str, ...], model: Model, record: Record,
 def _whole() -> dict[int, Candidate]:
     """The mirror's models by level, with the input delay that is best at the middle level."""
     measured = mirror.load_levels()
-    fits = list(map_forked(lambda i: fit(measured[1], DELAYS[i]), len(DELAYS)))
+    fits = list(map_forked(lambda i: mirror.fit_level(measured[1], ORDER, DELAYS[i]), len(DELAYS)))
     delay = DELAYS[int(np.argmin([found.held_out for found in fits]))]
-    return dict(zip(LEVELS, map_forked(lambda i: fit(measured[i], delay), len(LEVELS)), strict=True))
+    return dict(zip(LEVELS, map_forked(lambda i: mirror.fit_level(measured[i], ORDER, delay), len(LEVELS)), strict=True))
 
 
 @cache

@@ -10,10 +10,9 @@ The figures hold for this machine at this moment; the table names the machine.
 
 examples:
   hyst bench --only loops --json suite.json
-  hyst bench --only fleet                   cost of a record, of handing it out, and what a second worker brings
   hyst bench --only lockstep                an hour in lockstep at full speed: lost rows, repetitions, load
   hyst bench --only wall-clock              ten minutes at 1 kHz against a stage: lost rows, missed ticks, load
-  hyst bench --soak 60                      long runs, to check that memory does not grow
+  hyst bench --only lockstep --soak 5       the same for five minutes
   hyst bench --minutes 0.5 1 2 4            commands on long records, their growth and an hour, extrapolated
   hyst bench --minutes 60                   the hour itself: 180 million samples, some 20 GB of temporary files
 """
@@ -26,29 +25,18 @@ from hyst_control.reporting.result import CommandResult
 
 NAME = "bench"
 HELP = "measure the speed of kernels, bags and the running loop on this machine"
+CHOICES = (
+    *("kernels", "exported", "bags", "loops", "coverage", "round_trips", "workflows"),
+    *("dashboard", "lockstep", "wall-clock"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument(
         "--only",
-        choices=(
-            "kernels",
-            "exported",
-            "bags",
-            "loops",
-            "dashboard",
-            "workflows",
-            "coverage",
-            "round_trips",
-            "fleet",
-            "many_axes",
-            "learned_priors",
-            "lockstep",
-            "wall-clock",
-        ),
+        choices=CHOICES,
         help="run only this group of measurements; dashboard, the cost of a live page, is a part of loops; "
-        "fleet (needs Dask), many_axes and learned_priors are run when they are named; "
         "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
     )
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")
@@ -56,8 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="MINUTES",
-        help="instead, run the loop for this time in lockstep, then for a sixth of it on the wall clock, and measure its memory; "
-        "with --only lockstep or wall-clock: length of that run",
+        help="with --only lockstep or wall-clock: length of that run",
     )
     parser.add_argument(
         "--minutes",

@@ -16,7 +16,6 @@ example:
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
 
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.result import CommandResult
@@ -43,19 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="PLANT",
         help="with --injected or --measured: plants, stack and mirror, and simulated with --injected (default: all)",
-    )
-    parser.add_argument(
-        "--levels",
-        nargs="+",
-        type=int,
-        metavar="MV",
-        help="with --measured: levels whose models of the mirror are used (default: all)",
-    )
-    parser.add_argument(
-        "--modes",
-        choices=("none", "middle", "all"),
-        default="all",
-        help="with --measured: levels of the mirror that have cases without one mode (default all)",
     )
     parser.add_argument("--count", type=int, default=800, help="number of cases (default 800)")
     parser.add_argument(
@@ -103,6 +89,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from dataclasses import replace
     from pathlib import Path
 
+    from evaluation.blind_test import injected_machines, withheld
     from evaluation.blind_test.run import Batch
     from evaluation.blind_test.run import run as run_all
     from hyst_control.base.parallel import Workers
@@ -110,48 +97,38 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     given = arguments.workers is not None or arguments.cluster is not None
     if arguments.measured and given:
         raise InputError("--workers, --cluster: go with --seed, not with --measured: leave them out")
-    for option, asked, known in _choices(arguments):
-        for value in asked or ():
-            if value not in known:
-                raise InputError(f"{option} {value}: unknown, give some of {', '.join(map(str, known))}")
-    folder, seed, plants = Path(arguments.output), arguments.seed, arguments.plants
+    known = withheld.PLANTS if arguments.measured else injected_machines.PLANTS
+    for plant in arguments.plants or ():
+        if plant not in known:
+            raise InputError(f"--plants {plant}: unknown, give some of {', '.join(known)}")
+    folder, seed = Path(arguments.output), arguments.seed
+    chosen = {"plants": arguments.plants} if arguments.plants else {}
+    names: tuple[str, ...]
     if arguments.measured:
-        options = {"plants": plants, "levels": arguments.levels, "modes": arguments.modes}
-        chosen = {name: value for name, value in options.items() if value}
-        batches = [Batch("withheld", folder / "measured", options=chosen)]
-        said = [f"--measured --modes {arguments.modes}", _listed("--plants", plants), _listed("--levels", arguments.levels)]
+        batches, names = [Batch("withheld", folder / "measured", options=chosen)], ("measured",)
     elif arguments.injected:
-        batches = [Batch("injected", folder, seed, arguments.count, {"plants": plants} if plants else {})]
-        said = [f"--injected --seed {seed} --count {arguments.count}", _listed("--plants", plants)]
+        batches, names = [Batch("injected", folder, seed, arguments.count, chosen)], ("injected", "seed", "count")
     else:
-        batches = [Batch("simulated", folder, seed, arguments.count, left_out=arguments.left_out)]
-        said = [f"--seed {seed} --count {arguments.count} --left-out {arguments.left_out}"]
+        batches, names = (
+            [Batch("simulated", folder, seed, arguments.count, left_out=arguments.left_out)],
+            ("seed", "count", "left_out"),
+        )
         if arguments.with_injected:
             batches.append(Batch("injected", folder / "injected", seed, arguments.with_injected))
-            said.append(f"--with-injected {arguments.with_injected}")
         if arguments.without_gap:
             quiet = {"kinds": ("none",)}
             batches.append(Batch("simulated", folder / "without_gap", seed, arguments.without_gap, quiet, "without_gap"))
-            said.append(f"--without-gap {arguments.without_gap}")
-    if arguments.core != "rules":
-        said.append(f"--core {arguments.core}")
+        names += tuple(name for name in ("with_injected", "without_gap") if getattr(arguments, name))
+    said = [
+        f"--{name.replace('_', '-')}" + (f" {value}" if (value := getattr(arguments, name)) is not True else "") for name in names
+    ]
+    said += [f"--plants {' '.join(arguments.plants)}"] if chosen else []
+    said += [f"--core {arguments.core}"] if arguments.core != "rules" else []
     return run_all(
         [replace(batch, core=arguments.core) for batch in batches],
-        " ".join(["blind-test", *filter(None, said)]),
+        " ".join(["blind-test", *said]),
         arguments.page,
         so_far=arguments.so_far,
         stop_after=arguments.stop_after,
         workers=Workers(arguments.workers, arguments.cluster) if given else None,
     )
-
-
-def _choices(arguments: argparse.Namespace) -> Iterator[tuple[str, Sequence[object] | None, Sequence[object]]]:
-    """Options with a list of values, and the values that they may have."""
-    from evaluation.blind_test import injected_machines, withheld
-
-    yield "--plants", arguments.plants, withheld.PLANTS if arguments.measured else injected_machines.PLANTS
-    yield "--levels", arguments.levels, withheld.LEVELS
-
-
-def _listed(option: str, values: Sequence[object] | None) -> str:
-    return f"{option} {' '.join(map(str, values))}" if values else ""

@@ -50,5 +50,5 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         write_page(arguments.results, arguments.page)
         return Artifacts("reproduce page", [arguments.page])
     experiment = import_module(f"evaluation.reproduction.{arguments.experiment.replace('-', '_')}")
-    table: CommandResult = experiment.run(None, arguments.figures)
+    table: CommandResult = experiment.run(arguments.figures)
     return table

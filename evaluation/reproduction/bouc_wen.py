@@ -2,16 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The hysteresis benchmark of the identification community: Noël & Schoukens, "Hysteretic benchmark with a dynamic nonlinearity".
 
-A simulated oscillator of one degree of freedom whose restoring force has hysteresis, 750 Hz, five periods of a multisine with sensor
-noise for the fit; a multisine and a sine sweep, both without noise, for scoring once. What a model is scored by is its simulation from
-the force alone.
-
-The benchmark's force is made at 15 kHz and has no content above 150 Hz, so it is known between its samples: records are interpolated
-between their samples, without limit on the band below 375 Hz, before a model is fitted or simulated (`interpolated`). A command that
-was taken to hold, or to run straight, between samples at 750 Hz would be another one. The period that is fitted is the mean of periods
-2 to 5, preceded by itself; period 1 holds the transient from rest.
-
-In the model files the force is in V for N and the displacement in um.
+A simulated oscillator with a hysteretic restoring force, 750 Hz: five periods of a multisine with sensor noise for the fit; a multisine and
+a sine sweep without noise, which a model is to simulate from the force alone. The force has no content above 150 Hz, so it is known
+between its samples: records are interpolated before a model is fitted or simulated. The mean of periods 2 to 5 is fitted, preceded by
+itself. In the model files the force is in V for N and the displacement in um.
 """
 
 from __future__ import annotations
@@ -19,11 +13,11 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from evaluation.reproduction.figures import write_page
 from evaluation.reproduction.measured_data import data_folder
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
@@ -41,10 +35,8 @@ PADDING = 4000
 """Zeros before and behind a record that is not periodic, while it is interpolated."""
 PUBLISHED = (1.2e-5, 5.4e-5)
 """Simulation error, m: best and worst of the polynomial state-space models of Noël et al., arXiv 1610.09138 (-98.3 and -85.3 dB)."""
-TARGETS = {"gray box": 3e-6, "generic": 1.2e-5}
 EQUATIONS = {"mass": 2e-6, "damping": 1e-5, "stiffness": 0.05, "alpha": 0.05, "beta": 8e-4, "gamma": -1.1e-3, "exponent": 1.0}
 """Parameters of the benchmark's equations in V (N), um and s; nothing but the table is told of them."""
-SWEEP_BANDS = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0)
 
 
 @dataclass(frozen=True)
@@ -130,8 +122,7 @@ def error_of(model: Model, test: Test) -> float:
 
 
 def run(
-    json_path: str | Path | None = None,
-    figures_dir: str | Path | None = None,
+    figures: str | None = None,
     candidates: Sequence[Candidate] = CANDIDATES,
     refinement: int = REFINEMENT,
 ) -> Table:
@@ -146,13 +137,9 @@ def run(
         fit = identify([record], candidate.family, "joint", **candidate.options)
         report(table, candidate.subject, fit, tests, periods, time.perf_counter() - began)
         fits.append(fit)
-    report_targets(table, candidates, tests)
     report_parameters(table, candidates[0].subject, fits[0])
-    report_sweep(table, candidates[0].subject, fits[0].model, tests[1])
-    if figures_dir is not None:
-        draw(Path(figures_dir), [(candidate.subject, fit.model) for candidate, fit in zip(candidates, fits, strict=True)], tests)
-    if json_path is not None:
-        table.write(json_path)
+    if figures is not None:
+        write_page(figures, table)
     return table
 
 
@@ -178,17 +165,6 @@ def report(
     table.add(ERRORS, "fit", subject, "fit_time", "s", seconds)
 
 
-def report_targets(table: Table, candidates: Sequence[Candidate], tests: Sequence[Test]) -> None:
-    """Add every target and whether it is met."""
-    for candidate in candidates:
-        for words, bound in TARGETS.items():
-            if words in candidate.subject:
-                worst = max(table.value(test.name, candidate.subject, "rms_error") for test in tests)
-                table.add("Targets", "both records", candidate.subject, "largest_rms_error", "m", worst)
-                table.add("Targets", "both records", candidate.subject, "bound", "m", bound)
-                table.add("Targets", "both records", candidate.subject, "met", "", float(worst <= bound))
-
-
 def report_parameters(table: Table, subject: str, fit: Fit) -> None:
     """Add the fitted parameters beside those of the benchmark's equations, with the 95 % interval."""
     for row in fit.report["parameters"]:
@@ -204,49 +180,3 @@ def report_parameters(table: Table, subject: str, fit: Fit) -> None:
                 published=EQUATIONS[row["name"]],
                 ci95=(value - half, value + half),
             )
-
-
-def report_sweep(table: Table, subject: str, model: Model, test: Test) -> None:
-    """Add the ratio of measured to simulated displacement by frequency: what the gray box leaves of the sweep."""
-    measured, simulated, force = (analytic(signal) for signal in (test.displacement, predict(model, test), test.force))
-    frequency = np.gradient(np.unwrap(np.angle(force))) / (2 * np.pi * SAMPLE_TIME)
-    for lower, upper in zip(SWEEP_BANDS[:-1], SWEEP_BANDS[1:], strict=True):
-        inside = (frequency >= lower) & (frequency < upper)
-        inside[: PERIOD // 8], inside[-PERIOD // 8 :] = False, False
-        ratio = np.vdot(simulated[inside], measured[inside]) / np.vdot(simulated[inside], simulated[inside])
-        case, title = f"{lower:g}-{upper:g} Hz", "What the gray box leaves of the sweep: measured over simulated"
-        table.add(title, case, subject, "amplitude_ratio_less_1", "%", 100.0 * (abs(ratio) - 1.0))
-        table.add(title, case, subject, "phase", "deg", float(np.angle(ratio, deg=True)))
-
-
-def analytic(signal: Annotated[Array, "N"]) -> np.ndarray:
-    """Analytic signal by the Fourier transform."""
-    spectrum = np.fft.fft(signal)
-    spectrum[1 : (len(signal) + 1) // 2] *= 2.0
-    spectrum[len(signal) // 2 + 1 :] = 0.0
-    return np.fft.ifft(spectrum)
-
-
-def draw(folder: Path, models: Sequence[tuple[str, Model]], tests: Sequence[Test]) -> None:
-    """Draw part of the multisine with the models' errors, and the errors over the sweep."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    folder.mkdir(parents=True, exist_ok=True)
-    figure, panels = plt.subplots(len(tests), 1, figsize=(9, 8))
-    for panel, test in zip(panels, tests, strict=True):
-        rows = slice(0, 1500) if test.periodic else slice(None, None, 40)
-        time_axis = SAMPLE_TIME * np.arange(len(test.force))[rows]
-        panel.semilogy(time_axis, np.abs(test.displacement[rows]), color="black", linewidth=0.5, label="displacement")
-        for name, model in models:
-            panel.semilogy(time_axis, np.abs(test.displacement - predict(model, test))[rows], linewidth=0.6, label=f"error: {name}")
-        panel.set_ylabel(f"{test.name}: um")
-        panel.set_ylim(bottom=1e-3)
-        panel.grid(alpha=0.3)
-    panels[0].legend(fontsize=7)
-    panels[-1].set_xlabel("time (s)")
-    figure.tight_layout()
-    figure.savefig(folder / "bouc_wen.png", dpi=120)
-    plt.close(figure)

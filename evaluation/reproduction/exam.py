@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.reproduction import bouc_wen
+from evaluation.reproduction.figures import write_page
 from evaluation.reproduction.fsm_cubespec_records import AXES, FIT, SAMPLE_TIME, TEST, Level, load_levels, model_of
 from evaluation.reproduction.measured_data import data_folder
 from hyst_control.api.record import Record, from_arrays
@@ -163,9 +164,7 @@ def structure_of(report: Mapping[str, Any]) -> dict[str, float]:
     return {row["question"]: row["probability"] for row in report.get("structure", ())}
 
 
-def run(
-    json_path: str | Path | None = None, figures_dir: str | Path | None = None, machines: Sequence[Machine] = MACHINES
-) -> Table:
+def run(figures: str | None = None, machines: Sequence[Machine] = MACHINES) -> Table:
     """Diagnose every machine and return the table."""
     table = Table("reproduce exam")
     if machines is MACHINES:
@@ -194,8 +193,8 @@ def run(
         add("identification_time", "s", identified - began)
         add("diagnosis_time", "s", seconds)
     table.add(TITLE, "all", "exam", "right", "", right, n=len(machines))
-    if json_path is not None:
-        table.write(json_path)
+    if figures is not None:
+        write_page(figures, table)
     return table
 
 

@@ -1,20 +1,23 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records of the measured mirror (`fsm_cubespec`) and the error of a model on them."""
+"""Records of the measured mirror (`fsm_cubespec`), the linear model of a level, and the error of a model on them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 
 from evaluation.reproduction.measured_data import data_folder
+from evaluation.reproduction.periodic_fit import refined
+from evaluation.reproduction.softening_modes import spectra
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
-from hyst_control.identify.modal.frequency_response import excited_lines
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of
+from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import stages_of
 from hyst_control.model_file import Model, simulate
@@ -25,8 +28,6 @@ AXES = ("a", "b", "c")
 LEVELS = (100, 200, 300)
 """Excitation levels in mV rms."""
 FIT, SELECT, TEST = (0, 1, 2, 3), (4,), (5,)
-BANDS = (0, 500, 700, 1100, 1500, 2000, 3200)
-"""Edges in Hz of the bands in which what is left is told."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +39,9 @@ class Level:
     measurement: Array
 
     def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
-        """Compute the spectra at the excited lines, both periods averaged.
-
-        Sums of squares equal those of the samples, times weight².
-        """
-        u = np.fft.rfft(self.command[:, :, realisations].mean(axis=3), axis=0)
-        y = np.fft.rfft(self.measurement[:, :, realisations].mean(axis=3), axis=0)
-        lines = excited_lines(np.sum(np.abs(u) ** 2, axis=(1, 2)))
-        scale = weight * np.sqrt(2.0 / PERIOD)
-        return Spectra(2 * np.pi * lines / PERIOD, scale * u[lines], scale * y[lines], True)
+        """Compute the spectra at the excited lines, both periods averaged."""
+        command, measurement = (rows[:, :, realisations].mean(axis=3) for rows in (self.command, self.measurement))
+        return spectra(command, measurement, weight)
 
     def error(self, simulated: Annotated[Array, "8192 3 R"], realisations: Sequence[int]) -> Annotated[Array, "4"]:
         """Compute relative errors of a simulation."""
@@ -74,6 +69,13 @@ def load_levels() -> list[Level]:
             parts.append(values.astype(np.float64))
         levels.append(Level(f"{level} mV", parts[0], 1e6 * parts[1]))
     return levels
+
+
+def fit_level(level: Level, order: int, delay: float = 0.0) -> Candidate:
+    """Fit a level's linear model on realizations 1-4 and evaluate it on the fifth."""
+    data = [level.spectra(FIT)]
+    fit = refined(data, subspace(data, [order], np.full(3, delay), "zoh")[0], 25)
+    return replace(fit, held_out=error_of(fit.model, [level.spectra(SELECT)]))
 
 
 def model_of(modal: ModalModel, name: str, command: float) -> Model:

@@ -2,14 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`hyst reproduce hampi`: the HAMPI paper's experiments on a simulated actuator, everything through the real nodes in lockstep.
 
-Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The published figures are
-of the paper's actuator; the plant here is a simulated one like it, whose hysteresis and drag are not the model's own, and nothing
-is taken from its parameters. Its drag grows with the polarization, and more while it rises: what HAMPI's dynamic weights are made
-for. The second truth, Bouc-Wen hysteresis and a viscoelastic ladder, has nothing of the kind.
-
-The models of Fig. 11, those that track, and G(s) of Table 1 are identified at 50 V, in the paper's own sequence (§3.2: a step, loops
-of 1 Hz, loops of 100 Hz) and jointly from a richer record. Models for 100 and 140 V are identified up to 145 V, at frequencies none
-of which is a held-out one.
+Excite, record, identify in the paper's sequence and jointly, score on held-out loops, track open loop. The plant's hysteresis and drag are
+not the model's own, and nothing is taken from its parameters. Its drag grows with the polarization, and more while it rises: what HAMPI's
+dynamic weights are made for. The second truth, Bouc-Wen hysteresis and a viscoelastic ladder, has nothing of the kind. Models that track
+are identified up to 50 V; those for 100 and 140 V up to 145 V, at frequencies none of which is a held-out one.
 """
 
 from __future__ import annotations
@@ -22,21 +18,18 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from evaluation.reproduction import hampi_figures, hampi_tables
+from evaluation.reproduction import hampi_tables
+from evaluation.reproduction.figures import write_page
 from evaluation.reproduction.hampi_tables import SCORED_CYCLES, Place
-from evaluation.reproduction.mhl_robustness import robustness
-from evaluation.reproduction.open_loop import BLOCK, open_loop
+from evaluation.reproduction.machine_runs import Machine
+from evaluation.reproduction.margins import robustness
 from evaluation.reproduction.papers import HAMPI
 from hyst_control.base.arrays import Array
-from hyst_control.base.config_files import config_path
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.tuning import tune
-from hyst_control.demo.node_runs import run_processes
 from hyst_control.identify import identify
 from hyst_control.identify.data.dataset import Dataset
-from hyst_control.identify.workflow import datasets_of
 from hyst_control.model_file import Model, save_model
-from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.excitation import excitation
 from hyst_control.reporting.tables import Table
 
@@ -54,7 +47,8 @@ SEQUENCE_CYCLES = 3
 CYCLES = 12
 STROKE, OFFSET = 4.0, 1.0
 """um, peak to peak, and the lowest point of the reference: a drive that is never negative cannot bring the actuator back to 0."""
-SECOND = "third"
+ACTUATOR = Machine("pea", "hampi_feedforward", RATING, SAMPLE_TIME)
+SECOND = replace(ACTUATOR, plant="third")
 SEED = 4040
 
 
@@ -72,33 +66,33 @@ class Extent:
     second_truth: bool = True  # True to run the second truth plant too
 
 
-def run(json_path: str | None = None, figures: str | None = None, plant: str = "pea", extent: Extent | None = None) -> Table:
+def run(figures: str | None = None, extent: Extent | None = None) -> Table:
     """Record, identify, score and track, and return the table."""
     extent = extent or Extent()
     table = Table("reproduce hampi")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        low = record(folder / "low", identification(LOW, extent), SEED + 1, plant)
-        steps = record(folder / "sequence", paper_sequence(LOW, extent), SEED + 5, plant)
+        low = ACTUATOR.record(folder / "low", identification(LOW, extent), SEED + 1)
+        steps = ACTUATOR.record(folder / "sequence", paper_sequence(LOW, extent), SEED + 5)
         loops, places = held_out_loops(extent)
-        held_out = record(folder / "held_out", loops, SEED + 2, plant)
+        held_out = ACTUATOR.record(folder / "held_out", loops, SEED + 2)
         harmonics, beats = harmonic_drive(extent)
-        lagging = record(folder / "harmonics", harmonics, SEED + 3, plant)
+        lagging = ACTUATOR.record(folder / "harmonics", harmonics, SEED + 3)
 
         sequence = in_sequence(steps)
         joint = {family.upper(): identify([low], family).model for family in ("hapi", "hampi")}
         wide: dict[str, Model] = {}
         wide_sequence: dict[str, Model] = {}
         if extent.peaks[-1] > LOW:
-            training = record(folder / "training", training_drive(extent), SEED, plant)
-            wide_steps = record(folder / "wide_sequence", paper_sequence(TRAINING_PEAK, extent), SEED + 6, plant)
+            training = ACTUATOR.record(folder / "training", training_drive(extent), SEED)
+            wide_steps = ACTUATOR.record(folder / "wide_sequence", paper_sequence(TRAINING_PEAK, extent), SEED + 6)
             wide = {family.upper(): identify([training], family).model for family in ("hapi", "rdpi", "hampi")}
             wide_sequence = in_sequence(wide_steps, ("hapi", "hampi"))
         known = {"joint": joint, "paper": sequence}
         compensated = {f"{name}, {method}": known[method][name] for name in ("HAPI", "HAMPI") for method in extent.methods}
         reference, parts = tracking_reference(extent)
         tracked = {
-            name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, plant)
+            name: track(folder / name.replace(", ", "_"), name.split(",")[0].lower(), model, reference, ACTUATOR)
             for name, model in compensated.items()
         }
         if extent.second_truth:
@@ -121,22 +115,19 @@ def run(json_path: str | None = None, figures: str | None = None, plant: str = "
         hampi_tables.pooled(table, [(joint, sequence, at_low), (wide, wide_sequence, above)], held_out)
     hampi_tables.tracking(table, tracked, parts, STROKE)
     hampi_tables.attenuation(table, tracked, parts, SAMPLE_TIME)
-    if plant == "pea" and extent.margins:
-        robustness(table, tune(wide["HAMPI"]), plant, "HAMPI model: feedback tuned on it")
+    if extent.margins:
+        robustness(table, tune(wide["HAMPI"]), "pea", "HAMPI model: feedback tuned on it")
     table.notes += [*HAMPI.notes, *HAMPI.not_scored]
-    if json_path:
-        table.write(json_path)
-    if figures:
-        records = {"low": steps, "held_out": held_out}
-        hampi_figures.write(Path(figures), table, linear, wide or sequence, sequence, records, places, tracked, parts)
+    if figures is not None:
+        write_page(figures, table)
     return table
 
 
 def second_truth(table: Table, folder: Path, extent: Extent) -> None:
     """Add Fig. 11 and Table 5 for a reference simulation without a drag of its polarization (`third`), by the paper's sequence."""
-    steps = record(folder / "sequence", paper_sequence(LOW, extent), SEED + 7, SECOND)
+    steps = SECOND.record(folder / "sequence", paper_sequence(LOW, extent), SEED + 7)
     loops, places = held_out_loops(replace(extent, peaks=(LOW,)))
-    held_out = record(folder / "held_out", loops, SEED + 8, SECOND)
+    held_out = SECOND.record(folder / "held_out", loops, SEED + 8)
     models = in_sequence(steps)
     reference, parts = tracking_reference(extent)
     tracked = {f"{name}, paper": track(folder / name, name.lower(), models[name], reference, SECOND) for name in ("HAPI", "HAMPI")}
@@ -230,27 +221,10 @@ def _between_rests(
     return np.concatenate(pieces)[:, None], places
 
 
-def record(folder: Path, signal: Annotated[Array, "N 1"], seed: int, plant: str) -> Dataset:
-    """Record the simulated actuator in open loop, through the five nodes."""
-    return datasets_of(read_bag(open_loop(folder, signal, SAMPLE_TIME, plant, seed, RATING)))[0]
-
-
-def track(folder: Path, kind: str, model: Model, reference: Annotated[Array, "N 1"], plant: str) -> dict[str, Array]:
+def track(folder: Path, kind: str, model: Model, reference: Annotated[Array, "N 1"], machine: Machine) -> dict[str, Array]:
     """Run one open-loop tracking experiment with a compensator."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "model.yaml"
     save_model(model, path)
     preview = build_compensator(model, kind, sample_time=SAMPLE_TIME, limits=RATING).preview
-    bag = run_processes(
-        folder,
-        reference,
-        SAMPLE_TIME,
-        {
-            "hampi_feedforward": {"kind": kind, "model": str(path), "limits": list(RATING)},
-            "pi_feedback": {"lower": RATING[0], "upper": RATING[1]},
-            "plant": {"plant": str(config_path(f"plants/{plant}.yaml")), "seed": SEED + 4},
-        },
-        block=BLOCK,
-        lead=preview + 1,
-    )
-    return dict(read_bag(bag).aligned(("reference", "feedforward", "command", "measurement"))[0].values)
+    return machine.track(folder, reference, {"kind": kind, "model": str(path)}, {}, preview, {"seed": SEED + 4})

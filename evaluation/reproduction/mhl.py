@@ -2,22 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """`hyst reproduce mhl`: the MHL paper's experiments on a simulated mirror of two axes, everything through the real nodes in lockstep.
 
-Excite at the loop's rate, record, identify in the paper's sequence and jointly, tune the PI feedback, track. The published
-figures are of the paper's mirror; the plant here is a simulated one whose hysteresis, relaxation and resonance are not the
-model's own, and nothing is taken from its parameters.
-
     traditional composite   H_S^-1 and PI (paper Eq. 9 and Fig. 7)
     proposed composite      H_S^-1, Ψ' behind N(s), and PI (Eq. 6, Fig. 6): N(s) as published, moved to 1 kHz, left out, and without
                             phase, which looks ahead
     whole inverse           the inverse of delay, H_D and G(s) with preview, and PI: past the paper
 
-The PI feedback has a roll-off, chosen with its gains; the published composite and the traditional one run with the paper's PI, which
-has none, too. What both papers do not have, learning from trial to trial and of gain and lag, is in `mhl_learning`.
-
-The composites take the inverse that was identified as the paper's was: its own curves, and Ψ' from u - H_S^-1[y] on the raw sweep at
-the loop's rate. Steps 1 to 3 of the paper's sequence, which find the model, have a record at 20 kHz: a delay of a third of the
-loop's sample and a mode near half its rate cannot be told from samples of the loop. The whole inverse takes the model of all records
-of the loop together, and looks at the reference through a low-pass without phase: no command makes the mirror jump in one tick.
+Nothing is taken from the plant's parameters. The composites take the inverse that was identified as the paper's was: its own curves, and Ψ'
+from u - H_S^-1[y] on the raw sweep at the loop's rate. Their model has a record at 20 kHz: a delay of a third of the loop's sample and a
+mode near half its rate cannot be told from samples of the loop.
 """
 
 from __future__ import annotations
@@ -29,22 +21,16 @@ from typing import Annotated
 
 import numpy as np
 
-from evaluation.reproduction import mhl_figures, mhl_learning, mhl_responses, mhl_robustness, mhl_tables
-from evaluation.reproduction.mhl_runs import (
-    AXES,
-    CENTRE,
-    RATING,
-    REACH,
-    SAMPLE_TIME,
-    SEED,
-    lifted,
-    record,
-    track,
-)
+from evaluation.reproduction import mhl_learning, mhl_tables
+from evaluation.reproduction.figures import write_page
+from evaluation.reproduction.machine_runs import signals_of
+from evaluation.reproduction.margins import robustness
+from evaluation.reproduction.mhl_runs import CENTRE, MIRROR, RATING, REACH, SAMPLE_TIME, SEED, track
 from evaluation.reproduction.papers import MHL
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import CrossCoupling
 from hyst_control.control.feedforward.compensator import build_compensator
+from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.tuning import AUTOMATIC, tune
 from hyst_control.identify import identify
 from hyst_control.identify.mhl.paper_mhl import inverse_model
@@ -111,17 +97,17 @@ class Part:
     scored: int
 
 
-def run(json_path: str | None = None, figures: str | None = None) -> Table:
+def run(figures: str | None = None) -> Table:
     """Record, identify, tune, track and score, and return the table."""
     table, learning = Table("reproduce mhl"), Table("reproduce mhl")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        training = record(folder / "training", identification(SAMPLE_TIME, 2.0), SAMPLE_TIME, SEED)
+        training = MIRROR.record(folder / "training", identification(SAMPLE_TIME, 2.0), SEED)
         checks = {"static": static_check(), "multi": multi_frequency_check()}
-        checked = {name: (record(folder / name, rows, SAMPLE_TIME, SEED + 1), scored) for name, (rows, scored) in checks.items()}
-        fine = record(folder / "fine", identification(FINE_TIME, 1.0), FINE_TIME, SEED + 2)
+        checked = {name: (MIRROR.record(folder / name, rows, SEED + 1), scored) for name, (rows, scored) in checks.items()}
+        fine = MIRROR.record(folder / "fine", identification(FINE_TIME, 1.0), SEED + 2, FINE_TIME)
         fast, places = fast_check()
-        verified = record(folder / "verified", fast, FINE_TIME, SEED + 3)
+        verified = MIRROR.record(folder / "verified", fast, SEED + 3, FINE_TIME)
         fits = {"paper": identify([fine], "mhl", "paper"), "joint": identify([training], "mhl", "joint")}
         inverses = {
             "inverse": inverse_model([training]),
@@ -163,7 +149,10 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
                 {"smoothing": SMOOTHING},
                 inverse.preview,
             )
-        tracked["lifted inverse, no feedback"] = lifted(folder / "lifted", joint, reference)
+        # The limit of any feedforward: the whole model is inverted over the whole reference by iteration.
+        command = lifted_inverse(joint, reference, sample_time=SAMPLE_TIME, limits=RATING).command
+        bag = MIRROR.open_loop(folder / "lifted", command, SEED + 4, start="rest")
+        tracked["lifted inverse, no feedback"] = {**signals_of(bag), "reference": reference}
         mhl_learning.add(learning, folder, tuning, inverse.preview, SMOOTHING)
 
     mhl_tables.parameters(table, fits["paper"], inverses["inverse"])
@@ -174,24 +163,12 @@ def run(json_path: str | None = None, figures: str | None = None) -> Table:
     mhl_tables.tracking(table, tracked, parts)
     mhl_tables.feedback_effort(table, tracked, parts)
     mhl_tables.phases(table, *checked["multi"], inverses["inverse"], RATE_FILTER)
-    mhl_responses.error_spectrum(table, tracked, parts["single"], SAMPLE_TIME)
     mhl_tables.closed_loop(table, tracked, parts, SAMPLE_TIME)
     table.rows += learning.rows
-    mhl_robustness.robustness(table, tuning)
+    robustness(table, tuning)
     table.notes += [*MHL.notes, *MHL.not_scored]
-    if json_path:
-        table.write(json_path)
-    if figures:
-        mhl_figures.write(
-            Path(figures),
-            table,
-            fits,
-            fits["paper"],
-            {"static": checked["static"][0], "multi": checked["multi"][0], "fast": verified, "fine": fine},
-            places,
-            tracked,
-            parts,
-        )
+    if figures is not None:
+        write_page(figures, table)
     return table
 
 
@@ -200,7 +177,7 @@ def identification(sample_time: float, sweep_time: float) -> Annotated[Array, "N
     return excitation.build(
         {"signal": "mhl_identification", "peak": RATING[1], "sweep_time": sweep_time, "lower": RATING[0], "upper": RATING[1]},
         sample_time,
-        len(AXES),
+        len(MIRROR.axes),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.reproduction.mhl_robustness import MEASURED
+from evaluation.reproduction.margins import MEASURED
 from evaluation.reproduction.mhl_runs import CENTRE, REACH, SAMPLE_TIME, track
 from evaluation.reproduction.mhl_tables import TRADITIONAL
 from hyst_control.base.arrays import Array

@@ -9,9 +9,8 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 
-from evaluation.reproduction.mhl_responses import bandwidth, fundamental, open_loop_responses, response, settling_time
 from evaluation.reproduction.papers import MHL
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
 from hyst_control.identify.data.dataset import Dataset, Fit
@@ -238,3 +237,66 @@ def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts:
             table.add("MHL Fig. 18", case, name, quantity, unit, found, published=known)
         for case in (case for case in parts if case.startswith("step of")):
             table.add("MHL Fig. 18", case, name, "settling_time", "ms", 1e3 * settling_time(signals, parts[case], sample_time))
+
+
+def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, Complex, Complex]:
+    """Compute measured and modeled responses by cross spectra of an axis' small sweep."""
+    command = data.command[:, axis]
+    own = slice(axis * len(command) // len(data.axes), (axis + 1) * len(command) // len(data.axes))
+    moving = np.flatnonzero(np.abs(np.diff(command[own])) > 0)
+    last = own.start + int(moving[-1]) - int(0.1 / data.sample_time)
+    part = slice(last - int(1.0 / data.sample_time), last)
+    found = []
+    for y in (data.measurement, simulate(model, data.command, data.sample_time, data.hold)):
+        frequency, value = cross_spectrum(command[part] - command[part].mean(), y[part, axis], data.sample_time)
+        found.append(value)
+    return frequency, found[0], found[1]
+
+
+def cross_spectrum(u: Annotated[Array, "N"], y: Annotated[Array, "N"], sample_time: float) -> tuple[Array, Complex]:
+    """Estimate a frequency response from 30 to 4000 Hz in 109 logarithmic bands."""
+    window = np.hanning(len(u))
+    spectra = [np.fft.rfft(window * (signal - signal.mean())) for signal in (u, y)]
+    frequency = np.fft.rfftfreq(len(u), sample_time)
+    edges = np.geomspace(30.0, 4000.0, 110)
+    index = np.digitize(frequency, edges)
+    cross, power = (
+        np.array([values[index == band].sum() for band in range(1, len(edges))])
+        for values in (spectra[1] * spectra[0].conj(), np.abs(spectra[0]) ** 2)
+    )
+    kept = power > 0
+    return np.sqrt(edges[1:] * edges[:-1])[kept], (cross[kept] / power[kept])
+
+
+def response(signals: Mapping[str, Array], part: Any, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
+    """Compute the response from reference to measurement of axis x, from the small multisine."""
+    count = int(round(period / sample_time))
+    r, y = (
+        np.fft.rfft(signals[key][part.scored : part.end, 0].reshape(-1, count).mean(axis=0)) for key in ("reference", "measurement")
+    )
+    line = np.flatnonzero(np.abs(r) > 1e-3 * np.abs(r[1:]).max())
+    line = line[line > 0]
+    return line / period, y[line] / r[line]
+
+
+def fundamental(signals: Mapping[str, Array], part: Any, sample_time: float, frequency: float) -> complex:
+    """Compute measurement over reference of axis x at one frequency, over whole cycles."""
+    rows = slice(part.scored, part.end)
+    turn = np.exp(-2j * np.pi * frequency * sample_time * np.arange(part.end - part.scored))
+    return complex((turn @ signals["measurement"][rows, 0]) / (turn @ signals["reference"][rows, 0]))
+
+
+def bandwidth(frequency: Annotated[Array, "F"], value: Complex) -> float:
+    """Find the first frequency at which the gain, as a mean of three neighboring lines, falls below -3 dB."""
+    size = np.sqrt(np.convolve(np.abs(value) ** 2, np.ones(3) / 3.0, "valid"))
+    below = np.flatnonzero(size < np.sqrt(0.5))
+    return float(frequency[1:-1][below[0]]) if len(below) else float(frequency[-1])
+
+
+def settling_time(signals: Mapping[str, Array], part: Any, sample_time: float) -> float:
+    """Find the time after the step from which the measurement stays within 2 % of the step's height."""
+    reference, measurement = (signals[key][part.begin : part.end, 0] for key in ("reference", "measurement"))
+    height = reference[-1] - reference[0]
+    start = int(np.flatnonzero(reference != reference[0])[0])
+    outside = np.flatnonzero(np.abs(measurement[start:] - reference[-1]) > 0.02 * abs(height))
+    return sample_time * float(outside[-1] + 1 if len(outside) else 0)

@@ -2,27 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Change of the measured mirror between drive levels: a factor on the command, a clock, or a shift per mode (docs/mirror_levels.md).
 
-A calculation in plain numpy and scipy beside the identification and the diagnosis, with which it shares no code. Common poles of the
-lowest level come from vector fitting of its frequency response, residues from least squares. A hypothesis is fitted to the response of the
-highest level, from realizations 1 to 4. It is tested on realization 6 there, and at the middle level, to which no number is fitted: a
-change grows with the root of the level.
+In plain numpy and scipy, apart from identification and diagnosis: poles of the lowest level by vector fitting, residues by least squares. A
+hypothesis is fitted to the response of the highest level, and tested on realization 6 there and at the middle level.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from evaluation.reproduction.measured_data import data_folder
-from hyst_control.base.errors import InputError
+from evaluation.reproduction.figures import write_page
+from evaluation.reproduction.fsm_cubespec_records import LEVELS, PERIOD, SAMPLE_TIME, Level, load_levels
 from hyst_control.reporting.tables import Table
 
-RATE, PERIOD = 6400.0, 8192
 PAIRS, ROUNDS = 26, 25
 MIDDLE = float((np.sqrt(200.0) - np.sqrt(100.0)) / (np.sqrt(300.0) - np.sqrt(100.0)))
 """Share of a change from 100 to 300 mV that is there at 200 mV if it grows with the root of the level."""
@@ -30,17 +26,12 @@ MIDDLE = float((np.sqrt(200.0) - np.sqrt(100.0)) / (np.sqrt(300.0) - np.sqrt(100
 Complex = NDArray[np.complex128]
 
 
-def spectra(folder: Path, level: int) -> tuple[Complex, Complex, NDArray[np.float64]]:
+def spectra(level: Level) -> tuple[Complex, Complex, NDArray[np.float64]]:
     """Commands and measurements (F, 3, 6) at the excited lines, periods averaged, and s = j omega."""
-    try:
-        command, measurement = (
-            np.fft.rfft(np.load(folder / f"{letter}_{level}mV_train.npy").astype(float).mean(axis=3), axis=0) for letter in "uy"
-        )
-    except (OSError, ValueError) as error:
-        raise InputError(f"{folder}: level {level} mV cannot be read ({error}): fetch the benchmark's files again") from None
+    command, measurement = (np.fft.rfft(rows.mean(axis=3), axis=0) for rows in (level.command, level.measurement))
     power = np.sum(np.abs(command) ** 2, axis=(1, 2))
     lines = np.flatnonzero(power > 1e-6 * power.max())
-    return command[lines], 1e6 * measurement[lines], 2 * np.pi * lines * RATE / PERIOD
+    return command[lines], measurement[lines], lines.astype(np.float64) * (2 * np.pi / (PERIOD * SAMPLE_TIME))
 
 
 def response(command: Complex, measurement: Complex, realizations: Sequence[int]) -> Complex:
@@ -149,9 +140,9 @@ def shifts(hypothesis: str, rate: NDArray[np.float64], poles: Complex, held: Com
     return np.asarray(least_squares(left, start, method="trf", x_scale=np.full(count, 0.01), max_nfev=40).x)
 
 
-def calculate(folder: Path) -> dict[tuple[str, str], float]:
+def calculate(levels: Sequence[Level]) -> dict[tuple[str, str], float]:
     """Errors (% of rms) by hypothesis and level, on the sixth realization; the middle level has no number fitted to it."""
-    data = {level: spectra(folder, level) for level in (100, 200, 300)}
+    data = {mv: spectra(level) for mv, level in zip(LEVELS, levels, strict=True)}
     rate = data[100][2]
     low = response(*data[100][:2], (0, 1, 2, 3))
     poles = vector_fit(low, rate)
@@ -168,11 +159,11 @@ def calculate(folder: Path) -> dict[tuple[str, str], float]:
     return found
 
 
-def run(json_path: str | Path | None = None, figures_dir: str | Path | None = None) -> Table:
+def run(figures: str | None = None) -> Table:
     """Compare the hypotheses and return the table."""
     table = Table("reproduce mirror-levels")
-    for (hypothesis, level), error in calculate(data_folder("fsm_cubespec")).items():
+    for (hypothesis, level), error in calculate(load_levels()).items():
         table.add("Change between levels, realization 6", level, hypothesis, "relative_error", "% of rms", error, n=1)
-    if json_path is not None:
-        table.write(json_path)
+    if figures is not None:
+        write_page(figures, table)
     return table

@@ -9,9 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.reproduction.hampi_targets import hampi_targets
-from evaluation.reproduction.mhl_targets import mhl_targets
-from evaluation.reproduction.targets import Rows, Target
+from evaluation.reproduction.targets import Rows, Target, hampi_targets, mhl_targets
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_text
 from hyst_control.reporting.table_page import markdown

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two papers: published figures, claims, and sentences on the experiments that repeat theirs, from `papers.yaml`.
 
-Every table, figure and numbered claim is scored against a target of `hampi_targets` or `mhl_targets`, or has a reason why nothing can be.
+Every table, figure and numbered claim is scored against a target of `targets`, or has a reason why nothing can be.
 """
 
 from __future__ import annotations

@@ -11,8 +11,7 @@ so that the records are summed first, and the error needs no columns at all. Wit
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,133 +20,74 @@ from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.modal.modal_fit import Problem
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra, direct_response, mode_response
 
-LINES = 4096
-"""Lines worked on at once."""
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Some lines (F) of periodic records (R): responses (F, B + 1) of the B branches and of the direct path, what drives each.
-
-    `command` (F, R, m), `driving` (F, R, B) = b · U, `residual` (F, R, p): the measurement less the model.
-    """
-
-    angle: np.ndarray
-    responses: np.ndarray
-    command: np.ndarray
-    driving: np.ndarray
-    residual: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Branches:
-    """Poles (B,), output gains (B, p) and input gains (B, m) of all branches: each pole, then the conjugates of the complex ones."""
-
-    poles: np.ndarray
-    outputs: np.ndarray
-    inputs: np.ndarray
-
-    @classmethod
-    def of(cls, model: ModalModel, branches: Sequence[tuple[int, bool]]) -> _Branches:
-        index = [i for i, _ in branches]
-        turned = np.array([conjugate for _, conjugate in branches])
-        poles, outputs, inputs = (values[index] for values in (model.poles, model.outputs, model.inputs))
-        return cls(
-            np.where(turned, poles.conj(), poles),
-            np.where(turned[:, None], outputs.conj(), outputs),
-            np.where(turned[:, None], inputs.conj(), inputs),
-        )
-
-
-def _pieces(data: Sequence[Spectra], model: ModalModel, branches: _Branches) -> Iterator[_Piece]:
-    late = model.delay[:1]
-    for spectra in data:
-        for begin in range(0, len(spectra.angle), LINES):
-            rows = slice(begin, begin + LINES)
-            z = np.exp(1j * spectra.angle[rows])
-            responses = [mode_response(pole, late, model.hold, z)[:, 0] for pole in branches.poles]
-            responses.append(direct_response(late, model.hold, z)[:, 0])
-            command = np.swapaxes(spectra.command[rows], 1, 2)
-            driving = command @ branches.inputs.T
-            stacked = np.stack(responses, axis=1)
-            output = (driving * stacked[:, None, :-1]) @ branches.outputs
-            output += (command * stacked[:, None, -1:]) @ model.feedthrough.T
-            yield _Piece(spectra.angle[rows], stacked, command, driving, np.swapaxes(spectra.measurement[rows], 1, 2) - output)
-
-
-def periodic_cost(data: Sequence[Spectra], model: ModalModel, branches: Sequence[tuple[int, bool]]) -> float:
-    """Sum of the squared error."""
-    return sum(float(np.sum(np.abs(piece.residual) ** 2)) for piece in _pieces(data, model, _Branches.of(model, branches)))
-
-
-def periodic_gram(
-    data: Sequence[Spectra], model: ModalModel, branches: Sequence[tuple[int, bool]]
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Gram matrix W^H W, W^H r, and the squared error r^H r.
-
-    The columns of W: for every branch the m commands through its response, and the slope of its output with the pole; then the m
-    commands of the direct path.
-    """
-    known = _Branches.of(model, branches)
-    count, m, p = len(branches), *model.feedthrough.shape[::-1]
-    columns = (m + 1) * count + m
-    gram, moment, cost = np.zeros((columns, columns), dtype=complex), np.zeros((columns, p), dtype=complex), 0.0
-    driven = ((m + 1) * np.arange(count + 1)[:, None] + np.arange(m)).ravel()
-    slopes = (m + 1) * np.arange(count) + m
-    late = model.delay[:1]
-    for piece in _pieces(data, model, known):
-        z, lines = np.exp(1j * piece.angle), len(piece.angle)
-        step = 1e-5 * (np.abs(known.poles) + 1e-3)
-        ends = [
-            [mode_response(pole + way * h, late, model.hold, z)[:, 0] for pole, h in zip(known.poles, step, strict=True)]
-            for way in (1, -1)
-        ]
-        slope = piece.driving * ((np.array(ends[0]) - np.array(ends[1])).T / (2 * step))[:, None]
-        conjugate = piece.responses.conj()
-        adjoint = np.swapaxes(piece.command.conj(), 1, 2)
-        squares = (adjoint @ piece.command).reshape(lines, m * m)
-        for i in range(count + 1):
-            products = conjugate[:, i, None] * piece.responses[:, i:]
-            blocks = (products.T @ squares).reshape(-1, m, m)
-            rows = (m + 1) * i + np.arange(m)
-            gram[np.ix_(rows, driven[i * m :])] += np.swapaxes(blocks, 0, 1).reshape(m, -1)
-        mixed = conjugate.T @ (adjoint @ slope).reshape(lines, -1)
-        gram[np.ix_(driven, slopes)] += mixed.reshape(-1, count)
-        flat = slope.reshape(-1, count)
-        gram[np.ix_(slopes, slopes)] += flat.conj().T @ flat
-        moment[driven] += (conjugate.T @ (adjoint @ piece.residual).reshape(lines, -1)).reshape(-1, p)
-        moment[slopes] += flat.conj().T @ piece.residual.reshape(-1, p)
-        cost += float(np.sum(np.abs(piece.residual) ** 2))
-    # Of the driven columns the blocks above the diagonal are there, and all of those that mix both kinds.
-    gram[np.ix_(slopes, driven)] = gram[np.ix_(driven, slopes)].conj().T
-    for i in range(1, count + 1):
-        rows, before = (m + 1) * i + np.arange(m), driven[: i * m]
-        gram[np.ix_(rows, before)] = gram[np.ix_(before, rows)].conj().T
-    return gram, moment, cost
-
 
 class PeriodicProblem(Problem):
-    """The least-squares problem, by the sums over all records where they allow it."""
-
-    @property
-    def alike(self) -> bool:
-        """True if all records are periodic and all commands equally late, so that all inputs of a mode have one response."""
-        return self.records == 0 and not self.free_delay and bool(np.all(self.model.delay == self.model.delay[0]))
+    """The least-squares problem by the sums over all records."""
 
     def cost(self) -> float:
         """rᵀr over all data at the present model."""
-        if not self.alike:
-            return super().cost()
-        return self.irreducible + periodic_cost(self.data, self.model, self.branches)
+        return self.irreducible + sum(float(np.sum(np.abs(self._parts(spectra)[-1]) ** 2)) for spectra in self.data)
 
     def gram(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """W^H W (K, K), W^H r (K, p) and rᵀr at the present model."""
-        if not self.alike:
-            return super().gram()
-        gram, moment, cost = periodic_gram(self.data, self.model, self.branches)
+        """W^H W (K, K), W^H r (K, p) and rᵀr at the present model.
+
+        The columns of W: for every branch the m commands through its response, and the slope of its output with the pole; then the m
+        commands of the direct path.
+        """
+        poles, _, _ = self._branch_values()
+        count, m, p = len(poles), *self.model.feedthrough.shape[::-1]
+        columns = (m + 1) * count + m
+        gram, moment, cost = np.zeros((columns, columns), dtype=complex), np.zeros((columns, p), dtype=complex), 0.0
+        driven = ((m + 1) * np.arange(count + 1)[:, None] + np.arange(m)).ravel()
+        slopes = (m + 1) * np.arange(count) + m
+        step = 1e-5 * (np.abs(poles) + 1e-3)
+        for spectra in self.data:
+            responses, command, driving, residual = self._parts(spectra)
+            lines = len(responses)
+            ends = [self._responses(spectra, poles + way * step) for way in (1, -1)]
+            slope = driving * ((ends[0] - ends[1]) / (2 * step))[:, None]
+            conjugate, adjoint = responses.conj(), np.swapaxes(command.conj(), 1, 2)
+            squares = (adjoint @ command).reshape(lines, m * m)
+            for i in range(count + 1):
+                blocks = ((conjugate[:, i, None] * responses[:, i:]).T @ squares).reshape(-1, m, m)
+                gram[np.ix_((m + 1) * i + np.arange(m), driven[i * m :])] += np.swapaxes(blocks, 0, 1).reshape(m, -1)
+            mixed = conjugate.T @ (adjoint @ slope).reshape(lines, -1)
+            gram[np.ix_(driven, slopes)] += mixed.reshape(-1, count)
+            flat = slope.reshape(-1, count)
+            gram[np.ix_(slopes, slopes)] += flat.conj().T @ flat
+            moment[driven] += (conjugate.T @ (adjoint @ residual).reshape(lines, -1)).reshape(-1, p)
+            moment[slopes] += flat.conj().T @ residual.reshape(-1, p)
+            cost += float(np.sum(np.abs(residual) ** 2))
+        # Of the driven columns the blocks above the diagonal are there, and all of those that mix both kinds.
+        gram[np.ix_(slopes, driven)] = gram[np.ix_(driven, slopes)].conj().T
+        for i in range(1, count + 1):
+            rows, before = (m + 1) * i + np.arange(m), driven[: i * m]
+            gram[np.ix_(rows, before)] = gram[np.ix_(before, rows)].conj().T
         return gram, moment, self.irreducible + cost
+
+    def _branch_values(self) -> list[np.ndarray]:
+        """Poles (B,), output gains (B, p) and input gains (B, m) of all branches: each pole, then the conjugates of the complex ones."""
+        index, turned = (np.array(values) for values in zip(*self.branches, strict=True))
+        found = [values[index] for values in (self.model.poles, self.model.outputs, self.model.inputs)]
+        return [np.where(turned if values.ndim == 1 else turned[:, None], values.conj(), values) for values in found]
+
+    def _responses(self, spectra: Spectra, poles: np.ndarray) -> np.ndarray:
+        """Responses (F, B) of modes with these poles."""
+        z, late = np.exp(1j * spectra.angle), self.model.delay[:1]
+        return np.stack([mode_response(pole, late, self.model.hold, z)[:, 0] for pole in poles], axis=1)
+
+    def _parts(self, spectra: Spectra) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Responses (F, B + 1) of branches and direct path, commands (F, R, m), what drives each branch (F, R, B), residual (F, R, p)."""
+        poles, outputs, inputs = self._branch_values()
+        direct = direct_response(self.model.delay[:1], self.model.hold, np.exp(1j * spectra.angle))
+        responses = np.concatenate([self._responses(spectra, poles), direct], axis=1)
+        command = np.swapaxes(spectra.command, 1, 2)
+        driving = command @ inputs.T
+        output = (driving * responses[:, None, :-1]) @ outputs + (command * responses[:, None, -1:]) @ self.model.feedthrough.T
+        return responses, command, driving, np.swapaxes(spectra.measurement, 1, 2) - output
 
 
 def refined(data: Sequence[Spectra], start: ModalModel, iterations: int) -> Candidate:
     """Refine a model of equally late commands by its output error."""
+    assert np.all(start.delay == start.delay[0])
     return modal_candidate.refined(data, start, True, False, iterations, PeriodicProblem)

@@ -2,18 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """One model for several levels of a periodic experiment: modes that soften with amplitude (`chain.softening_modal`).
 
-Two fits, both Levenberg-Marquardt on the output error of all levels together, each level weighing the same: first the
-poles and input gains as functions of the slow amplitude, which is constant within a record; then, with the softening
-force computed from the first model's elongation, that force and the stop operators of the command as further inputs of the
-same modes. The only input of both is the command.
+Two fits by the output error of all levels, each weighing the same: first poles and input gains as functions of the slow amplitude; then,
+with the softening force computed from the first model's elongation, that force and stop operators of the command as further inputs.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, cast
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +23,7 @@ from hyst_control.identify.modal.frequency_response import excited_lines
 from hyst_control.identify.modal.modal_fit import Problem
 from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra
 from hyst_control.identify.solve import gauss_newton
-from hyst_control.identify.solve.gauss_newton import End, Rules, Trial, solve_damped
+from hyst_control.identify.solve.gauss_newton import Rules, Trial, solve_damped
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,27 @@ class Level:
         """Rms of the command over samples, axes and realizations, V."""
         return float(np.sqrt(np.mean(self.command**2)))
 
+    @property
+    def weight(self) -> float:
+        """Weight of its errors, so that all levels weigh the same."""
+        return 1.0 / float(np.std(self.measurement))
+
+
+@dataclass(frozen=True)
+class Law:
+    """Exponents of the softening force's terms, thresholds (V) of the stop operators of the command, products of elongations."""
+
+    exponents: tuple[float, ...]
+    stops: tuple[float, ...] = ()
+    products: bool = False
+
+    @property
+    def name(self) -> str:
+        """Text for tables."""
+        force = "and force " + " + ".join(f"q|q|^{exponent:g}" for exponent in self.exponents)
+        stops = "".join(f", stop operators of {1e3 * threshold:g} mV" for threshold in self.stops)
+        return force + stops + (", products q q" if self.products else "")
+
 
 @dataclass(frozen=True)
 class Scheduled:
@@ -50,9 +69,7 @@ class Scheduled:
 
     def at(self, g: float) -> ModalModel:
         """Return the linear model at a value of the schedule."""
-        problem = Problem([_empty(self.centre)], self.centre)
-        problem.apply(g * self.change)
-        return problem.model
+        return self.centre.moved(g * self.change, _layout(self.centre))
 
 
 @dataclass(frozen=True)
@@ -63,14 +80,15 @@ class SofteningFit:
     scheduled: Scheduled  # The parameters of the stage
     parameters: int  # Number of free parameters
     seconds: float  # Time that the fit took, s
-    # Standard deviations (M, 2) of the poles' decay and frequency, as far as the residual shows them
+    # Standard deviations (M, 2) of the poles' decay and frequency (per sample), as far as the residual shows them
     sigma: Annotated[Array, "M 2"]
 
     @property
     def tolerance(self) -> dict[str, float]:
         """Median relative standard deviations of the stage's decays and frequencies: the smallest tolerance of a model file."""
-        pairs = np.asarray(self.stage.frequency) > 0
-        relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, self.stage.frequency], axis=1)[pairs])
+        frequency = self.scheduled.centre.poles.imag
+        pairs = frequency > 0
+        relative = self.sigma[pairs] / np.abs(np.stack([self.stage.decay, frequency], axis=1)[pairs])
         return {"decay": float(np.median(relative[:, 0])), "frequency": float(np.median(relative[:, 1]))}
 
 
@@ -84,80 +102,76 @@ def fit_softening(
     start: ModalModel | Scheduled,
     reference: float,
     sample_time: float,
+    law: Law | None = None,
     *,
-    exponent: float | Sequence[float] = 0.5,
     memory: float = 0.1,
-    force: bool = True,
-    stops: Sequence[float] = (),
-    products: bool = False,
     iterations: tuple[int, int] = (14, 7),
     rounds: int = 2,
 ) -> SofteningFit:
-    """Fit `SofteningModal` to several levels of a periodic experiment."""
+    """Fit `SofteningModal` to several levels of a periodic experiment, without a softening force where no law is given."""
     # start: linear model of the level whose amplitude is the reference, or an earlier fit: without the softening force, or with a
     # part of what is fitted now
     began = time.perf_counter()
     g = [schedule(level.amplitude, reference) for level in levels]
-    weights = [1.0 / float(np.std(level.measurement)) for level in levels]
-    linear = start.centre if isinstance(start, Scheduled) else start
     inputs = levels[0].command.shape[1]
     if isinstance(start, Scheduled):
-        scheduled, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
+        point, parameters, sigma = start, 0, np.zeros((len(start.centre.poles), 2))
     else:
-        data = [spectra(level.command, level.measurement, weight) for level, weight in zip(levels, weights, strict=True)]
-        initial = Scheduled(start, np.zeros(_layout(start).size))
-        scheduled, parameters, sigma = refine_scheduled(data, g, initial, inputs, iterations[0])
-    if not force:
-        stage = stage_of(scheduled, reference, sample_time, memory=memory)
-        return SofteningFit(stage, scheduled, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
-    # The elongation in volts of a slow command: the output divided by the gain of the low lines.
-    low = linear.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
-    elongation = np.linalg.inv(low[:, :inputs])
-    exponents = np.atleast_1d(np.asarray(exponent, dtype=float))
-    pairs = np.triu_indices(inputs if products else 0)
-    wanted = inputs * (1 + len(exponents) + len(stops)) + len(pairs[0])
-    point = _widened(scheduled, wanted - linear.inputs.shape[1])
-    held = [stop_operators(level.command, stops) for level in levels]
-    # Their average part at the reference belongs to the scheduled modes too.
-    nearest = min(range(len(levels)), key=lambda index: abs(g[index]))
-    command = np.concatenate([levels[nearest].command] * len(stops), axis=1) if stops else held[nearest]
-    stop_mean = np.sum(held[nearest] * command, axis=(0, 2)) / np.maximum(np.sum(command**2, axis=(0, 2)), 1e-300)
-    # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit
-    # again.
-    for _ in range(rounds):
-        strains = [_strain(point.at(value), level, elongation, inputs) for level, value in zip(levels, g, strict=True)]
-        # A term's average part, proportional to the strain, belongs to the scheduled modes: the rest is uncorrelated
-        # with it.
-        power = [np.sum(q**2, axis=(0, 2)) for q in strains]
-        means = []
-        for e in exponents:
-            bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
-            means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
-        mean = np.concatenate(means)
-        drive = sum(level.amplitude**2 * q.shape[0] * q.shape[2] for q, level in zip(strains, levels, strict=True))
-        product_mean = sum(np.sum(q[:, pairs[0]] * q[:, pairs[1]], axis=(0, 2)) for q in strains) / drive
-        data = []
-        for level, weight, q, stop in zip(levels, weights, strains, held, strict=True):
-            terms = [q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(exponents, means, strict=True)]
+        data = [spectra(level.command, level.measurement, level.weight) for level in levels]
+        point, parameters, sigma = refine_scheduled(data, g, Scheduled(start, np.zeros(_layout(start).size)), inputs, iterations[0])
+    known: dict[str, Any] = {"amplitude": reference, "memory": memory}
+    further: dict[str, int] = {}
+    if law is not None:
+        # The elongation in volts of a slow command: the output divided by the gain of the low lines.
+        low = point.centre.response(2 * np.pi * np.linspace(80.0, 230.0, 50) * sample_time).mean(axis=0).real
+        known |= {"elongation": np.linalg.inv(low[:, :inputs]), "exponent": law.exponents}
+        pairs = inputs * (inputs + 1) // 2 if law.products else 0
+        further = {"force": inputs * len(law.exponents), "stop": inputs * len(law.stops), "product": pairs}
+        point = _widened(point, inputs + sum(further.values()) - point.centre.inputs.shape[1])
+        # The force follows the elongation that the commands alone cause in the model, so each fit changes it a little: fit again.
+        for _ in range(rounds):
+            terms, means = forces(levels, [point.at(value) for value in g], g, law, known["elongation"])
             # The force reaches lines that the command leaves out.
-            terms += [stop - stop_mean[:, None] * np.concatenate([level.command] * len(stops), axis=1)] if stops else []
-            terms.append(q[:, pairs[0]] * q[:, pairs[1]] - product_mean[:, None] * level.amplitude**2)
-            command = np.concatenate([level.command, *terms], axis=1)
-            data.append(spectra(command, level.measurement, weight, every_line=True))
-        point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
-    stage = stage_of(
-        point,
-        reference,
-        sample_time,
-        memory=memory,
-        exponent=exponent,
-        elongation=elongation,
-        mean=mean,
-        stops=stops,
-        stop_mean=stop_mean,
-        product_mean=product_mean,
-    )
-    return SofteningFit(stage, point, parameters, time.perf_counter() - began, _per_second(sigma, sample_time))
+            data = [
+                spectra(np.concatenate([level.command, term], axis=1), level.measurement, level.weight, every_line=True)
+                for level, term in zip(levels, terms, strict=True)
+            ]
+            point, parameters, sigma = refine_scheduled(data, g, point, inputs, iterations[1])
+        known |= means
+    stage = stage_of(point, sample_time, further, known)
+    return SofteningFit(stage, point, parameters, time.perf_counter() - began, sigma)
+
+
+def forces(
+    levels: Sequence[Level], models: Sequence[ModalModel], g: Sequence[float], law: Law, elongation: Array
+) -> tuple[list[Array], dict[str, Array]]:
+    """Terms of a law (N, K, R) by level, each without its average part, which belongs to the scheduled modes; and those parts."""
+    strains = [_strain(model, level, elongation) for model, level in zip(models, levels, strict=True)]
+    power = [np.sum(q**2, axis=(0, 2)) for q in strains]
+    force_means = []  # in proportion to the strain: the rest is uncorrelated with it
+    for e in law.exponents:
+        bent = sum(np.sum(np.abs(q) ** (2 + e), axis=(0, 2)) for q in strains)
+        force_means.append(bent / sum(part * level.amplitude**e for part, level in zip(power, levels, strict=True)))
+    held = [stop_operators(level.command, law.stops) for level in levels]
+    repeated = [np.concatenate([level.command[:, :0], *[level.command] * len(law.stops)], axis=1) for level in levels]
+    nearest = min(range(len(levels)), key=lambda index: abs(g[index]))  # the level that is the reference, if any is
+    squares = np.sum(repeated[nearest] ** 2, axis=(0, 2))
+    stop_mean = np.sum(held[nearest] * repeated[nearest], axis=(0, 2)) / np.maximum(squares, 1e-300)
+    first, second = np.triu_indices(levels[0].command.shape[1] if law.products else 0)
+    drive = sum(level.amplitude**2 * q.shape[0] * q.shape[2] for q, level in zip(strains, levels, strict=True))
+    product_mean = sum(np.sum(q[:, first] * q[:, second], axis=(0, 2)) for q in strains) / drive
+    terms = []
+    for level, q, stop, command in zip(levels, strains, held, repeated, strict=True):
+        own = [
+            q * (np.abs(q) ** e - part[:, None] * level.amplitude**e) for e, part in zip(law.exponents, force_means, strict=True)
+        ]
+        own += [stop - stop_mean[:, None] * command]
+        own += [q[:, first] * q[:, second] - product_mean[:, None] * level.amplitude**2]
+        terms.append(np.concatenate(own, axis=1))
+    means: dict[str, Array] = {"force_mean": np.concatenate(force_means)}
+    if law.stops:
+        means |= {"stop_threshold": np.array(law.stops), "stop_mean": stop_mean}
+    return terms, means | ({"product_mean": product_mean} if law.products else {})
 
 
 def stop_operators(command: Array, thresholds: Sequence[float]) -> Array:
@@ -173,12 +187,12 @@ def stop_operators(command: Array, thresholds: Sequence[float]) -> Array:
     return np.concatenate(found, axis=1)
 
 
-def _strain(model: ModalModel, level: Level, elongation: Array, inputs: int) -> Array:
+def _strain(model: ModalModel, level: Level, elongation: Array) -> Array:
     """Elongation (N, p, R) in V that the commands cause in the linear part of a model, in the periodic steady state."""
     samples = len(level.command)
     lines = np.arange(1, samples // 2)
     spectrum = np.zeros((samples // 2 + 1, *level.measurement.shape[1:]), dtype=complex)
-    response = model.response(2 * np.pi * lines / samples)[:, :, :inputs]
+    response = model.response(2 * np.pi * lines / samples)[:, :, : level.command.shape[1]]
     spectrum[lines] = response @ np.fft.rfft(level.command, axis=0)[lines]
     found: Array = np.einsum("ij,njr->nir", elongation, np.fft.irfft(spectrum, samples, axis=0))
     return found
@@ -194,7 +208,6 @@ def refine_scheduled(
     moving = np.concatenate([layout.indices("pole", n, 2).ravel(), layout.indices("b", 2, n, m)[:, :, :inputs].ravel()])
     moving = moving[free[moving]]
     all_free = np.concatenate([free, np.ones(len(moving), dtype=bool)])
-
     rules = Rules(
         damping=1e-4,
         raised=lambda damping: damping * 8,
@@ -205,25 +218,22 @@ def refine_scheduled(
     )
     search = _Search(problems, g, moving, all_free)
     found = gauss_newton.minimize(search, search.linearize(_Point(start)), rules)
-    # Errors are those of the last point with derivatives: a step of small gain moves them as little.
-    last = search.linearize(found.point) if not found.linearized and found.end is End.BUDGET else found.point
-    point, matrix, cost = last.scheduled, last.matrix, last.linearized_cost
+    last = found.point if found.linearized else search.linearize(found.point)
     pairs = int(np.count_nonzero(start.centre.poles.imag))
     # c and b of a mode share one complex (or real) factor that changes nothing.
     count = int(all_free.sum()) - n - pairs
-    equations = sum(2 * part.measurement.size for part in data)
-    return point, count, _pole_sigma(matrix, all_free, cost / max(equations - count, 1), layout.indices("pole", n, 2))
+    variance = last.cost / max(sum(2 * part.measurement.size for part in data) - count, 1)
+    return last.scheduled, count, _pole_sigma(last.matrix, all_free, variance, layout.indices("pole", n, 2))
 
 
 @dataclass(frozen=True)
 class _Point:
-    """Parameters with their cost, and JᵀJ, Jᵀr and the cost where they were last taken."""
+    """Parameters with their cost, and JᵀJ and Jᵀr where they were last taken."""
 
     scheduled: Scheduled
     cost: float = np.inf
     matrix: Array = field(default_factory=lambda: np.zeros((0, 0)))
     vector: Array = field(default_factory=lambda: np.zeros(0))
-    linearized_cost: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -256,7 +266,7 @@ class _Search:
             vector[:size] += gradient
             vector[size:] += value * gradient[moving]
             cost += part
-        return _Point(point.scheduled, cost, matrix, vector, cost)
+        return _Point(point.scheduled, cost, matrix, vector)
 
     def step(self, point: _Point, damping: float) -> Trial[_Point]:
         first = self.problems[0]
@@ -282,11 +292,6 @@ def _pole_sigma(matrix: Array, free: np.ndarray, variance: float, at: Array) -> 
     return found
 
 
-def _per_second(sigma: Array, sample_time: float) -> Array:
-    found: Array = sigma * np.array([1.0, 1.0 / sample_time])
-    return found
-
-
 def spectra(command: Array, measurement: Array, weight: float, every_line: bool = False) -> Spectra:
     """Transform periodic records at their excited lines; sums of squares are those of the samples times weight²."""
     u, y = np.fft.rfft(command, axis=0), np.fft.rfft(measurement, axis=0)
@@ -295,69 +300,35 @@ def spectra(command: Array, measurement: Array, weight: float, every_line: bool 
     return Spectra(2 * np.pi * lines / len(command), scale * u[lines], scale * y[lines], True)
 
 
-def stage_of(
-    scheduled: Scheduled,
-    reference: float,
-    sample_time: float,
-    *,
-    memory: float,
-    exponent: float | Sequence[float] = 0.5,
-    elongation: Array | None = None,
-    mean: Array | None = None,
-    stops: Sequence[float] = (),
-    stop_mean: Array | None = None,
-    product_mean: Array | None = None,
-) -> SofteningModal:
-    """Construct the stage; inputs beyond the number of outputs are those of the force, of the stop operators and of the products."""
+def stage_of(scheduled: Scheduled, sample_time: float, further: Mapping[str, int], known: Mapping[str, Any]) -> SofteningModal:
+    """Construct the stage from its modes, the numbers of `further` inputs by what drives them, and parameters that are known."""
     model = scheduled.centre
     n, m = model.inputs.shape
-    outputs = model.feedthrough.shape[0]
+    outputs = len(model.feedthrough)
     layout = _layout(model)
     pole = scheduled.change[layout.slices["pole"]].reshape(n, 2)
-    change = scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time
-
-    first = m - (0 if product_mean is None else len(product_mean))  # of the products
-    behind = first - outputs * len(stops)
 
     def pair(values: np.ndarray) -> Array:
         return np.stack([values.real, values.imag])
 
-    parts = (
-        {
-            "force_inputs": pair(model.inputs[:, outputs:behind] / sample_time),
-            "force_feedthrough": model.feedthrough[:, outputs:behind],
-            "elongation": cast(Array, elongation),  # given with the inputs of the force
-            "force_mean": cast(Array, mean),
-        }
-        if m > outputs
-        else {}
-    )
-    if stops:
-        parts |= {
-            "stop_threshold": np.array(stops),
-            "stop_inputs": pair(model.inputs[:, behind:first] / sample_time),
-            "stop_feedthrough": model.feedthrough[:, behind:first],
-            "stop_mean": cast(Array, stop_mean),
-        }
-    if first < m:
-        parts |= {
-            "product_inputs": pair(model.inputs[:, first:] / sample_time),
-            "product_feedthrough": model.feedthrough[:, first:],
-            "product_mean": cast(Array, product_mean),
-        }
+    parts: dict[str, Any] = {}
+    begin = outputs
+    for name, count in further.items():
+        if count:
+            parts[f"{name}_inputs"] = pair(model.inputs[:, begin : begin + count] / sample_time)
+            parts[f"{name}_feedthrough"] = model.feedthrough[:, begin : begin + count]
+        begin += count
     return SofteningModal(
         decay=np.log(-model.poles.real / sample_time),
         frequency=model.poles.imag / sample_time,
         outputs=pair(model.outputs),
         inputs=pair(model.inputs[:, :outputs] / sample_time),
         feedthrough=model.feedthrough[:, :outputs],
-        amplitude=reference,
         decay_change=pole[:, 0],
         frequency_change=pole[:, 1] / sample_time,
-        inputs_change=change,
-        exponent=exponent,
-        memory=memory,
+        inputs_change=scheduled.change[layout.indices("b", 2, n, m)][:, :, :outputs] / sample_time,
         **parts,
+        **known,
     )
 
 
@@ -374,27 +345,22 @@ def _bounded(point: Scheduled, problem: Problem, reach: float) -> Scheduled:
 
 
 def _layout(model: ModalModel) -> Layout:
-    return Problem([_empty(model)], model).layout
-
-
-def _empty(model: ModalModel) -> Spectra:
-    """Two lines, so close that no pole is held back, without data: a problem that only moves parameters."""
     outputs, inputs = model.feedthrough.shape
-    return Spectra(np.array([1.0, 1.0 + 1e-9]), np.zeros((2, inputs, 1)), np.zeros((2, outputs, 1)), True)
+    return Layout.of(len(model.poles), inputs, outputs, 0, 0, True, False)
 
 
-def _widened(scheduled: Scheduled, further: int) -> Scheduled:
-    """The same with that many further inputs, of no effect yet."""
+def _widened(scheduled: Scheduled, count: int) -> Scheduled:
+    """The same with `count` further inputs, of no effect yet."""
     model, old = scheduled.centre, _layout(scheduled.centre)
     (n, p), inputs = model.outputs.shape, model.inputs.shape[1]
     wide = replace(
         model,
-        inputs=np.hstack([model.inputs, np.zeros((n, further))]),
-        feedthrough=np.hstack([model.feedthrough, np.zeros((p, further))]),
-        delay=np.concatenate([model.delay, np.zeros(further)]),
+        inputs=np.hstack([model.inputs, np.zeros((n, count))]),
+        feedthrough=np.hstack([model.feedthrough, np.zeros((p, count))]),
+        delay=np.concatenate([model.delay, np.zeros(count)]),
     )
     new = _layout(wide)
     change = np.zeros(new.size)
     change[new.slices["pole"]] = scheduled.change[old.slices["pole"]]
-    change[new.indices("b", 2, n, inputs + further)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
+    change[new.indices("b", 2, n, inputs + count)[:, :, :inputs]] = scheduled.change[old.indices("b", 2, n, inputs)]
     return Scheduled(wide, change)

@@ -1,21 +1,13 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A result table in a report page and as Markdown: every row with the published value beside it."""
+"""The rows of a result by table, and as Markdown: the published value beside each."""
 
 from __future__ import annotations
 
-from hyst_control.reporting.html_page import Page
 from hyst_control.reporting.tables import Row, Table
 from hyst_control.reporting.templates import render
 
 HEADERS = ("case", "subject", "quantity", "measured", "published", "unit")
-
-
-def add_tables(page: Page, table: Table) -> None:
-    """Add a section to a page for each table of a result."""
-    for name, rows in by_name(table).items():
-        page.section(name)
-        page.table(HEADERS, [cells(row) for row in rows])
 
 
 def markdown(table: Table) -> str:

@@ -81,8 +81,7 @@ def test_a_line_is_in_the_gap_of_another_session_whatever_was_found(tmp_path):
     hum = {"name": "mains_hum", "amplitude": amplitude, "frequency": frequency}
     case = Case("case", "pea_published", "single", "rich", NOISE, 21, (hum,), off=0.0, duration=0.75)
     report, file = tmp_path / "reports" / "case.json", tmp_path / "case" / "model.yaml"
-    for name in ("reports", "evidence"):
-        (tmp_path / name).mkdir()
+    report.parent.mkdir()
     _make_one((case, tmp_path))
     _diagnose_one(
         (str(tmp_path / "case"), str(report), tuple(name for name in EFFECTS if name not in ("mains_hum", "delay")), "rules")

@@ -65,10 +65,6 @@ class LinearStage(Stage):
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (self,)
 
-    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
-        """Tolerances of the parameters in which the stage has its poles and residues."""
-        return {}
-
     def gain_at_rest(self, axes: int) -> tuple[Array, Array]:
         """Gain (A, A) and bias (A,) that all settles to."""
         systems = self.systems(axes)
@@ -128,9 +124,6 @@ class TransferFunction(LinearStage):
     @property
     def mixes_axes(self) -> bool:
         return self.coupled
-
-    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
-        return {"num": residue, "den": pole}
 
     def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
         """Gain, frequencies, dampings and times of every axis; none where polynomials couple the axes."""
@@ -271,9 +264,6 @@ class StateSpace(LinearStage):
     @property
     def is_mechanics(self) -> bool:
         return not self.discrete
-
-    def pole_tolerances(self, pole: float, residue: float) -> dict[str, float]:
-        return {"A": pole, "C": residue}
 
     def coordinates(self, axes: int) -> dict[tuple[str, int | None], Coordinate]:
         """Frequency and damping, or corner, of every mode, and its gain at rest to every output, root mean square over the inputs."""

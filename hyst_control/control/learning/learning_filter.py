@@ -20,7 +20,6 @@ step makes that 1 - Q + Q (1 - P / G) S, which is below 1 wherever |(1 - P / G) 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -68,14 +67,6 @@ class LearningFilter:
         """Correction (N, A) in V of the feedforward."""
         spectrum = np.einsum("fij,fj->fi", self.inverse, np.fft.rfft(error, axis=0)) + np.fft.rfft(feedback, axis=0)
         return np.fft.irfft(self.robustness[:, None] * spectrum, self.period, axis=0)
-
-    def contraction(self, plant: Complex, controller: Complex) -> Array:
-        """Greatest share (N // 2 + 1,) of an error that one trial leaves, in theory."""
-        unit = np.eye(self.axes)
-        shaped = np.linalg.solve(unit + plant @ controller, plant)
-        # After a trial: d - Q (G^-1 + C) (I + P C)^-1 P d.
-        left = unit - self.robustness[:, None, None] * ((self.inverse + controller) @ shaped)
-        return np.asarray(np.abs(np.linalg.eigvals(left)).max(axis=1))
 
 
 def lines_of(period: int) -> Complex:
@@ -169,11 +160,6 @@ def robustness(error: Array, peak_sensitivity: float) -> Array:
         )
     line = np.arange(len(error))
     return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(3.0 * line / end - 2.0, 0.0, 1.0)))
-
-
-def feedback_response(responses: Sequence[Complex]) -> Complex:
-    """Diagonal response matrix (F, A, A) of separate feedbacks, from the `responses` (F,) of the A axes."""
-    return np.asarray(np.einsum("af,ab->fab", np.asarray(responses), np.eye(len(responses))))
 
 
 def _checked(period: int) -> int:

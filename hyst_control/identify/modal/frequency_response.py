@@ -24,23 +24,11 @@ EXCITED = 1e-3
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """A measured frequency response matrix, sample to sample: measurement = response · command, line by line.
-
-    Both variances are those of the *averaged* response, E|G - E G|².
-    """
+    """A measured frequency response matrix, sample to sample: measurement = response · command, line by line."""
 
     frequency: Annotated[Array, "F"]  # Frequencies (F,), Hz
     response: np.ndarray  # Response (F, p, m), measurement unit per V
-    noise_variance: Annotated[Array, "F p m"]  # Variance (F, p, m) of the response because of disturbing noise
-    # Variance (F, p, m) because of noise and stochastic nonlinear distortion together; None where the experiment cannot separate
-    # them
-    total_variance: Array | None = None
-    realizations: int = 1  # Number of realizations averaged
-
-    @property
-    def distortion_variance(self) -> Array | None:
-        """Variance (F, p, m) that the nonlinear distortion adds; never negative."""
-        return None if self.total_variance is None else np.maximum(self.total_variance - self.noise_variance, 0.0)
+    noise_variance: Annotated[Array, "F p m"]  # Variance E|G - E G|² of the response because of disturbing noise
 
     def radius(self, confidence: float = 0.95) -> Annotated[Array, "F p m"]:
         """Radius of the circle in the complex plane that holds the true value with a given probability.
@@ -49,8 +37,7 @@ class FrequencyResponse:
         """
         from scipy.stats import chi2  # here, not above: it takes longer to import than all that a node needs
 
-        variance = self.noise_variance if self.total_variance is None else self.total_variance
-        radius: Array = np.sqrt(variance * chi2.ppf(confidence, 2) / 2.0)
+        radius: Array = np.sqrt(self.noise_variance * chi2.ppf(confidence, 2) / 2.0)
         return radius
 
 
@@ -70,13 +57,10 @@ def local_polynomial(
     polynomials leave is the noise.
     """
     # kind: "arbitrary": a transient at both ends is estimated along (the command's spectrum must be rough, as a random or a swept
-    # one is); "periodic": whole periods in steady state, no transient; "settled": at rest at both ends, a step or a pulse: the
-    # records are differenced first, which makes them periodic without a transient
-    if kind not in ("arbitrary", "periodic", "settled"):
-        raise InputError(f"kind: must be one of arbitrary, periodic, settled, got {kind!r}")
+    # one is); "periodic": whole periods in steady state, no transient
+    if kind not in ("arbitrary", "periodic"):
+        raise InputError(f"kind: must be arbitrary or periodic, got {kind!r}")
     u, y = np.stack(commands, axis=2), np.stack(measurements, axis=2)
-    if kind == "settled":
-        u, y = np.diff(u, axis=0), np.diff(y, axis=0)
     n, m, records = u.shape
     spectrum_u, spectrum_y = np.fft.rfft(u, axis=0) / np.sqrt(n), np.fft.rfft(y, axis=0) / np.sqrt(n)
     lines: NDArray[np.intp] = np.arange(1, len(spectrum_u))
@@ -120,7 +104,7 @@ def local_polynomial(
         response[k] = (inverse @ projected)[:m].T
         noise = np.sum(np.abs(target - q @ projected) ** 2, axis=0) / (width * records - unknowns)
         variance[k] = np.outer(noise, np.sum(np.abs(inverse[:m]) ** 2, axis=1))
-    return FrequencyResponse(frequency, response, variance, None, records)
+    return FrequencyResponse(frequency, response, variance)
 
 
 def excited_lines(power: Annotated[Array, "F"]) -> NDArray[np.intp]:

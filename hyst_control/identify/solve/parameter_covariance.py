@@ -64,11 +64,6 @@ class Uncertainty:
             found.setdefault(parameter, []).append(relative)
         return {name: float(f"{np.median(values):.4g}") for name, values in found.items() if any(values)}
 
-    @property
-    def standard_deviations(self) -> dict[str, float]:
-        """Standard deviation by name, in the number's unit."""
-        return dict(zip(self.names, np.linalg.norm(self.factor, axis=1).tolist(), strict=True))
-
     def notes(self, fact: str) -> list[str]:
         """At most one sentence on the numbers that the data cannot tell, with their standard deviations.
 

@@ -67,9 +67,8 @@ def test_a_mode_is_found_and_taken_away_whole():
 
 
 def test_what_was_not_measured_is_refused(tmp_path, capsys):
-    for given, said in ((["--plants", "stuck"], "--plants stuck"), (["--levels", "250"], "--levels 250")):
-        assert main(["blind-test", "--measured", *given, "--output", str(tmp_path / "out")]) == 2
-        assert said in capsys.readouterr().err
+    assert main(["blind-test", "--measured", "--plants", "stuck", "--output", str(tmp_path / "out")]) == 2
+    assert "--plants stuck" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -107,7 +106,7 @@ def test_a_page_of_a_part_says_of_how_many_cases_it_is(tmp_path):
     (folder / "reports").mkdir(parents=True)
     cases = [replace(withheld(element, right), name=f"case_{i}") for i, (element, right) in enumerate(ELEMENTS.items())]
     (folder / "labels.json").write_text(
-        json.dumps({"seed": 0, "count": 3, "options": {"modes": "all"}, "cases": [as_document(case) for case in cases]})
+        json.dumps({"seed": 0, "count": 3, "cases": [as_document(case) for case in cases]})
     )
     command = ["blind-test", "--measured", "--so-far", "--output", str(tmp_path / "out"), "--page", str(tmp_path / "page.md")]
     assert main(command) == 2

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from evaluation.blind_test.case import Case, Label, as_document
-from evaluation.blind_test.injected import accepted
+from evaluation.blind_test.injected import accepted, planned
 from evaluation.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
-from evaluation.blind_test.injected_plan import planned
 from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, apply_all, strength_of
 from evaluation.blind_test.page import write_page
 from evaluation.blind_test.run import Batch, diagnose_all, make

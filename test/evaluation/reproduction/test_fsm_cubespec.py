@@ -8,21 +8,17 @@ import numpy as np
 import pytest
 
 from evaluation.reproduction import fsm_cubespec
+from evaluation.reproduction.fsm_cubespec import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
 from evaluation.reproduction.fsm_cubespec_records import (
-    FIT,
-    SAMPLE_TIME,
     TEST,
+    fit_level,
     load_levels,
     model_of,
     simulation_error,
     steady_state,
 )
-from evaluation.reproduction.fsm_cubespec_tables import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
-from evaluation.reproduction.periodic_fit import refined
-from evaluation.reproduction.robust_bla import robust_bla
 from hyst_control.base.errors import InputError
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of
-from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import load_model
 from hyst_control.reporting.tables import Table
@@ -51,19 +47,9 @@ def test_levels_and_noise_are_those_of_the_benchmark(levels):
         assert np.sqrt(np.mean(difference**2) / 2) == pytest.approx(noise, rel=0.05)
 
 
-def test_distortion_is_above_the_noise_and_grows_with_the_level(levels):
-    sizes = []
-    for level in levels:
-        bla = robust_bla(level.command, level.measurement, SAMPLE_TIME)
-        assert bla.distortion_variance.sum() > bla.noise_variance.sum()
-        sizes.append(np.sqrt(bla.distortion_variance.sum()) * np.std(level.command))
-    assert sizes[0] < sizes[1] < sizes[2]
-
-
 def test_a_linear_model_of_the_highest_level_beats_the_published_one_on_unseen_realisations(levels):
     level = levels[2]
-    data = [level.spectra(FIT)]
-    found = refined(data, subspace(data, [28], np.zeros(3), "zoh")[0], 10)
+    found = fit_level(level, 28)
     model = model_of(found.model, "fsm", 1.2)
     error = simulation_error(model, level, TEST)[0]
     assert error < PUBLISHED_OWN[300]

@@ -4,9 +4,8 @@
 
 import pytest
 
-from evaluation.reproduction.hampi_targets import hampi_targets
 from evaluation.reproduction.page import write_page
-from evaluation.reproduction.targets import Rows
+from evaluation.reproduction.targets import Rows, hampi_targets
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.reporting.tables import Table

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation.reproduction.periodic_fit import refined
-from evaluation.reproduction.softening_modes import Level, fit_softening, schedule, spectra
+from evaluation.reproduction.softening_modes import Law, Level, fit_softening, schedule, spectra
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
 from hyst_control.identify.modal.modal_fit import subspace
@@ -69,10 +69,10 @@ def test_one_softening_model_holds_at_every_level(levels):
     middle = [spectra(fitted[1].command, fitted[1].measurement, 1.0)]
     linear = refined(middle, subspace(middle, [2], np.zeros(1), "zoh")[0], 20).model
     errors = {}
-    for force in (False, True):
-        found = fit_softening(fitted, linear, fitted[1].amplitude, SAMPLE_TIME, force=force, memory=0.05)
-        errors[force] = [simulated_error(found.stage, level, 3) for level in levels]
-    for level, soft, forced in zip(levels, errors[False], errors[True], strict=True):
+    for law in (None, Law((0.5,))):
+        found = fit_softening(fitted, linear, fitted[1].amplitude, SAMPLE_TIME, law, memory=0.05)
+        errors[law] = [simulated_error(found.stage, level, 3) for level in levels]
+    for level, soft, forced in zip(levels, *errors.values(), strict=True):
         response = linear.response(2 * np.pi * np.arange(1, 400) / PERIOD)[:, 0, 0]
         u, y = (np.fft.rfft(signal[:, 0, 3])[1:400] for signal in (level.command, level.measurement))
         plain = np.linalg.norm(y - response * u) / np.linalg.norm(y)

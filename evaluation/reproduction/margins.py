@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stability margins of a loop as measured on a running plant: a multisine on the reference, the loop closed all the while."""
+"""Margins of a tuned feedback, beside those of its model: as measured on the reference simulation, a multisine on the reference."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ from hyst_control.base.arrays import Complex
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Plant, run_loop
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.tuning import Margins, controller_response, margins
+from hyst_control.control.tuning import Margins, Tuning, controller_response, margins
 from hyst_control.records.excitation.excitation import cosine_ramp, multisine
+from hyst_control.reporting.tables import Table
+from hyst_plant_sim.physics import load_plant
 
+MEASURED = {"fsm": ((1930.0, 1965.0), 1.0, 0.02, 100.0), "pea": ((1231.0,), 6.0, 0.1, 150.0)}
+"""First modes in Hz, of the plants' files: only for moving them where the tuned loop is put to the test; operating point and rms
+of the reference's multisine in the measurement unit; upper rating in V."""
 PERIODS, SETTLING_PERIODS = 6, 2
 SMOOTHED = 5
 """Neighbouring lines over which the plant's response is averaged: the distortion that the hysteresis scatters is not its gain."""
@@ -51,3 +56,34 @@ def measured_margins(plant: Plant, controller: PI, axes: int, axis: int, centre:
     ratio = np.convolve(measurement[line] * command[line].conj() * z**2, kernel, "same") / np.convolve(weight, kernel, "same")
     response = ratio / z**2 * controller_response(controller, z)
     return margins(response, z, ts)
+
+
+def robustness(table: Table, tuning: Tuning, plant: str = "fsm", title: str = "MHL robustness") -> None:
+    """Add the tuned loop of its model, and its margins on the reference simulation with other gains and first modes."""
+    gains = (("kp", "V/unit"), ("ki", "V/(unit s)"), *((("roll_off", "Hz"),) if tuning.roll_off else ()), ("settling_time", "s"))
+    for quantity, unit in gains:
+        table.add(title, "model", "tuned PI", quantity, unit, getattr(tuning, quantity))
+    table.add(title, "model", "tuned PI", "bandwidth", "Hz", tuning.nominal.bandwidth)
+    for quantity, unit in (("gain_margin", "dB"), ("phase_margin", "deg"), ("peak_sensitivity", "")):
+        table.add(title, "model, worst case", "tuned PI", quantity, unit, getattr(tuning.worst, quantity))
+    for gain in (0.9, 1.0, 1.1):
+        for mode in (0.8, 1.0, 1.2):
+            found = truth_margins(tuning, gain, mode, plant)
+            case = f"truth, gain {gain - 1:+.0%}, first mode {mode - 1:+.0%}"
+            table.add(title, case, "tuned PI", "gain_margin", "dB", found[0])
+            table.add(title, case, "tuned PI", "phase_margin", "deg", found[1])
+
+
+def truth_margins(tuning: Tuning, gain: float, mode: float, plant: str = "fsm") -> tuple[float, float]:
+    """Measure gain and phase margin on a changed reference simulation."""
+    modes, centre, rms, top = MEASURED[plant]
+    found = []
+    for axis in range(len(modes)):
+        given = {"plant": plant, "effects": [{"name": "gain", "gain": gain - 1.0}] if gain != 1.0 else []}
+        frequency = [mode * value for value in modes] if len(modes) > 1 else mode * modes[0]
+        truth = load_plant(given, seed=axis, sample_time=tuning.sample_time, mode_frequency=frequency)
+        try:
+            found.append(measured_margins(truth, tuning.controller(0.0, top), len(modes), axis, centre, rms))
+        except InputError:
+            return float("nan"), float("nan")
+    return min(each.gain_margin for each in found), min(each.phase_margin for each in found)
