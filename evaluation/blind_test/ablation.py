@@ -86,16 +86,6 @@ class Outcome:
     right: bool
 
 
-@dataclass(frozen=True)
-class Change:
-    """Outcome of a move on all cases, beside the policy as it is."""
-
-    move: str
-    changed: int  # Verdict or names differ
-    better: int  # Wrong before, right now
-    worse: int  # Right before, wrong now
-
-
 Parts = Sequence[tuple[Evidence, Tests]]
 
 
@@ -180,17 +170,16 @@ def _outcomes_of(job: tuple[Case, Path]) -> list[Outcome]:
     return outcomes(case, [(part.tests.evidence, part.tests) for part in parts if part.tests is not None])
 
 
-def changes(found: Sequence[Sequence[Outcome]]) -> list[Change]:
-    """Compare every move with the policy as it is, over the outcomes of all cases."""
-    return [
-        Change(
-            move.name,
+def changes(found: Sequence[Sequence[Outcome]]) -> dict[str, tuple[int, int, int]]:
+    """By move: on how many cases verdict or names change, how many become right, and how many wrong."""
+    return {
+        move.name: (
             sum((one[place].verdict, one[place].names) != (one[0].verdict, one[0].names) for one in found),
             sum(one[place].right and not one[0].right for one in found),
             sum(one[0].right and not one[place].right for one in found),
         )
         for place, move in enumerate(moves(CONFIGURATION.policy), 1)
-    ]
+    }
 
 
 def main() -> None:
@@ -207,11 +196,12 @@ def main() -> None:
         jobs += [(case, folder / "cases" / case.name) for case in map(from_document, labels["cases"])]
     found = [one for one in map_spawned(_outcomes_of, jobs) if one]
     print(f"{len(found)} cases, {sum(usual.right for usual, *_ in found)} right")
-    rows = [(one.move, len(found), one.changed, one.better, one.worse) for one in changes(found)]
-    for move, _, changed, better, worse in rows:
+    rows = changes(found)
+    for move, (changed, better, worse) in rows.items():
         print(f"{move:40s} changed {changed:4d}  better {better:3d}  worse {worse:3d}")
     if given.table is not None:
-        lines = [",".join(map(str, row)) for row in [("move", "cases", "changed", "better", "worse"), *rows]]
+        head = ("move", "cases", "changed", "better", "worse")
+        lines = [",".join(map(str, row)) for row in (head, *((move, len(found), *counts) for move, counts in rows.items()))]
         write_text(given.table, "\n".join(lines) + "\n")
 
 

@@ -109,17 +109,10 @@ def plain_record(
     return Record({"command": Signal(time, command, axes, "V"), "measurement": Signal(time, measurement, axes, unit)}, name)
 
 
-OF_SOME = ("source", "regime", "multiple", "axes")
-"""Columns that simulated cases leave out of their document."""
-
-
 def as_document(case: Case) -> dict[str, Any]:
-    """Convert a case with its label to JSON types, its numbers rounded; what is not said is left out."""
+    """Convert a case with its label to JSON types, its numbers rounded; what its label does not say is left out."""
     document = asdict(case)
-    label = {name: value for name, value in document["label"].items() if value is not None}
-    document["label"] = {"kind": label.pop("kind"), "names": label.pop("names"), **_columns(document), **label}
-    if case.source == "simulated":
-        document = {name: value for name, value in document.items() if name not in OF_SOME}
+    document["label"] = {name: value for name, value in document["label"].items() if value is not None}
     rounded: dict[str, Any] = _rounded(document)
     return rounded
 
@@ -127,13 +120,7 @@ def as_document(case: Case) -> dict[str, Any]:
 def from_document(document: Mapping[str, Any]) -> Case:
     """Read a case as `as_document` writes it."""
     whole = frozen(document)
-    own = {name: value for name, value in whole["label"].items() if name not in _columns(whole)}
-    return replace(Case(**{**whole, "label": None}), label=Label(**own))
-
-
-def _columns(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Columns of the case that its label repeats."""
-    return {name: document[name] for name in ("effects", "plant", "excitation", "noise")}
+    return replace(Case(**{**whole, "label": None}), label=Label(**whole["label"]))
 
 
 def _rounded(value: Any) -> Any:

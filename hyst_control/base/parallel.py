@@ -85,10 +85,7 @@ def _is_broken(pool: ProcessPoolExecutor) -> bool:
 
 
 def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
-    """Compute work(0), work(1), ... in order, on all cores by forking: no arguments are copied or pickled.
-
-    Computed in this process where there is one core, in a worker, or beside threads that a fork would leave behind.
-    """
+    """Compute work(0), work(1), ... in order, by forking on all cores where that is safe: no arguments are copied or pickled."""
     global _work
     workers = min(cores(), count)
     others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
@@ -258,10 +255,7 @@ def _serially(work: Callable[[Job], Result], job: Job) -> Result:
 
 
 def _begin_worker(serial: bool) -> None:
-    """Set up the signals of a worker: SIGTERM ends it without a message, Ctrl-C is handled by its parent.
-
-    It ends with its parent, also when that is killed, since no other process would end it.
-    """
+    """Set up the signals of a worker: SIGTERM ends it without a message, Ctrl-C is its parent's, and it ends with its parent."""
     global _serial
     _serial = serial
     # What a fork inherits as garbage is its parent's to collect: the objects of a library whose threads are not here must not be touched.

@@ -102,10 +102,7 @@ def step(text: str) -> None:
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Provide a `step` for work of several parts, which are counted.
-
-    The steps within a part are shown behind it: "3/8 identify HAMPI: read".
-    """
+    """Provide a `step` for work of several counted parts; the steps within one are shown behind it: "3/8 identify HAMPI: read"."""
     global _within
     count = 0
 

@@ -29,11 +29,7 @@ from hyst_control.model_file import Model
 
 
 def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
-    """Mean and greatest local slope (A,) of the hysteresis over the model's valid range, at rest.
-
-    The slopes are taken on the major loop and on loops nested in it around its middle, outside the first few per cent after a
-    reversal, where play operators stand still and a Madelung branch starts.
-    """
+    """Mean and greatest local slope (A,) of the hysteresis at rest over the valid range, without the first per cent after a reversal."""
     axes = len(model.axes)
     core = next((stage for stage in model.chain.stages if hysteretic(stage)), None)
     if core is None:
@@ -52,10 +48,7 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
 
 
 def linearized(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
-    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; offsets and limits left out.
-
-    Modes that move with amplitude stand still, those of `softening_modal` at its amplitude, those of `softening_modes` at rest.
-    """
+    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; modes that soften stand still."""
     return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
 
 
@@ -113,11 +106,7 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
 
 
 def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
-    """The same linear chain with every axis' first resonance at `factor` times its frequency, damping ratio and stiffness kept.
-
-    The first resonance is the slowest pair of complex poles; a chain without one is returned as it is. Where a pair of zeros lies upon
-    it, a notch against it, the zeros stay where they are and no longer hide it.
-    """
+    """The same linear chain with every axis' slowest pair of poles at `factor` times its frequency, damping ratio and stiffness kept."""
     linear = {index: stage for index, stage in enumerate(stages) if isinstance(stage, LinearStage)}
     found = [(abs(pair), index) for index, stage in linear.items() for pair in _resonances(stage, axes)]
     if not found:

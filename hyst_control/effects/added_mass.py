@@ -76,10 +76,7 @@ def _nothing() -> LinearSystem:
 
 
 def main_mode(system: LinearSystem, output: int) -> tuple[float, float]:
-    """(d, k) of the main mode s² + d s + k of a system from an axis' input to its output.
-
-    Raises `InputError` where fewer than two poles are.
-    """
+    """(d, k) of the main mode s² + d s + k from an axis' input to its output; raises `InputError` with fewer than two poles."""
     poles, vectors = np.linalg.eig(system.A)
     try:
         from_input = np.linalg.solve(vectors, system.B[:, output].astype(complex))

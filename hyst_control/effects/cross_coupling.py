@@ -22,10 +22,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """On all axes of a plant that mixes them: from every other axis' input to every sensor a response in the modes of the mechanics.
-
-    Each in phase with the modes' positions and in quadrature, and a static part, as shares of the stroke over the command's span.
-    """
+    """From every other axis' input to every sensor a response in the mechanics' modes, in phase and in quadrature, and a static part."""
     if not around.modes:
         return parameters(around)
     parts = [f"{part}_{mode}" for part in MODAL for mode in range(len(around.modes))] + [STATIC]

@@ -214,10 +214,7 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Change over the record; beside the model discrepancy from a fifth of the gain to five times as much.
-
-    One that ends before the command has moved is a constant gain.
-    """
+    """Change over the record, beside the model discrepancy from a fifth of the gain to five times as much."""
     change = (
         Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
         if around.lowest_frequency is None

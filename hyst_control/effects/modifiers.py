@@ -22,10 +22,7 @@ def beside(stage: Stage, added: Stage) -> Parallel:
 
 
 def beside_mechanics(name: str, before: tuple[Stage, ...], make: Callable[[LinearStage], Stage]) -> tuple[Stage, ...]:
-    """The stages with what `make` adds to the mechanics, beside all that leads to them: a chain merges these with what stands before.
-
-    Several such additions stand beside each other, each to the mechanics as they are.
-    """
+    """The stages with what `make` adds to the mechanics as they are, beside all that leads to them."""
     index = mechanics_index(before)
     if index is not None:
         added = make(cast(LinearStage, before[index]))

@@ -16,10 +16,7 @@ DRIVE = ("dac", "drive")
 
 
 def hysteresis_index(stages: Sequence[Stage]) -> int | None:
-    """Index of the hysteresis stage, or of the `parallel` that contains it; None where a chain has none.
-
-    A stage that adds one to a chain without is its hysteresis there.
-    """
+    """Index of the hysteresis stage, or of the `parallel` that contains it, or of one that adds it; None where a chain has none."""
     added = next((i for i, stage in enumerate(stages) if stage.adds_hysteresis), None)
     return next((i for i, stage in enumerate(stages) if stage.is_hysteresis), added)
 

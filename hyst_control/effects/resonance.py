@@ -94,10 +94,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
 
 
 def coupled_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """On all axes of a plant that mixes them: from every input to every sensor a share of the stroke over the command's span.
-
-    In phase with the mode's position, and in quadrature.
-    """
+    """From every input to every sensor a share of the stroke over the command's span, in phase with the mode and in quadrature."""
     frequency, damping, *_ = parameters(around)
     return (
         frequency,

@@ -92,10 +92,7 @@ def follow(block: Array, rising: Array, falling: Array, mean: bool, state: Array
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Rates that the record's command exceeds, and the ratio of the falling to the rising one.
-
-    sides: 0 both directions are limited, 1 rising alone, 2 falling alone.
-    """
+    """Rates that the command exceeds, ratio of falling to rising one, and sides: 0 both limited, 1 rising alone, 2 falling alone."""
     starts = tuple(share * around.slew for share in (0.7, 0.3, 0.1, 0.03))
     return (
         Parameter("rate", "V/s", np.inf, starts, 1e-3 * around.slew, around.slew, 1.5, True),

@@ -95,10 +95,7 @@ class StageNode(ManagedNode):
         """Open the device, in the transition `configure`; `self.settings`, `self.axes` and `self.unit` are known by then."""
 
     def disconnect(self) -> None:
-        """Close the device; called however the node ends, and also when the device has failed. An exception is logged and ignored.
-
-        The actuator is at `safe_command` by then, as far as `write` works.
-        """
+        """Close the device, at `safe_command` as far as `write` works; called however the node ends, and an exception is ignored."""
 
     def initial_command(self) -> ArrayLike:
         """Voltage (A,) that is on the actuator once the device is connected, V; what was written last, at first 0 V, by default."""

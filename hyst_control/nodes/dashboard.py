@@ -250,11 +250,7 @@ def _said(answer: Future) -> str:
 
 @contextmanager
 def live_loop(loop: LoopSettings, state: LiveState, folder: Path, context: Context) -> Iterator[LoopActions]:
-    """Listen to a loop on a thread within the context.
-
-    A live view that runs beside the loop is used; where there is none, one is run on this thread, and the middleware carries all signals
-    to it.
-    """
+    """Listen to a loop on a thread within the context, through the live view that runs beside it or one on this thread."""
     domain = int(os.environ.get("ROS_DOMAIN_ID") or 0)
     namespace = f"/{loop.namespace.strip('/')}" if loop.namespace.strip("/") else ""
     with ExitStack() as stack:

@@ -266,10 +266,7 @@ class PiFeedback(ManagedNode):
         )
 
     def _begins(self, first: int) -> bool:
-        """True when the node may begin, in lockstep: the first rows are those of a new run, or it has taken a run over.
-
-        The measurement that follows on a command is there only if somebody has sent that command.
-        """
+        """True when the node may begin, in lockstep: the first rows are those of a new run, or it has taken a run over."""
         if first == 0 and not self._rival_active:
             if self.measurement is not None and (self.measurement.rows.end or 0) <= 1:
                 return True

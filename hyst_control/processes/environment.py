@@ -14,10 +14,7 @@ LIFELINE = "HYST_CONTROL_LIFELINE"
 
 
 def exposure() -> str:
-    """One line that says who can hear the nodes and command the actuator; "" where the user has chosen this machine, or security.
-
-    To be asked before `prepare`, which sets what the user has not.
-    """
+    """One line, before `prepare`, that says who can hear and command the nodes; "" where the user has chosen this machine, or security."""
     if not (used := middleware.chosen()).keeps_discovery_range:
         return (
             f"every machine that reaches the router of {used.name} can hear these nodes and command the actuator: this middleware does "

@@ -18,11 +18,7 @@ _awake: dict[Path, int] = {}
 
 
 def set_scheduler(priority: int, cpu: int) -> str:
-    """Request a real-time priority and a processor core for this process.
-
-    With a real-time priority all processors are kept from sleeping too while the process lives, if the system allows it: one that
-    sleeps between two ticks, or is halted as that of a virtual machine, wakes up late.
-    """
+    """Request a real-time priority, under which no processor sleeps where the system allows it, and a core for this process."""
     try:
         if cpu != ANY_CORE:
             os.sched_setaffinity(0, {cpu})

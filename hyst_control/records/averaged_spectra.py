@@ -91,10 +91,7 @@ class Spectra:
         return np.asarray(np.clip(made / np.maximum(self.power, 1e-300), 0.0, 1.0), dtype=np.float64)
 
     def path(self, index: int) -> tuple[Complex, Array]:
-        """Cross spectrum (F,) of the command and the measurement of axis `index`, and the share (F,) of its power made so.
-
-        Where the commands are independent, without what the others make of it.
-        """
+        """Cross spectrum (F,) of command and measurement of an axis, without what other independent commands make, and its share."""
         own, power = self.auto[:, index, index].real, self.power[:, index]
         cross = self.cross[:, index, index].copy()
         made = np.abs(cross) ** 2 / np.maximum(own * power, 1e-300)

@@ -100,10 +100,7 @@ def over_time(*records: Record) -> list[Panel]:
 
 
 def over_each_other(record: Record, horizontal: str, vertical: str, *others: Record, color: str | None = None) -> list[Panel]:
-    """Draw one signal over another, axis by axis: hysteresis loops, paths; of several records in one drawing.
-
-    They are colored by "record", "time" or "frequency"; None: loops of several frequencies by frequency, records by record.
-    """
+    """Draw one signal over another, axis by axis and record by record, colored by "record", "time" or "frequency" (None: as fits)."""
     if color not in (None, *COLORINGS):
         raise InputError(f"color: must be one of {', '.join(COLORINGS)}, got {color!r}")
     drawn = [_pairs(each, horizontal, vertical) for each in (record, *others)]

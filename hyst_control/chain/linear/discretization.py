@@ -31,10 +31,7 @@ class Discretised:
 
 @remembered
 def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Discretised:
-    """Advance a system exactly by one sample.
-
-    The interval falls into two parts: up to the kink at `fraction` the input is the older segment, after it the newer one.
-    """
+    """Advance a system exactly by one sample: older input segment up to the kink at `fraction`, newer one after it."""
     ts = sampling.sample_time
     n, m = system.B.shape
     b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))

@@ -420,11 +420,7 @@ class CrossCoupling(LinearStage):
 
 
 def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> LinearFilter:
-    """One filter for a run of linear stages and delays.
-
-    The run's delays are taken at its input; a chain arranges its stages so that this is where they belong
-    (`chain.arrange`). Where it holds delays only, the filter is a pure delay.
-    """
+    """One filter for a run of linear stages and delays, the delays taken at its input; of delays only, a pure delay."""
     return _prepared(tuple(run), sampling, averaged).another()
 
 

@@ -97,12 +97,7 @@ class SafeLoop:
         self._limits: tuple[float, float] | None = None  # V, towards which those of the controller move after a change
 
     def change(self, description: PI) -> None:
-        """Go on with another description of the controller, without a jump of the command.
-
-        Gains are taken over as `RunningPI.change` does. The limits go to their new values at the safe rate: narrower ones from the
-        command where that is beyond them, wider ones from the old ones. Without integral action the command approaches that of the new
-        gains at the safe rate.
-        """
+        """Go on with another description of the controller, without a jump of the command: limits and gains move at the safe rate."""
         old, command = self.controller.description, self.controller.command
         within = command[np.isfinite(command)]
         lowest, highest = (within.min(), within.max()) if len(within) else (old.lower, old.upper)

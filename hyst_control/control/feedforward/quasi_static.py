@@ -27,10 +27,7 @@ def quasi_static_stages(stages: Sequence[Stage], signal: Annotated[Array, "N A"]
 
 
 def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Slope (A,), measurement unit per V, and intercept (A,) of the straight line through the slow loop between two commands (A,).
-
-    The loop is taken over the part of [lower, upper] where the model is valid. Raises `InputError` when it has no slope.
-    """
+    """Slope (A,) and intercept (A,) of the line through the slow loop between two commands (A,); raises `InputError` where it is flat."""
     valid = model.valid.get("command")
     if valid is not None:
         inside = np.array(valid, dtype=float).reshape(-1, 2)

@@ -51,10 +51,7 @@ def lifted_inverse(
     damping: float = 1e-4,
     start: Array | None = None,
 ) -> LiftedInverse:
-    """Command that makes the model follow a reference from its first to its last sample.
-
-    The model starts settled at the first command.
-    """
+    """Command that makes the model, settled at the first command, follow a reference from its first to its last sample."""
     reference = np.ascontiguousarray(reference, dtype=float)
     axes = len(model.axes)
     if reference.ndim != 2 or reference.shape[1] != axes or len(reference) < 2 or not np.all(np.isfinite(reference)):

@@ -40,10 +40,7 @@ LONGEST_WIND_DOWN = 8.0
 
 
 def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
-    """Spin until a future is done.
-
-    Without a timeout an EventsExecutor runs no callbacks and handles no signals.
-    """
+    """Spin until a future is done, with a timeout: without one an EventsExecutor runs no callbacks and handles no signals."""
     executor.spin_until_future_complete(future, timeout_sec=timeout)
 
 

@@ -50,10 +50,7 @@ class Takeover:
     """Value (A,) on the actuator in V; None when nothing was heard."""
 
     def ready(self, patience: float) -> bool:
-        """True when the node may begin: it has heard what is applied, or has listened for `patience` s since the first call.
-
-        While nobody is known who would publish it, it listens for `DISCOVERY` s at most.
-        """
+        """True when the node may begin: it has heard what is applied, or has listened for `patience` s (`DISCOVERY` s to nobody)."""
         now = time.monotonic()
         if self._since is None:
             self._since = now

@@ -150,10 +150,7 @@ class PolledSubscription:
         self._handed.append((raw, time.time_ns(), label, block))
 
     def take(self, refused: Callable[[str], None], merge: bool = False) -> list[tuple[str, Array, int]]:
-        """Take the messages that have arrived.
-
-        It takes at most as many as the queue holds, so that a source that is faster than its receiver cannot block the owner.
-        """
+        """Take the messages that have arrived, at most a queue's: a source faster than its receiver cannot block the owner."""
         handle, raw = self.subscription.handle, self.raw
         found = list(self._handed)  # before those that the middleware carried: they were sent before
         self._handed.clear()

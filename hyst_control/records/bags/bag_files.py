@@ -93,10 +93,7 @@ class Bag:
         return ", ".join(f"{topic} ({kind})" for topic, (kind, _) in sorted(self.types.items())) or "none"
 
     def _of_file(self, file: Path, finished: bool, budget: Budget, packed: bool) -> Iterator[tuple[str, int, bytes]]:
-        """Messages of one storage file; of one that nobody finished all that can be read, with a note on the rest.
-
-        packed: every message is compressed by itself.
-        """
+        """Messages of one storage file (`packed`: each compressed by itself); of an unfinished one all that can be read, with a note."""
         compressed = file.suffix == ".zstd"
         count = 0
         try:

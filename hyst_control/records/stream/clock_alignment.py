@@ -14,11 +14,7 @@ from hyst_control.records.record import Record
 
 
 def aligned_by_reception(record: Record, topics: Sequence[str]) -> Record:
-    """Put topics on the clock of the first one, where their sample times do not overlap but they were received together.
-
-    The times of the others are moved by whole samples. A source that counts from its own start instead of from the clock's makes such
-    records.
-    """
+    """Put topics whose sources count from their own start on the clock of the first one, by whole samples, as received."""
     signals = [record.signals[topic] for topic in topics if topic in record.signals and len(record.signals[topic].time) > 1]
     if len(signals) < len(topics) or any(math.isnan(signal.received) for signal in signals):
         return record

@@ -195,10 +195,7 @@ class SignalRows:
         return oldest
 
     def release(self, now: float, give_up: bool = False) -> None:
-        """Move rows behind gaps into the queue once these are filled, or were waited for long enough, or `give_up`.
-
-        With `give_up` also rows count as joined that might not be the first ones.
-        """
+        """Move rows behind gaps into the queue once these are filled or were waited for long enough, and with `give_up` in any case."""
         if give_up:
             self.joined = True
         if self._held:

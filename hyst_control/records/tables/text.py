@@ -54,10 +54,7 @@ class TextTable:
     layout: Layout
 
     def columns(self, wanted: Sequence[int]) -> tuple[Array, list[str]]:
-        """Numbers (N, len(wanted)) of the columns of these numbers from 0, and notes on what was left out.
-
-        Raises `InputError` naming the line and cell that is no number; words below the last number are left out.
-        """
+        """Numbers (N, len(wanted)) of the columns of these numbers from 0, and notes on what was left out below the last number."""
         store, notes = RowStore(len(wanted)), list(self.layout.notes)
         with foreign_reader(self.path, "text", REMEDY):
             lines = ((number, line) for number, line in islice(self.lines(), self.layout.first, None) if not is_comment(line))

@@ -105,9 +105,7 @@ def test_a_page_of_a_part_says_of_how_many_cases_it_is(tmp_path):
     folder = tmp_path / "out" / "measured"
     (folder / "reports").mkdir(parents=True)
     cases = [replace(withheld(element, right), name=f"case_{i}") for i, (element, right) in enumerate(ELEMENTS.items())]
-    (folder / "labels.json").write_text(
-        json.dumps({"seed": 0, "count": 3, "cases": [as_document(case) for case in cases]})
-    )
+    (folder / "labels.json").write_text(json.dumps({"seed": 0, "count": 3, "cases": [as_document(case) for case in cases]}))
     command = ["blind-test", "--measured", "--so-far", "--output", str(tmp_path / "out"), "--page", str(tmp_path / "page.md")]
     assert main(command) == 2
     report = {"verdict": "no_gap", "effects": [], "unexplained_share": None}

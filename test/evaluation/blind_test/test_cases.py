@@ -119,7 +119,7 @@ def test_a_gap_under_the_noise_is_labelled_none_whatever_its_kind():
         case = Case("", "pea_published", kind, "multisine", 3e-3, 3, effects)
         label = label_of(case)
         assert label.kind == "none" and label.names == () and label.hidden == case.names and label.gap_rms > 0
-        assert as_document(replace(case, label=label))["label"]["effects"] == list(effects)
+        assert as_document(replace(case, label=label))["effects"] == list(effects)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_kinds_excitations_and_switches_are_chosen_on_the_command_line(tmp_path)
     assert main([*arguments, *chosen]) == 0
     cases = json.loads((folder / "labels.json").read_text())["cases"]
     assert {case["kind"] for case in cases} == {"open_set", "pair"} and {case["excitation"] for case in cases} == {"sine"}
-    assert all(effect["from"] > 0 for case in cases for effect in case["label"]["effects"])
+    assert all(effect["from"] > 0 for case in cases for effect in case["effects"])
     assert main([*arguments, *chosen]) == 0  # there already
     assert main([*arguments, "--kinds", "none"]) == 2  # other cases than those
 
