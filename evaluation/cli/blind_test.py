@@ -16,6 +16,7 @@ example:
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.result import CommandResult
@@ -25,63 +26,43 @@ HELP = "test the diagnosis on cases whose effect is withheld"
 WRITES = ("page",)
 
 
+COUNT: dict[str, Any] = {"type": int, "metavar": "COUNT"}
+OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    (
+        "--injected",
+        "with --seed: only put known effects into records of machines, measured and simulated",
+        {"action": "store_true"},
+    ),
+    (
+        "--plants",
+        "with --injected or --measured: plants, stack and mirror, and simulated with --injected (default: all)",
+        {"nargs": "+"},
+    ),
+    ("--count", "number of cases (default 800)", {**COUNT, "default": 800}),
+    ("--with-injected", "with --seed: number of injected cases beside the others", {**COUNT, "default": 0}),
+    ("--without-gap", "with --seed: number of further cases without a gap, for the false alarms", {**COUNT, "default": 0}),
+    ("--left-out", "single effects to diagnose again without them in the catalogue (default 100)", {**COUNT, "default": 100}),
+    ("--output", "folder to write: cases, labels and reports (default blind_out)", {"default": "blind_out", "metavar": "FOLDER"}),
+    ("--stop-after", "begin no further diagnosis after this time; the same call continues", {"type": float, "metavar": "SECONDS"}),
+    ("--so-far", "score the cases that an interrupted run has diagnosed, without diagnosing more", {"action": "store_true"}),
+    ("--core", "core of the diagnosis (default rules)", {"choices": ("rules", "likelihood"), "default": "rules"}),
+    ("--workers", "with --seed: worker processes (default: one a core)", {"type": int, "metavar": "N"}),
+    (
+        "--cluster",
+        "with --seed: Dask scheduler, its scheduler file, or local; its workers must see --output",
+        {"metavar": "ADDRESS"},
+    ),
+    ("--page", "page to write, with its figure", {"metavar": "OUT.md"}),
+)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--seed", type=int, help="seed of the cases")
-    what.add_argument(
-        "--measured", action="store_true", help="diagnose measured records with models from which one element was removed"
-    )
-    parser.add_argument(
-        "--injected",
-        action="store_true",
-        help="with --seed: only put known effects into records of the stack, the mirror and simulated machines",
-    )
-    parser.add_argument(
-        "--plants",
-        nargs="+",
-        metavar="PLANT",
-        help="with --injected or --measured: plants, stack and mirror, and simulated with --injected (default: all)",
-    )
-    parser.add_argument("--count", type=int, default=800, help="number of cases (default 800)")
-    parser.add_argument(
-        "--with-injected", type=int, default=0, metavar="COUNT", help="with --seed: number of injected cases beside the others"
-    )
-    parser.add_argument(
-        "--without-gap",
-        type=int,
-        default=0,
-        metavar="COUNT",
-        help="with --seed: number of further cases without a gap, which only the false alarms count",
-    )
-    parser.add_argument(
-        "--left-out",
-        type=int,
-        default=100,
-        help="number of single-effect cases to diagnose again without their effect in the catalogue (default 100)",
-    )
-    parser.add_argument(
-        "--output", default="blind_out", metavar="FOLDER", help="folder to write: cases, labels and reports (default blind_out)"
-    )
-    parser.add_argument(
-        "--stop-after",
-        type=float,
-        metavar="SECONDS",
-        help="with --seed: begin no further diagnosis after this time, and score what is done; the same call continues",
-    )
-    parser.add_argument(
-        "--so-far", action="store_true", help="score the cases that an interrupted run has diagnosed, without diagnosing more"
-    )
-    parser.add_argument(
-        "--core", choices=("rules", "likelihood"), default="rules", help="core of the diagnosis that is tested (default rules)"
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="with --seed: worker processes (default: one a core)")
-    parser.add_argument(
-        "--cluster",
-        metavar="ADDRESS",
-        help="with --seed: Dask scheduler, its scheduler file, or local to start one; its workers must see the folder of --output",
-    )
-    parser.add_argument("--page", metavar="OUT.md", help="page to write, with its figure")
+    what.add_argument("--measured", action="store_true", help="diagnose measured records with models that lost one element")
+    for option, meaning, given in OPTIONS:
+        parser.add_argument(option, help=meaning, **given)
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

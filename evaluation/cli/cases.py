@@ -22,48 +22,28 @@ HELP = "draw recorded cases with effects in them, labels in a separate file"
 JSON = "list of written files"
 
 
+OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("--seed", "seed of the cases (make)", {"type": int}),
+    ("--count", "number of cases (make; default 60)", {"type": int, "default": 60}),
+    ("--output", "folder to write: cases/ and labels.json (make), pictures (figures)", {"required": True, "metavar": "FOLDER"}),
+    ("--measured", "put known effects into records of machines, measured and simulated (make)", {"action": "store_true"}),
+    ("--fleet", "record a simulated fleet with its manifest (make)", {"nargs": 2, "type": int, "metavar": ("UNITS", "NIGHTS")}),
+    ("--plants", "truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's", {"nargs": "+"}),
+    ("--kinds", "content of the cases (make): single, pair, parameters, none, open_set (default: all)", {"nargs": "+"}),
+    ("--excitations", "records (make): rich, multisine, sine, closed_loop (default: all)", {"nargs": "+"}),
+    (
+        "--switched",
+        "share of the cases with effects that begin within the record (make; default 0)",
+        {"type": float, "default": 0.0},
+    ),
+)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument("action", choices=("make", "figures"), help="make: draw and record cases; figures: draw every effect")
-    parser.add_argument("--seed", type=int, help="seed of the cases (make)")
-    parser.add_argument("--count", type=int, default=60, help="number of cases (make; default 60)")
-    parser.add_argument(
-        "--output",
-        required=True,
-        metavar="FOLDER",
-        help="folder to write: cases/ and labels.json (make), a picture of each effect (figures)",
-    )
-    parser.add_argument(
-        "--measured",
-        action="store_true",
-        help="put known effects into records of the stack, the mirror and simulated machines (make)",
-    )
-    parser.add_argument(
-        "--fleet", nargs=2, type=int, metavar=("UNITS", "NIGHTS"), help="record a simulated fleet with its manifest (make)"
-    )
-    parser.add_argument(
-        "--plants",
-        nargs="+",
-        metavar="PLANT",
-        help="truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's, "
-        "pea_published, fsm_published and third",
-    )
-    parser.add_argument(
-        "--kinds",
-        nargs="+",
-        metavar="KIND",
-        help="content of the cases (make): single, pair, parameters, none, open_set (default: all)",
-    )
-    parser.add_argument(
-        "--excitations", nargs="+", metavar="EXCITATION", help="records (make): rich, multisine, sine, closed_loop (default: all)"
-    )
-    parser.add_argument(
-        "--switched",
-        type=float,
-        default=0.0,
-        metavar="SHARE",
-        help="share of the cases with effects whose effects begin within the record (make; default 0)",
-    )
+    for option, meaning, given in OPTIONS:
+        parser.add_argument(option, help=meaning, **given)
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

@@ -12,8 +12,8 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.stage import Filter, Sampling, register
-from hyst_control.effects.effect import Effect, Parameter, RecordCheck
-from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
+from hyst_control.effects.effect import RecordCheck
+from hyst_control.effects.random_stages import NoiseFilter, NoiseStage, noise_effect
 
 LOWEST = 0.03
 PER_DECADE = 3
@@ -67,13 +67,9 @@ def sum_of_lowpassed(draws: Array, keep: Array, fresh: Array, state: Array, outp
             output[row, axis] = total
 
 
-EFFECT = Effect(
-    "flicker_noise",
-    "adc",
+EFFECT = noise_effect(
+    FlickerNoise,
     "The measurement has noise that grows towards low frequencies.",
-    lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
-    lambda values, around: FlickerNoise(values["rms"], values.get("seed", 0)),
-    waveform=False,
-    record_check=RecordCheck.FALLING_SPECTRUM,
-    phrase="1/f noise of {rms} rms",
+    RecordCheck.FALLING_SPECTRUM,
+    "1/f noise of {rms} rms",
 )

@@ -11,7 +11,8 @@ import numpy as np
 
 from hyst_control.chain.memoryless import Saturation
 from hyst_control.chain.stage import register
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.effect import Effect
+from hyst_control.effects.saturation import limits
 
 
 @register
@@ -23,23 +24,11 @@ class OutputSaturation(Saturation):
     place: ClassVar[str] = "sensor"
 
 
-def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """A limit within the range that is measured, or as far beyond it as noise carries."""
-    low, high = around.measurement
-    reach = max(high - low, 1e-9)
-    inside, most, beyond = 0.1 * reach, 0.45 * reach, 0.02 * reach
-    return (
-        Parameter("lower", "unit", -np.inf, (low, low + inside), low - beyond, low + most, inside),
-        Parameter("upper", "unit", np.inf, (high, high - inside), high - most, high + beyond, inside),
-        Parameter("knee", "unit", 0.0, (0.02 * reach,), 0.002 * reach, 0.2 * reach, 1.0, True, told=False),
-    )
-
-
 EFFECT = Effect(
     "output_saturation",
     "sensor",
     "What is measured ends at one side: an end stop, an overflow, or the end of the sensor's range.",
-    parameters,
+    lambda around: limits("unit", *around.measurement, 0.02, False),  # beyond the range as far as noise carries
     lambda values, around: OutputSaturation(values["lower"], values["upper"], values.get("knee", 0.0)),
     variants=lambda around: tuple(
         {absent: limit, **knee} for knee in ({"knee": 0.0}, {}) for absent, limit in (("lower", -np.inf), ("upper", np.inf))

@@ -14,6 +14,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import ScalarPerAxis, count, scalar
 from hyst_control.chain.stage import Filter, Role, Stage, per_axis_scalar
+from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 
 
 @dataclass(frozen=True)
@@ -69,3 +70,17 @@ class NoiseFilter(Filter):
 
     def c_code(self) -> CCode:
         raise InputError(f"{type(self).__name__}: {RANDOM}")
+
+
+def noise_effect(stage: type[NoiseStage], meaning: str, check: RecordCheck, phrase: str) -> Effect:
+    """Effect of a noise, which a check of the record finds and measures."""
+    return Effect(
+        stage.name,
+        stage.place,
+        meaning,
+        lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
+        lambda values, around: stage(values["rms"], values.get("seed", 0)),
+        waveform=False,
+        record_check=check,
+        phrase=phrase,
+    )

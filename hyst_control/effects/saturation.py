@@ -7,18 +7,20 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.chain.memoryless import Saturation
-from hyst_control.effects.effect import Effect, Parameter, Surroundings
+from hyst_control.effects.effect import Effect, Parameter
 
 
-def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Limits inside the record's range of command: at its end a limit does nothing. They set in at once or over a knee."""
-    low, high = around.command
+def limits(unit: str, low: float, high: float, beyond: float, together: bool) -> tuple[Parameter, ...]:
+    """Limits within a range and `beyond` it by a share, at once or over a knee; `together`: fits begin with one inside, or both."""
     reach = max(high - low, 1e-9)
-    inside, most, beyond = 0.1 * reach, 0.45 * reach, 1e-3 * reach
+    inside, most, beyond = 0.1 * reach, 0.45 * reach, beyond * reach
+    lower, upper = (low, low + inside), (high, high - inside)
+    if together:
+        lower, upper = (*lower, low + inside), (high - inside, *upper)
     return (
-        Parameter("lower", "V", -np.inf, (low, low + inside, low + inside), low - beyond, low + most, inside),
-        Parameter("upper", "V", np.inf, (high - inside, high, high - inside), high - most, high + beyond, inside),
-        Parameter("knee", "V", 0.0, (0.02 * reach,), 0.002 * reach, 0.2 * reach, 1.0, True, told=False),
+        Parameter("lower", unit, -np.inf, lower, low - beyond, low + most, inside),
+        Parameter("upper", unit, np.inf, upper, high - most, high + beyond, inside),
+        Parameter("knee", unit, 0.0, (0.02 * reach,), 0.002 * reach, 0.2 * reach, 1.0, True, told=False),
     )
 
 
@@ -26,7 +28,7 @@ EFFECT = Effect(
     "saturation",
     "drive",
     "The driver clips the command.",
-    parameters,
+    lambda around: limits("V", *around.command, 1e-3, True),  # at the end of the range that is driven a limit does nothing
     lambda values, around: Saturation(values["lower"], values["upper"], values.get("knee", 0.0)),
     variants=lambda around: ({"knee": 0.0}, {}),
     exercised=lambda around: around.command[1] > around.command[0],

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.stage import Filter, Sampling, register
-from hyst_control.effects.effect import Effect, Parameter, RecordCheck
-from hyst_control.effects.random_stages import NoiseFilter, NoiseStage
+from hyst_control.effects.effect import RecordCheck
+from hyst_control.effects.random_stages import NoiseFilter, NoiseStage, noise_effect
 
 
 @register
@@ -31,13 +31,9 @@ class WhiteFilter(NoiseFilter):
         return self.generator.standard_normal((count, len(self.rms)))
 
 
-EFFECT = Effect(
-    "sensor_noise",
-    "adc",
+EFFECT = noise_effect(
+    SensorNoise,
     "The measurement has more white noise than the model states.",
-    lambda around: (Parameter("rms", "unit", 0.0, (0.002 * around.stroke,), 0.0, 0.2 * around.stroke, 0.01 * around.stroke),),
-    lambda values, around: SensorNoise(values["rms"], values.get("seed", 0)),
-    waveform=False,
-    record_check=RecordCheck.WHITE_SPECTRUM,
-    phrase="sensor noise of {rms} rms",
+    RecordCheck.WHITE_SPECTRUM,
+    "sensor noise of {rms} rms",
 )
