@@ -14,9 +14,12 @@ def limits(unit: str, low: float, high: float, beyond: float, together: bool) ->
     """Limits within a range and `beyond` it by a share, at once or over a knee; `together`: fits begin with one inside, or both."""
     reach = max(high - low, 1e-9)
     inside, most, beyond = 0.1 * reach, 0.45 * reach, beyond * reach
-    lower, upper = (low, low + inside), (high, high - inside)
-    if together:
-        lower, upper = (*lower, low + inside), (high - inside, *upper)
+    starts = (
+        ((low, high - inside), (low + inside, high), (low + inside, high - inside))
+        if together
+        else ((low, high), (low + inside, high - inside))
+    )
+    lower, upper = zip(*starts, strict=True)
     return (
         Parameter("lower", unit, -np.inf, lower, low - beyond, low + most, inside),
         Parameter("upper", unit, np.inf, upper, high - most, high + beyond, inside),

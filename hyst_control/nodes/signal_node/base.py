@@ -23,14 +23,14 @@ from hyst_control.nodes.signal_node.lockstep import Lockstep
 from hyst_control.nodes.signal_node.message_io import CallbackSubscription, PolledSubscription, Sender
 from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics, ThrottledWarnings
 from hyst_control.nodes.signal_node.parameters import Setting, declare
-from hyst_control.nodes.signal_node.signal_ports import Input, Output, ScheduledNode
+from hyst_control.nodes.signal_node.signal_ports import Input, Output
 from hyst_control.nodes.signal_node.timer import Timer
 from hyst_control.processes.realtime_scheduling import set_scheduler
 from hyst_control.records.stream.signal_message import label_for
 from hyst_control.records.stream.signal_rows import Missing, SignalRows, Wait
 
 
-class SignalNode(EndingNode, ScheduledNode):
+class SignalNode(EndingNode):
     """Node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     COMMON_SETTINGS = COMMON
@@ -75,6 +75,24 @@ class SignalNode(EndingNode, ScheduledNode):
         """The schedule, where that is the timer."""
         assert isinstance(self.schedule, Timer)
         return self.schedule
+
+    def advance(self) -> None:
+        """Use the rows that are available, in lockstep."""
+
+    def tick(self, tick: int) -> None:
+        """Produce `block` samples, under the timer; the `timer.missed` samples before them were not requested."""
+
+    def arrived(self, source: Input, tick: int, stamp: int) -> None:
+        """Take note of the time at which rows arrived, under the timer."""
+
+    def repeat(self, source: Input, tick: int) -> None:
+        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep."""
+
+    def out_of_order(self, source: Input, tick: int) -> None:
+        """React to rows that arrived while earlier ones are missing, in lockstep."""
+
+    def reset(self) -> None:
+        """Return to the state after a start."""
 
     def changed(self, name: str, value: Any) -> None:
         """Take over the new value of a live parameter."""

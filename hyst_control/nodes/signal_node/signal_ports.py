@@ -93,7 +93,7 @@ class Schedule:
 
 
 class ScheduledNode(Protocol):
-    """Node as seen by its inputs and its schedule, with what a subclass of `SignalNode` may do when they call it."""
+    """Node as seen by its inputs and its schedule; `SignalNode` says what the methods do."""
 
     counts: Counter[str]
     inputs: list[Input]
@@ -103,19 +103,18 @@ class ScheduledNode(Protocol):
     finished: Future
     ever_active: bool
     diagnostics: NodeDiagnostics
-    schedule: Schedule
 
     def advance(self) -> None:
         """Use the rows that are available, in lockstep."""
 
     def tick(self, tick: int) -> None:
-        """Produce `block` samples, under the timer; the `timer.missed` samples before them were not requested."""
+        """Produce the samples of a tick, under the timer."""
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
         """Take note of the time at which rows arrived, under the timer."""
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep."""
+        """Publish again the rows that followed from repeated ones, in lockstep."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
         """React to rows that arrived while earlier ones are missing, in lockstep."""
@@ -143,6 +142,10 @@ class ScheduledNode(Protocol):
 
     def get_clock(self) -> Any:
         """The node's clock, which may be simulated."""
+
+    @property
+    def schedule(self) -> Schedule:
+        """Its schedule."""
 
 
 class Input:
