@@ -17,7 +17,7 @@ NEAR = 1.0
 
 
 def score_study(study: str | Path, labels: str | Path) -> Table:
-    """Compare a study's changes with the labels of its fleet; the night of a unit is that of its most probable shift."""
+    """Compare a study's changes with the labels of its fleet; a unit's run is that of its most probable shift."""
     found = _document(Path(study) / "fleet.json", ("onsets", "trends", "common_causes"))
     truth = _document(Path(labels), ("units", "nights", "driver"))
     begins = {unit["name"]: float(unit["begins"]) for unit in truth["units"] if unit["effect"]}
