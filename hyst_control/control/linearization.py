@@ -29,7 +29,7 @@ from hyst_control.model_file import Model
 
 
 def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
-    """Mean and greatest local slope (A,) of the hysteresis at rest over the valid range, without the first per cent after a reversal."""
+    """Mean and greatest local slope (A,) of the hysteresis at rest over the valid range, without the first percent after a reversal."""
     axes = len(model.axes)
     core = next((stage for stage in model.chain.stages if hysteretic(stage)), None)
     if core is None:
