@@ -71,9 +71,9 @@ def signal_chain() -> None:
 
 def tour(folder: Path, to: Path) -> None:
     """Loops of the excitation, and the last two periods of the tracking before its way out."""
-    [excited] = read_bag(folder / "excitation").aligned(["command", "measurement"])
+    [excited] = read_bag(folder / "excitation").aligned()
     figure, (loops, tracking) = plt.subplots(1, 2, figsize=(9.5, 3.4), layout="constrained")
-    command, position = (excited.values[topic][:, 0] for topic in ("command", "measurement"))
+    command, position = (excited.signal(topic).values[:, 0] for topic in ("command", "measurement"))
     points = np.column_stack([command, position])[:, None]
     frequency = motion_frequency(command, excited.sample_time)
     curve = LineCollection(np.concatenate([points[:-1], points[1:]], axis=1), array=frequency, norm="log", cmap="viridis", lw=0.5)
@@ -82,7 +82,7 @@ def tour(folder: Path, to: Path) -> None:
     figure.colorbar(curve, ax=loops, label="frequency [Hz]")
     loops.set(xlabel="voltage [V]", ylabel="position [um]", title="excitation")
     [tracked] = read_bag(folder / "tracking").aligned(["reference", "measurement"])
-    reference, measurement = (tracked.values[topic][7200:8000, 0] for topic in ("reference", "measurement"))
+    reference, measurement = (tracked.signal(topic).values[7200:8000, 0] for topic in ("reference", "measurement"))
     time = np.arange(800) * tracked.sample_time * 1e3
     print(f"tracking: NRMSE {100 * np.sqrt(np.mean((measurement - reference) ** 2)) / np.ptp(reference):.2f} % over two periods")
     tracking.plot(time, reference, lw=2, label="reference")

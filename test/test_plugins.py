@@ -36,7 +36,7 @@ from hyst_control.chain.stage import Stage, per_axis_scalars, register
 from hyst_control.control.feedforward.compensator import Compensator
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.identify import Estimator, Fit, Options, option
-from hyst_control.identify.data.dataset import check_records
+from hyst_control.identify.data.fit import check_records
 from hyst_control.identify.assess.fit_report import record_rows
 from hyst_control.identify.families.options import NUMBER
 from hyst_control.model_file import Model
@@ -92,9 +92,9 @@ class RippleFamily(Estimator[RippleOptions]):
     sentence = "a gain and the interpolation error of an encoder"
     Options = RippleOptions
 
-    def fit(self, datasets, options):
-        check_records(datasets)
-        data = datasets[0]
+    def fit(self, records, options):
+        check_records(records)
+        data = records[0]
         held = np.concatenate([data.command[:1], data.command[:-1]])  # what the measurement of a tick answers
         gain = amplitude = 0.0
         for _ in range(20):
@@ -104,7 +104,7 @@ class RippleFamily(Estimator[RippleOptions]):
             amplitude = float(np.sum(wave * (data.measurement - gain * held)) / np.sum(wave**2))
         chain = Chain((Gain(gain), Ripple(amplitude, options.pitch)))
         model = Model("ripple", data.axes, {"command": "V", "measurement": data.unit}, data.sample_time, chain)
-        rows, _ = record_rows(model, datasets)
+        rows, _ = record_rows(model, records)
         parameters = [{"name": "amplitude", "value": amplitude, "standard_error": None, "unit": data.unit}]
         report = {"family": self.name, "method": options.method, "unit": data.unit, "records": rows, "parameters": parameters, "notes": []}
         return Fit(model, report)

@@ -22,8 +22,8 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.linear.rational_factors import rational
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import sampled_record
 from hyst_control.reporting.tables import Table
 
 RUNS = 200
@@ -104,7 +104,7 @@ def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
     measured = simulate(truth, command) + case.noise(random, len(command))[:, None]
     if case.step:
         measured = case.step * np.rint(measured / case.step)
-    data = Dataset("run", command, measured, 1.0 / RATE, ("x",), "um")
+    data = sampled_record("run", command, measured, 1.0 / RATE, ("x",), "um", start="settled")
     options: dict[str, Any] = {"structure": case.dynamics} if case.dynamics else {}
     fit = identify([data], case.family, thresholds=(0.0, *THRESHOLDS), **options)
     known = {name: each.value for name, each in chain_coordinates(stages, ("x",)).items()}

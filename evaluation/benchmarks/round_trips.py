@@ -22,10 +22,11 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshl
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Offset
-from hyst_control.identify import Dataset, Fit, identify
+from hyst_control.identify import Fit, identify
 from hyst_control.identify.assess.fit_report import record_rows
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record, sampled_record
 from hyst_control.reporting.tables import Table
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 from hysteretic_oscillators.stages.duhem import Duhem
@@ -108,7 +109,7 @@ def sines(sample_time: float, seconds: float, *cycles: tuple[float, float]) -> A
     return np.concatenate(parts)[:, None]
 
 
-def session(name: str, label: str, zero: float, drift: float, *cycles: tuple[float, float]) -> Dataset:
+def session(name: str, label: str, zero: float, drift: float, *cycles: tuple[float, float]) -> Record:
     """Record `cycles` from amid the first of them, as a laboratory has it."""
     plant = PLANTS[name]
     sample_time, pace = plant.sample_time, plant.pace
@@ -121,16 +122,16 @@ def session(name: str, label: str, zero: float, drift: float, *cycles: tuple[flo
     span = float(np.ptp(measurement))
     measurement = measurement + span * (zero + drift * np.linspace(0.0, 1.0, len(measurement))[:, None])
     step = 1.25 * span / 2**BITS
-    return Dataset(label, command, step * np.rint(measurement / step), sample_time, ("x",), "um", start="auto")
+    return sampled_record(label, command, step * np.rint(measurement / step), sample_time, ("x",), "um", start="auto")
 
 
-def taught(name: str) -> Dataset:
+def taught(name: str) -> Record:
     """Record from which a family is identified."""
     return session(
         name, "fitted", 0.05, 0.02, (1.0, 30.0), (2.0, 40.0), (2.0, 25.0), (4.0, 15.0), (4.0, 40.0), (20.0, 32.0), (1.0, 10.0)
     )
 
 
-def fresh(name: str) -> Dataset:
+def fresh(name: str) -> Record:
     """Record of another session: other amplitudes and frequencies, other zero, other drift."""
     return session(name, "held out", -0.04, -0.015, (1.5, 20.0), (3.0, 38.0), (2.5, 28.0), (12.0, 30.0), (5.0, 33.0))

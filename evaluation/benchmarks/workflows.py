@@ -21,9 +21,8 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import executor
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.records.excitation import excitation
-from hyst_control.records.record import Record
+from hyst_control.records.record import Record, sampled_record
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant
 
@@ -66,10 +65,10 @@ def identification(family: str, seconds: float) -> tuple[float, float, float, in
     once, count = len(rows), round(seconds * RATE)
     rows = np.tile(rows, (-(-count // once), 1))[:count]
     truth = load_plant({"plant": plant}, seed=1, sample_time=1.0 / RATE, noise=noise)
-    dataset = Dataset("bench", rows, respond(truth, rows), 1.0 / RATE, axes, unit)
-    identify([dataset.rows(0, min(once, count))], family)
+    record = sampled_record("bench", rows, respond(truth, rows), 1.0 / RATE, axes, unit, start="settled")
+    identify([record.rows(0, min(once, count))], family)
     begin, before = time.perf_counter(), processor_time()
-    identify([dataset], family)
+    identify([record], family)
     elapsed, processor = time.perf_counter() - begin, processor_time() - before
     return elapsed, processor, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
 

@@ -24,10 +24,10 @@ from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
 from hyst_control.base.arrays import Array
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
 from hyst_control.records.excitation.excitation import build
+from hyst_control.records.record import sampled_record
 from hyst_plant_sim.physics import bouc_wen_stage, load_plant
 
 ROWS, FILLING, PERIOD = 1600, 400, 200
@@ -93,10 +93,11 @@ def stack_machine(scoring: bool) -> Machine:
         cases, same = (loops[2], *plain[1:-1]), {0: loops[3]}
 
     def model() -> Model:
-        datasets = [
-            replace(full, name=one.name, command=one.command, measurement=one.measurement, start="unknown") for one in training
+        records = [
+            sampled_record(one.name, one.command, one.measurement, full.sample_time, full.axes, full.unit, full.hold, "unknown")
+            for one in training
         ]
-        return identified(datasets).model
+        return identified(records).model
 
     return Machine("stack", ("x",), stack.SAMPLE_TIME, FILLING * stack.SAMPLE_TIME, cases, same, (plain[-1], shaped[-1]), model)
 
@@ -146,7 +147,9 @@ def simulated_machine(name: str, scoring: bool) -> Machine:
 
     def model() -> Model:
         records = [record(seed) for seed in MODEL_SEEDS]
-        return identified([Dataset(each.name, each.command, each.measurement, step, ("x",), "um") for each in records]).model
+        return identified(
+            [sampled_record(each.name, each.command, each.measurement, step, ("x",), "um", start="settled") for each in records]
+        ).model
 
     cases = tuple(record(seed) for seed in (SCORING_SEEDS if scoring else TUNING_SEEDS))
     return Machine(name, ("x",), step, 0.0, cases, {}, (), model)

@@ -16,11 +16,11 @@ from evaluation.blind_test.plant_setups import IDENTIFICATION, SCATTER, SETUPS, 
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, load_model, simulate
 from hyst_control.records.excitation.excitation import build
+from hyst_control.records.record import sampled_record
 from hyst_plant_sim.physics import load_plant
 
 CLEAN_SEEDS = (5000, 5001, 5002, 5003)
@@ -59,13 +59,13 @@ def _identified(plant: str) -> tuple[Model, float]:
         return rows, respond(truth, rows)
 
     diagnostic = {"signal": "diagnostic", "lowest": low, "highest": high}
-    records = [clean({**spec, "peak": high}), *(clean({**diagnostic, "seed": seed}) for seed in CLEAN_SEEDS)]
-    datasets = [
-        Dataset(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"])
-        for index, record in enumerate(records)
+    runs = [clean({**spec, "peak": high}), *(clean({**diagnostic, "seed": seed}) for seed in CLEAN_SEEDS)]
+    records = [
+        sampled_record(f"clean {index}", *record, setup.sample_time, truth.axes, truth.units["measurement"], start="settled")
+        for index, record in enumerate(runs)
     ]
-    model = identify(datasets[:2], family).model
-    model = replace(model, discrepancy=discrepancy(model, [with_beginning(data) for data in datasets]))
+    model = identify(records[:2], family).model
+    model = replace(model, discrepancy=discrepancy(model, [with_beginning(data) for data in records]))
     rows, measured = clean({**diagnostic, "seed": 6000})
     return model, float(np.sqrt(np.mean((measured - simulate(model, rows, setup.sample_time)) ** 2)))
 

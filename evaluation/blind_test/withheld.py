@@ -30,7 +30,6 @@ from evaluation.reproduction import pea_p885 as stack
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, simulate
@@ -126,7 +125,7 @@ def _stack() -> dict[str, Made]:
     return found
 
 
-def _without_memory(model: Model, cycle: Dataset) -> Model:
+def _without_memory(model: Model, cycle: Record) -> Model:
     """Replace the operators by a static gain: the slope of the cycle's chord."""
     slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
     return replace(with_stages(model, TransferFunction((slope,), (1.0,))), uncertainty={})  # that was of the operators

@@ -23,8 +23,9 @@ from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.data.fit import Fit
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record, sampled_record
 from hyst_control.reporting.tables import Table
 
 SAMPLE_TIME = 1.0 / 750.0
@@ -98,10 +99,10 @@ def load() -> tuple[Array, list[Test]]:
     return train.reshape(5, PERIOD, 2), tests
 
 
-def training_record(periods: Annotated[Array, "5 8192 2"], refinement: int = REFINEMENT) -> Dataset:
+def training_record(periods: Annotated[Array, "5 8192 2"], refinement: int = REFINEMENT) -> Record:
     """Mean of the steady periods, interpolated; it begins amid a motion and is preceded by itself."""
     force, displacement = (interpolated(signal, refinement)[:, None] for signal in periods[1:].mean(axis=0).T)
-    return Dataset("multisine_train", force, displacement, SAMPLE_TIME / refinement, ("x",), "um", "foh", "unknown")
+    return sampled_record("multisine_train", force, displacement, SAMPLE_TIME / refinement, ("x",), "um", "foh", "unknown")
 
 
 def predict(model: Model, test: Test) -> Annotated[Array, "N"]:

@@ -33,7 +33,7 @@ from hyst_control.identify.modal.modal_candidate import refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import Spectra
 from hyst_control.identify.modal.modal_stages import stages_of
-from hyst_control.identify.workflow import datasets_of, discrepancy, identify_records
+from hyst_control.identify.workflow import discrepancy, gapless_records, identify_records
 from hyst_control.model_file import Model
 from hyst_control.reporting.tables import Table
 
@@ -239,4 +239,4 @@ def _two_periods(level: Level, realization: int) -> Record:
 
 def _with_discrepancy(model: Model, record: Record) -> Model:
     """The model with what it leaves of its own level, which begins amid a motion."""
-    return replace(model, discrepancy=discrepancy(model, datasets_of(record, model.hold, "unknown")))
+    return replace(model, discrepancy=discrepancy(model, gapless_records(record, model.hold, "unknown")))

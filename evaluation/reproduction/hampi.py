@@ -28,9 +28,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.control.tuning import tune
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model, save_model
 from hyst_control.records.excitation import excitation
+from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
 GIVEN = HAMPI.published
@@ -135,7 +135,7 @@ def second_truth(table: Table, folder: Path, extent: Extent) -> None:
     hampi_tables.tracking(table, tracked, parts, STROKE, "HAMPI second truth, Table 5")
 
 
-def in_sequence(data: Dataset, families: Sequence[str] = ("hapi", "rdpi", "hampi")) -> dict[str, Model]:
+def in_sequence(data: Record, families: Sequence[str] = ("hapi", "rdpi", "hampi")) -> dict[str, Model]:
     """Identify models by the paper's own steps; RDPI, which has no steps, from the same records at once."""
     return {family.upper(): identify([data], family, "joint" if family == "rdpi" else "paper").model for family in families}
 

@@ -18,9 +18,9 @@ from hyst_control.chain.stage import Sampling
 from hyst_control.control.feedforward.inverse_dynamics import METHODS, invert_dynamics, sampled_systems
 from hyst_control.control.linearization import sampled_response
 from hyst_control.identify.assess.fit_report import residual
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.record_segmentation import select_stretches
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
 GIVEN = HAMPI.published
@@ -57,7 +57,7 @@ def response(model: Model, frequency: Annotated[Array, "F"]) -> Complex:
     return scaled
 
 
-def phase_lags(table: Table, model: Model, data: Dataset, places: Sequence[Place]) -> None:
+def phase_lags(table: Table, model: Model, data: Record, places: Sequence[Place]) -> None:
     """Add Table 1: lags of G(s) and of the actuator relative to the lowest frequency, which removes the hysteresis' own.
 
     At that frequency itself both are 0 by definition and have no row.
@@ -90,7 +90,7 @@ BEFORE = (0.001, 0.02)
 """s of rest before the step that belong to it: little, and all of the record's."""
 
 
-def step_response(model: Model, data: Dataset, before: float = BEFORE[0]) -> tuple[Array, Array, Array]:
+def step_response(model: Model, data: Record, before: float = BEFORE[0]) -> tuple[Array, Array, Array]:
     """Compute the measured step and that of G(s), with the gain that fits best."""
     step = select_stretches([data], 0, "step")[0]
     rows = slice(max(step.begin - round(before / data.sample_time), 0), step.end)
@@ -100,7 +100,7 @@ def step_response(model: Model, data: Dataset, before: float = BEFORE[0]) -> tup
     return time, measured, answer * (answer @ measured) / (answer @ answer)
 
 
-def step_fit(table: Table, model: Model, data: Dataset) -> None:
+def step_fit(table: Table, model: Model, data: Record) -> None:
     """Add Fig. 2: the fit 100 (1 - |y - model| / |y - mean|) of the step of 10 V."""
     # The record begins at rest: what it scatters there no model can fit.
     begin = select_stretches([data], 0, "step")[0].begin
@@ -141,7 +141,7 @@ def dynamic_weights(table: Table, model: Model) -> None:
         )
 
 
-def rotation(table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place]) -> None:
+def rotation(table: Table, models: Mapping[str, Model], data: Record, places: Sequence[Place]) -> None:
     """Add Figs. 1 and 6: rotation and widening of the highest loops with the rate, measured and simulated.
 
     Tilt (the part of the motion in phase with the drive) and stroke are relative to the slowest loops, area is relative to the loop's box.
@@ -188,7 +188,7 @@ def inverses(table: Table, model: Model, sample_time: float) -> None:
         table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest phase error", "deg", np.abs(np.degrees(np.angle(value))).max())
 
 
-def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[float, float, float]]:
+def errors(model: Model, data: Record, places: Sequence[Place]) -> list[tuple[float, float, float]]:
     """Compute a model's errors on every scored stretch (paper Eq. 25 and 26)."""
     error = residual(model, data)[:, 0]
     found = []
@@ -198,9 +198,7 @@ def errors(model: Model, data: Dataset, places: Sequence[Place]) -> list[tuple[f
     return found
 
 
-def predictions(
-    table: Table, models: Mapping[str, Model], data: Dataset, places: Sequence[Place], where: str | None = None
-) -> None:
+def predictions(table: Table, models: Mapping[str, Model], data: Record, places: Sequence[Place], where: str | None = None) -> None:
     """Add Table 4 and Figs. 11, 12: errors on held-out loops; the paper gives figures for 140 V alone."""
     for name, model in models.items():
         for place, (rmse, nrmse, _) in zip(places, errors(model, data, places), strict=True):
@@ -212,9 +210,7 @@ def predictions(
                 table.add(title, case, name, quantity, unit, value, published=published, n=rows)
 
 
-def methods(
-    table: Table, joint: Mapping[str, Model], sequence: Mapping[str, Model], data: Dataset, places: Sequence[Place]
-) -> None:
+def methods(table: Table, joint: Mapping[str, Model], sequence: Mapping[str, Model], data: Record, places: Sequence[Place]) -> None:
     """Add the joint identification beside the paper's sequence, on the same held-out loops."""
     for name in (name for name in sequence if name in joint and name != "RDPI"):
         model = sequence[name]
@@ -225,7 +221,7 @@ def methods(
 
 
 def pooled(
-    table: Table, compared: Sequence[tuple[Mapping[str, Model], Mapping[str, Model], Sequence[Place]]], data: Dataset
+    table: Table, compared: Sequence[tuple[Mapping[str, Model], Mapping[str, Model], Sequence[Place]]], data: Record
 ) -> None:
     """Add joint identification and the paper's sequence over all held-out loops together: rms of the NRMSE.
 

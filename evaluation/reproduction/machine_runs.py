@@ -12,9 +12,9 @@ from typing import Any
 from hyst_control.base.arrays import Array
 from hyst_control.base.config_files import config_path
 from hyst_control.demo.node_runs import run_processes
-from hyst_control.identify.data.dataset import Dataset
-from hyst_control.identify.workflow import datasets_of
+from hyst_control.identify.workflow import gapless_records
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.record import Record
 
 BLOCK = 500
 """Rows of a message where nothing feeds back."""
@@ -40,9 +40,9 @@ class Machine:
         """Run the five nodes over a command (N, A) in V; the bag."""
         return self._run(folder, command, sample_time or self.sample_time, UNITY, {"start": start}, {"seed": seed}, block=BLOCK)
 
-    def record(self, folder: Path, command: Array, seed: int, sample_time: float | None = None) -> Dataset:
+    def record(self, folder: Path, command: Array, seed: int, sample_time: float | None = None) -> Record:
         """Record a command (N, A) in V in open loop."""
-        return datasets_of(read_bag(self.open_loop(folder, command, seed, sample_time)))[0]
+        return gapless_records(read_bag(self.open_loop(folder, command, seed, sample_time)))[0]
 
     def track(
         self,
@@ -78,4 +78,4 @@ class Machine:
 
 def signals_of(bag: Path) -> dict[str, Array]:
     """Read every signal of a tracking bag on one clock."""
-    return dict(read_bag(bag).aligned(SIGNALS)[0].values)
+    return read_bag(bag).aligned(SIGNALS)[0].values

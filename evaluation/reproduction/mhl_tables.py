@@ -13,8 +13,9 @@ from evaluation.reproduction.papers import MHL
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
-from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.data.fit import Fit
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
 GIVEN = MHL.published
@@ -100,7 +101,7 @@ RATING_OVER = 100.0
 """V, at which the paper's input is 1."""
 
 
-def widening(table: Table, data: Dataset) -> None:
+def widening(table: Table, data: Record) -> None:
     """Add Fig. 1b: area of the measured loop relative to its box, for the first full slow loop and for the sweep's last at 100 Hz."""
     for index, axis in enumerate(data.axes):
         command, measurement = data.command[:, index], data.measurement[:, index]
@@ -116,7 +117,7 @@ def widening(table: Table, data: Dataset) -> None:
 
 
 def predictions(
-    table: Table, models: Mapping[str, Model], static: tuple[Dataset, list[slice]], multi: tuple[Dataset, list[slice]]
+    table: Table, models: Mapping[str, Model], static: tuple[Record, list[slice]], multi: tuple[Record, list[slice]]
 ) -> None:
     """Add Figs. 9 and 11: prediction errors on held-out records, after the drive has been at the top of the major loop."""
     for title, (data, scored), published in (("MHL Fig. 9", static, (0.96, 0.25)), ("MHL Fig. 11", multi, (2.66, 0.85))):
@@ -127,7 +128,7 @@ def predictions(
                 add_errors(table, title, f"axis {axis}", f"MHL, {method}", found, published)
 
 
-def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float, slice, slice]]) -> None:
+def fast(table: Table, model: Model, data: Record, places: Sequence[tuple[float, slice, slice]]) -> None:
     """Add Table 3: errors on sines of 10 V about mid-drive."""
     predicted = simulate(model, data.command, data.sample_time)
     for frequency, *scored in places:
@@ -136,7 +137,7 @@ def fast(table: Table, model: Model, data: Dataset, places: Sequence[tuple[float
             add_errors(table, "MHL Table 3", f"{frequency:g} Hz, axis {axis}", "MHL, paper", found, GIVEN["table_3"][frequency])
 
 
-def open_loop(table: Table, model: Model, data: Dataset) -> None:
+def open_loop(table: Table, model: Model, data: Record) -> None:
     """Add Fig. 10: the model's response relative to the measured one, 60 to 3500 Hz (the sweep's ends are windowed away).
 
     The relative error of the response, rms over the frequencies. Beside it stands the largest NRMSE of Table 3. Over a sine, that is an
@@ -204,7 +205,7 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
             )
 
 
-def phases(table: Table, data: Dataset, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
+def phases(table: Table, data: Record, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
     """Add the lags of §4.4 at 100 Hz: of the mirror under the drive of Fig. 11, of the identified Ψ', and of N(s)."""
     # data: record under the drive of Fig. 11
     k2 = cast(Sequence[float], rate_correction_of(inverse).k2)  # per axis
@@ -239,7 +240,7 @@ def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts:
             table.add("MHL Fig. 18", case, name, "settling_time", "ms", 1e3 * settling_time(signals, parts[case], sample_time))
 
 
-def open_loop_responses(model: Model, data: Dataset, axis: int) -> tuple[Array, Complex, Complex]:
+def open_loop_responses(model: Model, data: Record, axis: int) -> tuple[Array, Complex, Complex]:
     """Compute measured and modeled responses by cross spectra of an axis' small sweep."""
     command = data.command[:, axis]
     own = slice(axis * len(command) // len(data.axes), (axis + 1) * len(command) // len(data.axes))

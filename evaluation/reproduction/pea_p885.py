@@ -21,10 +21,10 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.assess.fit_report import record_rows, residual
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record, sampled_record
 from hyst_control.reporting.tables import Table
 
 SAMPLE_TIME = 5e-3
@@ -52,12 +52,11 @@ class Change:
     factor: float
     zero: float
 
-    def of(self, record: Dataset, cut: int = 0) -> Dataset:
+    def of(self, record: Record, cut: int = 0) -> Record:
         """Change a record and cut off its first rows; how it begins is for the identification to find."""
-        command = self.sign * record.command[cut:] + self.shift
-        return replace(
-            record, command=command, measurement=self.factor * record.measurement[cut:] + self.zero, start="auto", beginning=None
-        )
+        kept = record.rows(cut, len(record))
+        command, measurement = self.sign * kept.command + self.shift, self.factor * kept.measurement + self.zero
+        return replace(kept.with_values(command=command, measurement=measurement), start="auto")
 
 
 CHANGES = {
@@ -79,7 +78,7 @@ class Prediction:
     predicted: Array
 
 
-def load() -> tuple[Dataset, Dataset]:
+def load() -> tuple[Record, Record]:
     """Load the two files: full loops and nested loops."""
     folder = data_folder("pea_p885")
     records = []
@@ -91,16 +90,16 @@ def load() -> tuple[Dataset, Dataset]:
         if values.ndim != 2 or values.shape[1] != columns or len(values) < 8000:
             raise InputError(f"{folder / name}: shape {values.shape}, {columns} columns are due: fetch the file again")
         command, measurement = values[:, [0]].copy(), values[:, [4]].copy()
-        records.append(Dataset(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh", "unknown"))
+        records.append(sampled_record(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh", "unknown"))
     return records[0], records[1]
 
 
-def cycles(record: Dataset) -> list[Dataset]:
+def cycles(record: Record) -> list[Record]:
     """Split the first file into full cycles, each from one lowest command to the next."""
     command = record.command[:, 0]
     turns = turning_points(command)
     lowest = [int(turn) for turn in turns if command[turn] < 0.02 * command.max()]
-    return [replace(record.rows(begin, end + 1), name=f"cycle {i + 1}") for i, (begin, end) in enumerate(zip(lowest, lowest[1:]))]
+    return [replace(record.rows(begin, end + 1), source=f"cycle {i + 1}") for i, (begin, end) in enumerate(zip(lowest, lowest[1:]))]
 
 
 def score(measured: Annotated[Array, "N"], predicted: Annotated[Array, "N"]) -> float:
@@ -108,17 +107,17 @@ def score(measured: Annotated[Array, "N"], predicted: Annotated[Array, "N"]) -> 
     return 100.0 * float(np.std(measured - predicted)) / float(np.ptp(measured))
 
 
-def predict(model: Model, record: Dataset) -> Annotated[Array, "N"]:
+def predict(model: Model, record: Record) -> Annotated[Array, "N"]:
     """Predict a record from its command."""
     return simulate(model, record.command)[:, 0]
 
 
-def fitted_error(model: Model, cycle: Dataset) -> float:
+def fitted_error(model: Model, cycle: Record) -> float:
     """Compute the error of a model on the cycle it was fitted on."""
     return float(record_rows(model, [cycle])[0][0]["nrmse_centered"])
 
 
-def predictions(cycle: Dataset, record: Dataset) -> list[Prediction]:
+def predictions(cycle: Record, record: Record) -> list[Prediction]:
     """Fit every static model on one cycle and predict the second file."""
     found = []
     for name, (family, options) in MODELS.items():
@@ -142,7 +141,7 @@ def run(figures: str | None = None) -> Table:
     return table
 
 
-def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
+def report(table: Table, found: Sequence[Prediction], nested: Record) -> None:
     """Add the held-out and fitted errors of every model."""
     title = "P-885.91, fitted on one cycle, nested loops held out"
     for model in found:
@@ -151,7 +150,7 @@ def report(table: Table, found: Sequence[Prediction], nested: Dataset) -> None:
         table.add(title, "the cycle itself", model.name, "nrmse", "%", model.fitted)
 
 
-def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -> None:
+def report_cycles(table: Table, available: Sequence[Record], nested: Record) -> None:
     """Add the scatter of the error when other cycles are fitted."""
     predicted = [predict(identify([cycle], "madelung").model, nested) for cycle in available[::4]]
     for case, rows in SCORED.items():
@@ -164,7 +163,7 @@ def report_cycles(table: Table, available: Sequence[Dataset], nested: Dataset) -
             table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
 
 
-def report_fitted_there(table: Table, nested: Dataset) -> None:
+def report_fitted_there(table: Table, nested: Record) -> None:
     """Add play operators fitted on the scored rows themselves: the least error that their predictions can reach."""
     name, title = f"{OPERATORS} play operators, two-sided", "P-885.91, fitted on the rows scored"
     family, options = MODELS[name]
@@ -173,7 +172,7 @@ def report_fitted_there(table: Table, nested: Dataset) -> None:
         table.add(title, case, name, "nrmse", "%", score(nested.measurement[rows, 0], predict(model, nested)[rows]))
 
 
-def report_changes(table: Table, cycle: Dataset, nested: Dataset) -> None:
+def report_changes(table: Table, cycle: Record, nested: Record) -> None:
     """Add the held-out error when signs, offsets and beginnings of the records are others."""
     for name, change in CHANGES.items():
         model = identify([change.of(cycle)], "madelung").model

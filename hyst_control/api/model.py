@@ -27,7 +27,7 @@ from hyst_control.control.state_space import state_space
 from hyst_control.identify.assess.choice_figure import choice_panels
 from hyst_control.identify.assess.explained_share import NOTHING
 from hyst_control.identify.assess.fit_report import residual
-from hyst_control.identify.data.dataset import Report
+from hyst_control.identify.data.fit import Report
 from hyst_control.identify.validation import compared_stretches, validate_record
 from hyst_control.identify.workflow import fit_text, identify_records
 from hyst_control.reporting.signal_figures import over_time

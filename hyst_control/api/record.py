@@ -30,7 +30,6 @@ from hyst_control.reporting.signal_figures import over_each_other, over_time, sp
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TOPICS = ("command", "measurement")
 _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
 
 
@@ -50,6 +49,8 @@ class Record(EditableRecord, Shown):
         The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled).
     history
         Steps of its preparation, in their order.
+    start
+        How it begins: "settled" at its first command, "unknown", or "auto", found from the record.
 
     Examples
     --------
@@ -60,6 +61,8 @@ class Record(EditableRecord, Shown):
     arrays: 1 s at 1000 Hz
       command: 1000 samples of x in V, 10 to 90
       measurement: 1000 samples of x in um, 1 to 9
+    >>> record.measurement.shape, record.axes, record.unit, record.sample_time
+    ((1000, 1), ('x',), 'um', 0.001)
     >>> first, rest = record.split(0.7)
     >>> len(first), len(rest)
     (700, 300)
@@ -70,16 +73,13 @@ class Record(EditableRecord, Shown):
     constant trend removed from measurement
     filtered: low-pass 100 Hz, order 4 without phase
     resampled from 1000 to 500 Hz
-    >>> len(record.merge(rest).aligned(["command"], allow_gaps=True))     # the two stretches
-    2
+    >>> [len(part) for part in record.merge(rest).aligned(allow_gaps=True)]     # gapless records
+    [1000, 300]
     """
-
-    def __len__(self) -> int:
-        return len(self.signal("measurement").time)
 
     def summary(self) -> str:
         """Length, rate and every signal's axes, unit and range."""
-        rate = 1.0 / self.sample_time(TOPICS) if set(TOPICS) <= set(self.signals) else np.nan
+        rate = 1.0 / self.sample_time if set(records.TOPICS) <= set(self.signals) else np.nan
         lines = [f"{self.source}: {len(self) / rate:.6g} s at {rate:g} Hz" if rate == rate else self.source]
         lines += [
             f"  {name}: {len(signal.time)} samples of {', '.join(signal.axes)} in {signal.unit}, "
@@ -136,7 +136,7 @@ class Record(EditableRecord, Shown):
         """
         kinds = {
             "time": lambda: over_time(self, *others),
-            "loops": lambda: over_each_other(self, *TOPICS, *others, color=color),
+            "loops": lambda: over_each_other(self, *records.TOPICS, *others, color=color),
             "spectra": lambda: spectra(self, *others),
         }
         if kind not in kinds:
@@ -349,21 +349,21 @@ def from_arrays(
     """
     if not (np.isfinite(rate) and rate > 0):
         raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
-    rows = [rows_of(name, values) for name, values in zip(TOPICS, (command, measurement), strict=True)]
+    rows = [rows_of(name, values) for name, values in zip(records.TOPICS, (command, measurement), strict=True)]
     if rows[0].shape != rows[1].shape:
         raise InputError(f"measurement: has shape {rows[1].shape}, command {rows[0].shape}: give both of the same samples and axes")
     names = records.axis_names(rows[0].shape[1]) if axes is None else tuple(axes)
     if len(names) != rows[0].shape[1]:
         raise InputError(f"axes: {len(names)} names for {rows[0].shape[1]} columns")
-    time = records.regular_times(len(rows[0]), 1.0 / rate)
-    signals = {}
-    for topic, values, given in zip(TOPICS, rows, (command_unit, unit), strict=True):
+    units = []
+    for index, given in enumerate((command_unit, unit)):
         found = unit_of(given)
         if found is None:
             raise InputError(f"unit: {given!r} is not known, must be one such as V, um, mrad, deg, A or counts")
-        known, factor = found
-        signals[topic] = records.Signal(time, factor * values, names, known)
-    return Record(signals, source, hold=hold)
+        units.append(found[0])
+        rows[index] = found[1] * rows[index]
+    made = records.sampled_record(source, rows[0], rows[1], 1.0 / rate, names, units[1], hold, command_unit=units[0])
+    return promoted(Record, made)
 
 
 def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Sequence[str], rate: float | None = None) -> Record:
@@ -396,7 +396,7 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
     >>> record.to_frame().columns.tolist()
     ['command [V]', 'measurement [um]']
     """
-    chosen = [_column(topic, given) for topic, given in zip(TOPICS, (command, measurement), strict=True)]
+    chosen = [_column(topic, given) for topic, given in zip(records.TOPICS, (command, measurement), strict=True)]
     columns = [str(name) for name in frame.columns]
     values = []
     for column in chosen:

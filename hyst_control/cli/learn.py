@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         if arguments.reference or arguments.plant or not arguments.period:
             raise InputError("give --period with bags, and neither --reference nor --plant")
         records = [read_bag(bag) for bag in bags_in(arguments.bags)]
-        sample_time = records[0].sample_time(("measurement",))
+        sample_time = records[0].common_step(("measurement",))
         longest = max(len(record.signal("measurement").time) for record in records) * sample_time
         if not 0.5 * sample_time < arguments.period <= longest:
             raise InputError(f"--period: must be within a sample and the longest bag, {longest:g} s, got {arguments.period:g} s")
@@ -119,10 +119,10 @@ def _filter(arguments: argparse.Namespace, model: Model, period: int, sample_tim
 
     if not arguments.response:
         return model_filter(model, period, sample_time=sample_time, mode_spread=arguments.mode_spread)
-    [data] = read_bag(one_bag(arguments.response)).aligned(("command", "measurement"))
+    [data] = read_bag(one_bag(arguments.response)).aligned()
     if abs(data.sample_time - sample_time) > 1e-3 * sample_time:
         raise InputError(f"--response: {arguments.response}: sample time {data.sample_time:g} s, {sample_time:g} s is needed")
-    return measured_filter(data.values["command"], data.values["measurement"], period, sample_time)
+    return measured_filter(data.command, data.measurement, period, sample_time)
 
 
 def _simulated(

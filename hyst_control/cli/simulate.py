@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             raise InputError("--rate: a bag has its own rate: leave it out")
         record = read_bag(one_bag(arguments.bag), arguments.namespace, topics=("command",))
         [data] = record.aligned(["command"])
-        commands, sample_time, hold = data.values["command"], data.sample_time, record.hold
+        commands, sample_time, hold = data.command, data.sample_time, record.hold
         if commands.shape[1] != len(model.axes):
             raise InputError(f"{arguments.bag}: command has {commands.shape[1]} axes, {arguments.model} {len(model.axes)}")
         notes = [f"note: {note}" for note in record.notes]

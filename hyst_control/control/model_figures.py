@@ -56,7 +56,7 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
     measured = record.signal("measurement")
     if (measured.axes, measured.unit) != (model.axes, model.units["measurement"]):
         raise InputError(f"{model.name}: has other axes or another unit than {record.source}: use a model of this plant")
-    step = record.sample_time(("command", "measurement"))
+    step = record.sample_time
     return bode([*measured_responses(record), *model_responses(model, frequencies(step), step)], unit)
 
 

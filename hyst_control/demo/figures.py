@@ -15,11 +15,12 @@ from plotly.subplots import make_subplots
 
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.report.document import named, sentence
-from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.data.fit import Fit
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
-from hyst_control.identify.workflow import datasets_of
+from hyst_control.identify.workflow import gapless_records
 from hyst_control.model_file import simulate
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.record import Record
 from hyst_control.reporting.html_page import Page, Palette
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.quantities import quantity
@@ -49,7 +50,7 @@ def write(
     origins: Sequence[Origin],
 ) -> None:
     """Write `figures/*.svg` and `report.html` into the demo's folder."""
-    data = datasets_of(read_bag(excitation))[0]
+    data = gapless_records(read_bag(excitation))[0]
     loops = _loops(data, fits)
     (folder / "figures").mkdir()
     _draw_loops(folder / "figures" / "loops.svg", loops)
@@ -58,7 +59,7 @@ def write(
     report_page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
 
 
-def _loops(data: Dataset, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
+def _loops(data: Record, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
     """The last loop of full height at each frequency: command and measured or simulated displacement, by source."""
     simulated = {name: simulate(fit.model, data.command, data.sample_time, data.hold)[:, 0] for name, fit in fits.items()}
     found = [stretch for stretch in stretches_between_rests(data, 0, 0) if stretch.kind == "motion"]

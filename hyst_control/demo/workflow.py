@@ -216,7 +216,7 @@ def track(
 def aligned(bag: Path) -> dict[str, Array]:
     """Read every signal of a tracking bag on one clock."""
     signals = ("reference", "feedforward", "feedback", "command", "measurement")
-    return dict(read_bag(bag).aligned(signals)[0].values)
+    return read_bag(bag).aligned(signals)[0].values
 
 
 def score(measured: dict[str, dict[str, Array]], reference: Annotated[Array, "N 1"], stretches: list[Stretch]) -> Table:

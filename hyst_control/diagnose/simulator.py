@@ -20,8 +20,6 @@ from hyst_control.chain.external_simulator import ExternalSimulator, Simulate, e
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-TOPICS = ("command", "measurement")
-
 
 def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]], records: Sequence[Record]) -> Model:
     """The model of a function: axes, units and clock are those of the records, the uncertainty that of the parameters."""
@@ -29,14 +27,14 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
         raise InputError("records: there is none: give at least one with command and measurement")
     record = records[0]
     record.check_axes()
-    part = record.aligned(TOPICS, allow_gaps=True)[0]
+    part = record.aligned(allow_gaps=True)[0]
     stage, deviations = external_simulator(simulate, parameters)
-    _check_repeatable(stage, part.values["command"], part.sample_time)
+    _check_repeatable(stage, part.command, part.sample_time)
     known = {"parameters": [f"{stage.name}.{name}" for name in stage.names], "factor": np.diag(deviations).tolist()}
     return Model(
         name=title_of(simulate),
         axes=part.axes,
-        units=dict(part.units),
+        units={"command": record.command_unit, "measurement": record.unit},
         sample_time=part.sample_time,
         chain=Chain((stage,)),
         hold=record.hold,

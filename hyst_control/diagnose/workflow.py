@@ -248,6 +248,6 @@ def _with_structure(problem: Problem, part: AxisDiagnosis) -> AxisDiagnosis:
 
 def _command(path: str, namespace: str | None, unit: str) -> Array:
     if not path.endswith(".npy"):
-        return read_bag(path, namespace, unit).aligned(("command",))[0].values["command"]
+        return read_bag(path, namespace, unit).aligned(("command",))[0].command
     rows = read_array(path)
     return rows[:, None] if rows.ndim == 1 else rows

@@ -8,22 +8,23 @@ from collections.abc import Sequence
 
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
 from hyst_control.identify.families.options import Options, option
+from hyst_control.records.record import Record
 
 LEAST = 32
 """Samples from which on the beginning and the drift of a record are looked for."""
 
 
-def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **options: object) -> Fit:
+def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:
     """Identify a model of a family.
 
     Parameters
     ----------
-    datasets
-        Gapless records of one plant.
+    records
+        Records of one plant without gaps, as `Record.aligned` makes them.
     family
         Name of the model family, one of `estimators()`.
     method
@@ -43,12 +44,12 @@ def identify(datasets: Sequence[Dataset], family: str, method: str = "joint", **
     """
     estimator = estimator_of(family)
     chosen = estimator.options(method=method, **options)
-    progress.step(f"identify {family} ({method}) from {sum(len(data.command) for data in datasets)} samples")
+    progress.step(f"identify {family} ({method}) from {sum(len(data.command) for data in records)} samples")
     try:
-        check_records(datasets, least=LEAST)
+        check_records(records, least=LEAST)
     except InputError:
-        return estimator.fit(datasets, chosen)  # which says what it asks of records
-    return estimator.fit([with_beginning(data) for data in datasets], chosen)
+        return estimator.fit(records, chosen)  # which says what it asks of records
+    return estimator.fit([with_beginning(data) for data in records], chosen)
 
 
-__all__ = ["Dataset", "Estimator", "Fit", "Options", "estimator_of", "estimators", "identify", "option", "register"]
+__all__ = ["Estimator", "Fit", "Options", "estimator_of", "estimators", "identify", "option", "register"]

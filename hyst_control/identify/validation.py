@@ -14,15 +14,14 @@ from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.fit_report import residual
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.trial_beside_model import trial_beside
-from hyst_control.identify.workflow import LONGEST_JUDGED, TOPICS, datasets_of
+from hyst_control.identify.workflow import LONGEST_JUDGED, gapless_records
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.records.record import Record
+from hyst_control.records.record import TOPICS, Record
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
@@ -87,14 +86,14 @@ def validate_record(
     return table
 
 
-def _remarks(table: Table, name: str, model: Model, data: Dataset) -> list[str]:
+def _remarks(table: Table, name: str, model: Model, data: Record) -> list[str]:
     """Sentences on the faults of a record, or of a model of it."""
     looked_at = data.rows(0, LONGEST_JUDGED)
     trial = trial_beside(model, data.name, looked_at.command, looked_at.measurement, data.sample_time, data.hold)
     found = [each.text() for findings in examined([trial]) for each in findings]
     for axis, label in enumerate(data.axes):
         where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
-        span = float(data.range[axis]) or 1.0
+        span = float(data.span[axis]) or 1.0
         error, zero = (table.value(where, name, quantity) for quantity in ("nrmse_own_zero", "zero"))
         if error > NOT_DESCRIBED:
             found.append(
@@ -109,12 +108,12 @@ def _remarks(table: Table, name: str, model: Model, data: Dataset) -> list[str]:
     return found
 
 
-def compared_stretches(record: Record, hold: str | None = None, start: str = "auto") -> list[Dataset]:
+def compared_stretches(record: Record, hold: str | None = None, start: str = "auto") -> list[Record]:
     """Gapless stretches of a record with the memory that each begins with, as models are compared on them."""
-    return [with_beginning(data) for data in datasets_of(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)]
+    return [with_beginning(data) for data in gapless_records(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)]
 
 
-def check_pair(name: str, model: Model, data: Dataset) -> None:
+def check_pair(name: str, model: Model, data: Record) -> None:
     """Check that model and record have the same axes and unit."""
     if model.axes != data.axes or model.units != {"command": data.command_unit, "measurement": data.unit}:
         raise InputError(
@@ -123,14 +122,14 @@ def check_pair(name: str, model: Model, data: Dataset) -> None:
         )
 
 
-def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
+def add_rows(table: Table, name: str, model: Model, data: Record) -> None:
     """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude."""
     error = residual(model, data)
     skipped = len(data.command) - len(error)
     rest, own = without_zero(error)
     for axis, label in enumerate(data.axes):
         where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
-        span = float(data.range[axis]) or 1.0
+        span = float(data.span[axis]) or 1.0
         e = error[:, axis]
         rmse = float(np.sqrt(mean_square(e)))
         for quantity, value, symbol in (
@@ -149,7 +148,7 @@ def add_rows(table: Table, name: str, model: Model, data: Dataset) -> None:
             table.add("by frequency and amplitude", f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
 
 
-def _motions(data: Dataset, axis: int, error: Array, skipped: int) -> list[Motion]:
+def _motions(data: Record, axis: int, error: Array, skipped: int) -> list[Motion]:
     """The motions between rests of one axis; error (N,): of the rows behind the first `skipped` ones, without the record's own zero."""
     found = []
     for stretch in stretches_between_rests(data, 0, axis):
@@ -183,7 +182,7 @@ def _octave(value: float) -> int:
     return int(np.floor(np.log2(max(value, 1e-300))))
 
 
-def fraction_outside(model: Model, data: Dataset, axis: int) -> float:
+def fraction_outside(model: Model, data: Record, axis: int) -> float:
     """Fraction of a record's command outside the range over which the model was fitted."""
     valid = model.valid.get("command")
     if valid is None:

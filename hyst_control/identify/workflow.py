@@ -29,15 +29,15 @@ from hyst_control.identify.assess.explained_share import (
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
-from hyst_control.identify.data.dataset import Dataset, Fit, Report
 from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
+from hyst_control.identify.data.fit import Fit, Report
 from hyst_control.identify.data.hold_choice import CLEAR, ROUNDING, hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.records.record import Aligned, Record
+from hyst_control.records.record import TOPICS, Record
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.tables.units import refusal_of_unit
 from hyst_control.records.validity.checks import examined, refuse_invalid
@@ -50,7 +50,6 @@ BY_THEMSELVES = (
     "--model linear"
 )
 """Note on several axes where no family was named."""
-TOPICS = ("command", "measurement")
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
 
@@ -182,18 +181,18 @@ def identify_records(
     **options: object,
 ) -> Fit:
     """Identify a model from records, and judge what it explains of them; the parameters are those of `identify_bags`."""
-    datasets: list[Dataset] = []
     notes: list[str] = []
+    cut: list[Record] = []
     for record in records:
         record = aligned_by_reception(record, TOPICS)
         notes += record.notes
-        datasets += datasets_of(record, hold, start, allow_gaps, notes)
-    looked_at = [each.rows(0, LONGEST_JUDGED) for each in datasets]
+        cut += gapless_records(record, hold, start, allow_gaps, notes)
+    looked_at = [each.rows(0, LONGEST_JUDGED) for each in cut]
     trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes, unit=each.unit) for each in looked_at]
     found, remarks = examined(trials) if force else ([], refuse_invalid(trials))
     notes += [each.text() for each in remarks]
-    late = lateness(remarks, datasets)
-    begun = [with_beginning(taken_earlier(data, late)) for data in datasets]
+    late = lateness(remarks, cut)
+    begun = [with_beginning(taken_earlier(data, late)) for data in cut]
     try:
         fit = identified(begun, family, method, **options)
     except InputError as error:
@@ -217,10 +216,10 @@ def identify_records(
     )
 
 
-def identified(datasets: Sequence[Dataset], family: str | None = None, method: str = "joint", **options: object) -> Fit:
+def identified(records: Sequence[Record], family: str | None = None, method: str = "joint", **options: object) -> Fit:
     """Identify a model with its model discrepancy, the best family unless one is named."""
     chosen = chosen_families(family, method, options)
-    begun = [with_beginning(data) for data in datasets]
+    begun = [with_beginning(data) for data in records]
     if family not in (None, AUTO):
         fit = identify(begun, chosen[0], method, **options)
     else:
@@ -231,7 +230,7 @@ def identified(datasets: Sequence[Dataset], family: str | None = None, method: s
 
         fit = best_family(chosen, lambda name: identify(begun, name, method, **options), second, explains)
     left = residuals_of(fit, begun)
-    units = {"command": datasets[0].command_unit, "measurement": datasets[0].unit}
+    units = {"command": records[0].command_unit, "measurement": records[0].unit}
     report = fit.report if units["command"] == "V" else _in_command_unit(fit.report, units)
     model = replace(fit.model, units=units, discrepancy=discrepancy(fit.model, begun, left))
     return replace(fit, model=model, report=report, residuals=tuple(left))
@@ -250,16 +249,16 @@ def _in_command_unit(report: Any, units: Mapping[str, str]) -> Any:
     }
 
 
-def residuals_of(fit: Fit, datasets: Sequence[Dataset]) -> Sequence[Array]:
+def residuals_of(fit: Fit, records: Sequence[Record]) -> Sequence[Array]:
     """Residuals of a fit on its records, simulated again only where the family did not hand them on."""
-    return fit.residuals or [residual(fit.model, data) for data in datasets]
+    return fit.residuals or [residual(fit.model, data) for data in records]
 
 
-def discrepancy(model: Model, datasets: Sequence[Dataset], left: Sequence[Array] | None = None) -> dict[str, Any]:
+def discrepancy(model: Model, records: Sequence[Record], left: Sequence[Array] | None = None) -> dict[str, Any]:
     """The model discrepancy in the form of a model file, from what it leaves (N, A) of its records, simulated unless it is known."""
-    left = [residual(model, data) for data in datasets] if left is None else left
-    measured = [data.measurement[-len(rows) :] for data, rows in zip(datasets, left, strict=True)]
-    return discrepancy_of([data.command for data in datasets], left, datasets[0].sample_time, measured)
+    left = [residual(model, data) for data in records] if left is None else left
+    measured = [data.measurement[-len(rows) :] for data, rows in zip(records, left, strict=True)]
+    return discrepancy_of([data.command for data in records], left, records[0].sample_time, measured)
 
 
 def chosen_families(family: str | None, method: str, options: Mapping[str, object]) -> list[str]:
@@ -280,68 +279,47 @@ def chosen_families(family: str | None, method: str, options: Mapping[str, objec
     return having
 
 
-def datasets_of(
+def gapless_records(
     record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False, notes: list[str] | None = None
-) -> list[Dataset]:
-    """Cut a record into its gapless stretches."""
+) -> list[Record]:
+    """Cut a record into gapless ones."""
     # start: "settled" at the first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record; what
     # follows a gap is unknown
     # allow_gaps: use the stretches between lost samples instead of raising an error; those that are short beside the longest are
     # left out
-    command, measurement = (record.signal(topic) for topic in TOPICS)
     for topic, usual in USUAL_UNITS.items():
         if reason := refusal_of_unit(record.signal(topic).unit, usual):
             raise InputError(
                 f"{record.source}: {topic}: unit {reason}: import it with its unit, or name the unit of a bag without a layout"
             )
     record.check_axes()
-    stretches = record.aligned(TOPICS, allow_gaps)
-    used = _long_enough(record, stretches, notes)
-    datasets = []
-    for index, part in enumerate(stretches):
-        if index not in used:
-            continue
-        name = Path(record.source).name + (f"[{index}]" if index else "")
-        data = Dataset(
-            name,
-            part.values["command"],
-            part.values["measurement"],
-            part.sample_time,
-            measurement.axes,
-            measurement.unit,
-            record.hold if hold in (None, AUTO) else hold,
-            "unknown" if index or part.amid and start == "settled" else start,
-            command_unit=command.unit,
-        )
-        datasets.append(data)
-    if hold in (None, AUTO) and record.hold == "zoh" and datasets:
-        datasets = _with_hold(datasets, notes)
-    return datasets
+    record = replace(record, hold=record.hold if hold in (None, AUTO) else hold, start=record.start if start == AUTO else start)
+    stretches = _long_enough(record.aligned(allow_gaps=allow_gaps), record.source, notes)
+    return _with_hold(stretches, notes) if hold in (None, AUTO) and record.hold == "zoh" else stretches
 
 
-def _with_hold(datasets: list[Dataset], notes: list[str] | None) -> list[Dataset]:
+def _with_hold(records: list[Record], notes: list[str] | None) -> list[Record]:
     """The stretches of a record that does not state its hold, as pairs if its measurement answers the command of its own row."""
-    longest = max(datasets, key=lambda data: len(data.command))
+    longest = max(records, key=lambda data: len(data.command))
     late, same = hold_errors(longest)
     if not same < CLEAR * late or late < ROUNDING:
-        return datasets
+        return records
     if notes is not None:
         notes.append(
             f"{longest.name}: hold foh: the measurement answers the command of its own row: play operators leave "
             f"{100 * same:.2g} % of the range on held-out rows, {100 * late:.2g} % with that of the row before (--hold zoh)"
         )
-    return [replace(data, hold="foh") for data in datasets]
+    return [replace(data, hold="foh") for data in records]
 
 
-def _long_enough(record: Record, stretches: Sequence[Aligned], notes: list[str] | None) -> set[int]:
-    """Numbers of the stretches that are long enough to tell something."""
-    lengths = [len(part.time) for part in stretches]
-    due = min(max(SHORTEST_SHARE * max(lengths), SHORTEST_STRETCH), max(lengths))
-    used = {index for index, length in enumerate(lengths) if length >= due}
-    if len(used) < len(lengths) and notes is not None:
-        lost = sum(lengths) - sum(lengths[index] for index in used)
+def _long_enough(stretches: list[Record], source: str, notes: list[str] | None) -> list[Record]:
+    """The stretches that are long enough to tell something."""
+    longest = max(map(len, stretches))
+    used = [each for each in stretches if len(each) >= min(max(SHORTEST_SHARE * longest, SHORTEST_STRETCH), longest)]
+    if len(used) < len(stretches) and notes is not None:
+        total = sum(map(len, stretches))
         notes.append(
-            f"{record.source}: {len(lengths) - len(used)} of {len(lengths)} stretches between gaps, {lost} of {sum(lengths)} samples, "
-            "are too short to be used"
+            f"{source}: {len(stretches) - len(used)} of {len(stretches)} stretches between gaps, {total - sum(map(len, used))} of "
+            f"{total} samples, are too short to be used"
         )
     return used

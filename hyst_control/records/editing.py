@@ -200,7 +200,7 @@ class EditableRecord(Record):
         topics = [topic for topic in self.signals if all(topic in other.signals for other in others)]
         signals = {topic: self.signals[topic] for topic in topics}
         for other in others:
-            theirs = other.sample_time(topics)
+            theirs = other.common_step(topics)
             if abs(theirs / step - 1) > 1e-6:
                 raise InputError(f"{other.source}: has {1 / theirs:g} Hz, {self.source} {1 / step:g} Hz: resample it")
             if other.hold != self.hold:
@@ -222,7 +222,7 @@ class EditableRecord(Record):
         if not self.signals:
             raise InputError(f"{self.source}: has no signals: record again")
         topics = list(self.signals)
-        return self.sample_time(topics), max(float(self.signal(topic).time[0]) for topic in topics)
+        return self.common_step(topics), max(float(self.signal(topic).time[0]) for topic in topics)
 
     def _changed(self: Edited, topics: tuple[str, ...], change: Callable[[str, Array], Array], begin: float, step: float) -> Edited:
         """Change signals on the ticks that all signals share; a record with gaps is refused."""
@@ -231,7 +231,7 @@ class EditableRecord(Record):
         [data] = self.aligned(list(self.signals))
         signals = {}
         for topic, signal in self.signals.items():
-            values = np.asarray(change(topic, data.values[topic]) if topic in topics else data.values[topic])
+            values = np.asarray(change(topic, data.signal(topic).values) if topic in topics else data.signal(topic).values)
             time = begin + np.arange(len(values)) * step
             signals[topic] = Signal(time.astype(np.float64), np.ascontiguousarray(values), signal.axes, signal.unit)
         return replace(self, signals=signals)

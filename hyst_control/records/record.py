@@ -7,7 +7,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from hyst_control.records.stream.row_store import blocks, empty_rows
 
 Cut = TypeVar("Cut", bound="Record")
 AXES = ("x", "y", "z", "u", "v", "w")
+TOPICS = ("command", "measurement")
 
 
 def axis_names(count: int) -> tuple[str, ...]:
@@ -165,18 +168,12 @@ def regular_times(count: int, step: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Aligned:
-    """Signals on one clock, without a gap: sample times (N,) from 0, values (N, A) by topic, sample time in s.
+class Beginning:
+    """Memory with which a record begins, other than rest at 0 V, as an identification found it."""
 
-    amid: it begins after a gap, or where the actuator began to follow the command, not with the record.
-    """
-
-    time: Array
-    values: Mapping[str, Array]
-    sample_time: float
-    axes: tuple[str, ...]
-    units: Mapping[str, str]
-    amid: bool = False
+    assumed: str  # In words
+    memory: Array | None  # Commands (M, A) that precede the record, V; None where none are known
+    row: int  # First row that counts
 
 
 @dataclass(frozen=True)
@@ -190,6 +187,87 @@ class Record:
     """The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled)."""
     history: tuple[str, ...] = ()
     """Steps of its preparation, in their order."""
+    start: str | Beginning = "auto"
+    """How it begins: "settled" at its first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record."""
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def name(self) -> str:
+        """Last part of the source, for messages."""
+        return Path(self.source).name
+
+    @property
+    def command(self) -> Array:
+        """Commands (N, A), V."""
+        return self.signal("command").values
+
+    @property
+    def measurement(self) -> Array:
+        """Measurements (N, A), in `unit`."""
+        return self.signal("measurement").values
+
+    @property
+    def values(self) -> dict[str, Array]:
+        """Values (N, A) of the signals by topic."""
+        return {topic: signal.values for topic, signal in self.signals.items()}
+
+    @property
+    def time(self) -> Array:
+        """Sample times (N,) of the measurement, s."""
+        return self._output.time
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the A axes of the measurement."""
+        return self._output.axes
+
+    @property
+    def unit(self) -> str:
+        """Unit of the measurement."""
+        return self._output.unit
+
+    @property
+    def command_unit(self) -> str:
+        """Unit of the command."""
+        return self.signal("command").unit
+
+    @property
+    def span(self) -> Array:
+        """Range (A,) of the measurement, the norm of NRMSE and NME."""
+        span: Array = np.ptp(self.measurement, axis=0)
+        return span
+
+    @cached_property
+    def sample_time(self) -> float:
+        """Sample time of command and measurement, or of the signals that are there, s."""
+        return self.common_step([topic for topic in TOPICS if topic in self.signals] or list(self.signals))
+
+    @property
+    def is_gapless(self) -> bool:
+        """Whether command and measurement have every tick of one clock, as records that `aligned` gives."""
+        ticks = [self.signal(topic).consecutive_ticks(self.sample_time) for topic in TOPICS]
+        return ticks[0] is not None and ticks[0] == ticks[1]
+
+    @property
+    def _output(self) -> Signal:
+        """The measurement, or the last signal of a record without one."""
+        topics = list(self.signals)
+        return self.signal("measurement" if "measurement" in topics or not topics else topics[-1])
+
+    def rows(self: Cut, begin: int, end: int) -> Cut:
+        """Some rows of every signal of a gapless record; a cut that does not begin at row 0 begins with unknown memory."""
+        parts = {
+            topic: replace(signal, time=signal.time[begin:end], values=signal.values[begin:end])
+            for topic, signal in self.signals.items()
+        }
+        return replace(self, signals=parts, start=self.start if begin == 0 else "unknown")
+
+    def with_values(self: Cut, **values: Array) -> Cut:
+        """The record with other values (N, A) of some signals."""
+        changed = {topic: replace(self.signal(topic), values=rows) for topic, rows in values.items()}
+        return replace(self, signals={**self.signals, **changed})
 
     def signal(self, topic: str) -> Signal:
         """A signal by topic. Raises `InputError` naming the topics that are there."""
@@ -206,20 +284,22 @@ class Record:
         if begin is None and end is None:
             return self
         first, last = -np.inf if begin is None else begin, np.inf if end is None else end
-        parts = {}
+        parts, start = {}, self.start
         for topic, signal in self.signals.items():
             rows = (signal.time >= first) & (signal.time <= last)
+            if start != "auto" and len(rows) and not rows[0]:
+                start = "unknown"
             parts[topic] = replace(signal, time=signal.time[rows], values=signal.values[rows])
         if not any(len(part.time) for part in parts.values()):
             raise InputError(f"{self.source}: has no samples from {first:g} to {last:g} s: choose other times")
-        return replace(self, signals=parts)
+        return replace(self, signals=parts, start=start)
 
     def shifted(self, seconds: float) -> Record:
         """The record with its measurement taken later by some seconds, in whole samples; a note tells by how many."""
         if seconds == 0.0:
             return self
         signal = self.signal("measurement")
-        step = self.sample_time(("command", "measurement"))
+        step = self.sample_time
         ticks = round(seconds / step)
         if abs(ticks) >= len(signal.time) - 1:
             raise InputError(
@@ -258,7 +338,7 @@ class Record:
             f"{self.source}: command has axes {', '.join(command)}, measurement has {', '.join(measurement)}: {remedy}"
         )
 
-    def sample_time(self, topics: Sequence[str]) -> float:
+    def common_step(self, topics: Sequence[str]) -> float:
         """The common sample time (s) of these topics, from the commonest step of their times.
 
         Raises `InputError` when a topic has fewer than two samples or the topics differ.
@@ -294,18 +374,17 @@ class Record:
             return []
         return ticks_not_followed((command.time, command.values), (applied.time, applied.values), step)
 
-    def aligned(self, topics: Sequence[str], allow_gaps: bool = False) -> list[Aligned]:
-        """Stretches without a gap in which each of the topics has every tick of the common clock, in order of time.
+    def aligned(self: Cut, topics: Sequence[str] = TOPICS, allow_gaps: bool = False) -> list[Cut]:
+        """The gapless records, in order of time, in which each of the topics has every tick of the common clock; their times begin at 0.
 
-        Ticks are round(t / sample time). Where command and measurement are both wanted, ticks at which the actuator did not
+        Ticks are round(t / sample time). What begins after a gap, or where the actuator began to follow the command, has an unknown
+        start, unless how it starts is to be found. Where command and measurement are both wanted, ticks at which the actuator did not
         follow the command are left out. allow_gaps splits the record at missing ticks, which are refused otherwise. Raises
         `InputError` where values are not finite, times do not increase, topics share no tick, the actuator never followed its
         command, or ticks are missing and gaps not allowed.
         """
         self.check(topics)
-        step = self.sample_time(topics)
-        units = {topic: self.signal(topic).unit for topic in topics}
-        axes = self.signal(topics[-1]).axes
+        step = self.common_step(topics)
         ranges = [self.signal(topic).consecutive_ticks(step) for topic in topics]
         known = [found for found in ranges if found is not None]
         unusable = self.not_followed(step) if {"command", "measurement"} <= set(topics) else []
@@ -315,7 +394,7 @@ class Record:
                 topic: self.signal(topic).values[begin - found.start : end - found.start]
                 for topic, found in zip(topics, known, strict=True)
             }
-            return [Aligned(regular_times(end - begin, step), values, step, axes, units)]
+            return [self._gapless(values, regular_times(end - begin, step))]
         ticks = {}
         for topic in topics:
             signal = self.signal(topic)
@@ -358,12 +437,61 @@ class Record:
                 "again, or allow gaps to use the stretches between them"
             )
         edges = np.concatenate([[0], breaks + 1, [len(common)]])
-        stretches = []
+        stretches: list[Cut] = []
         for begin, end in zip(edges[:-1], edges[1:], strict=True):
             wanted = common[begin:end]
             values = {
                 topic: np.ascontiguousarray(self.signal(topic).values[np.searchsorted(ticks[topic], wanted)]) for topic in topics
             }
-            amid = bool(wanted[0] > everywhere[0])
-            stretches.append(Aligned((wanted - wanted[0]) * step, values, step, axes, units, amid))
+            stretches.append(self._gapless(values, (wanted - wanted[0]) * step, len(stretches), bool(wanted[0] > everywhere[0])))
         return stretches
+
+    def _gapless(self: Cut, values: Mapping[str, Array], time: Array, number: int = 0, amid: bool = False) -> Cut:
+        """A stretch of the record; number: of those before it; amid: whether it begins later than its record."""
+        signals = {topic: Signal(time, rows, self.signal(topic).axes, self.signal(topic).unit) for topic, rows in values.items()}
+        unknown = number > 0 or (amid and self.start == "settled")
+        source = self.source + (f"[{number}]" if number else "")
+        return replace(self, signals=signals, source=source, start="unknown" if unknown else self.start)
+
+
+def sampled_record(
+    name: str,
+    command: Annotated[Array, "N A"],
+    measurement: Annotated[Array, "N A"],
+    sample_time: float,
+    axes: Sequence[str],
+    unit: str,
+    hold: str = "zoh",
+    start: str = "auto",
+    command_unit: str = "V",
+) -> Record:
+    """Make a gapless record of arrays.
+
+    Parameters
+    ----------
+    name
+        Name for messages.
+    command, measurement
+        Samples (N, A), in the units below.
+    sample_time
+        Sample time, s.
+    axes
+        Names of the A axes.
+    unit
+        Unit of the measurement.
+    hold, start
+        As `Record` has them.
+    command_unit
+        Unit of the command.
+
+    Returns
+    -------
+    Record
+        The record.
+    """
+    time = regular_times(len(command), sample_time)
+    signals = {
+        "command": Signal(time, command, tuple(axes), command_unit),
+        "measurement": Signal(time, measurement, tuple(axes), unit),
+    }
+    return Record(signals, name, hold=hold, start=start)

@@ -39,8 +39,8 @@ class Response:
 
 def measured_responses(record: Record, name: str | None = None) -> list[Response]:
     """Frequency response of every axis by averaged spectra, with the coherence, of the longest stretch without a gap."""
-    part = max(record.aligned(("command", "measurement"), allow_gaps=True), key=lambda each: len(each.time))
-    command, measurement = part.values["command"], part.values["measurement"]
+    part = max(record.aligned(allow_gaps=True), key=lambda each: len(each.time))
+    command, measurement = part.command, part.measurement
     if command.shape != measurement.shape:
         raise InputError(f"{record.source}: command and measurement have not the same axes: record both of the same ones")
     period = period_of(command)

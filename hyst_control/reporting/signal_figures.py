@@ -127,6 +127,7 @@ def _pairs(record: Record, horizontal: str, vertical: str) -> list[_Pair]:
     """Titles, the two signals, time and frequency of the horizontal one, axis by axis."""
     topics = [name.partition(".")[0] for name in (horizontal, vertical)]
     pieces = record.aligned(list(dict.fromkeys(topics)), allow_gaps=True)
+    clock = record.common_step(topics)
     picked: list[tuple[list[str], list[Array]]] = []
     for name, topic in zip((horizontal, vertical), topics, strict=True):
         signal, axis = record.signal(topic), name.partition(".")[2]
@@ -134,14 +135,14 @@ def _pairs(record: Record, horizontal: str, vertical: str) -> list[_Pair]:
             raise InputError(f"{record.source}: {topic} has no axis {axis}, its axes are {', '.join(signal.axes)}")
         chosen = [signal.axes.index(axis)] if axis else list(range(len(signal.axes)))
         titles = [axis_title(topic, signal.unit, signal.axes[i] if len(signal.axes) > 1 else "") for i in chosen]
-        picked.append((titles, [piece.values[topic][:, chosen] for piece in pieces]))
+        picked.append((titles, [piece.signal(topic).values[:, chosen] for piece in pieces]))
     (x_titles, x), (y_titles, y) = picked
     if len(x_titles) != len(y_titles):
         raise InputError(f"{horizontal} has {len(x_titles)} axes, {vertical} {len(y_titles)}: name one of each, as measurement.x")
     step = max(1, sum(map(len, x)) // (10 * MAX_POINTS))  # a loop has no order in x: no point of it may be moved
     found = []
     for index, (x_title, y_title) in enumerate(zip(x_titles, y_titles, strict=True)):
-        frequency = [motion_frequency(part[:, index], piece.sample_time) for part, piece in zip(x, pieces, strict=True)]
+        frequency = [motion_frequency(part[:, index], clock) for part in x]
         columns = ([part[:, index] for part in x], [part[:, index] for part in y], [piece.time for piece in pieces], frequency)
         one, other, time, at = (np.concatenate(column)[::step] for column in columns)
         found.append((x_title, y_title, one, other, time, at))

@@ -16,7 +16,8 @@ from hyst_control.api.shown import promoted
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
-from hyst_control.model_file import Model
+from hyst_control.identify import identify
+from hyst_control.model_file import Model, simulate
 
 RATE = 1000.0
 TIME = np.arange(3000) / RATE
@@ -143,3 +144,15 @@ def test_a_gap_is_drawn_with_its_effect_and_told_in_a_frame():
     pyplot.close("all")
     pytest.importorskip("pandas")
     assert gap.to_frame().set_index("parameter").loc["gain", "value"] == pytest.approx(0.1, abs=0.01)
+
+
+def test_families_take_the_record_of_the_front_door():
+    """As it is, or as gapless records where it has gaps."""
+    record = model(LAG).simulate(COMMAND)
+    found = hc.identify(record, "linear", order=1, verbose=False)
+    for records in ([record], record.merge(record).aligned(allow_gaps=True)):
+        fit = identify(records, "linear", order=1)
+        np.testing.assert_allclose(simulate(fit.model, record.command), record.measurement, atol=1e-6)
+        np.testing.assert_allclose(simulate(found, record.command), record.measurement, atol=1e-6)
+    with pytest.raises(hc.InputError, match="every tick of one clock"):
+        identify([record.merge(record)], "linear", order=1)

@@ -57,7 +57,7 @@ def table(path, header, rows=50):
 def test_columns_are_named_with_their_unit_or_without(tmp_path, header):
     table(tmp_path / "lab.csv", header)
     record = hc.read_csv(tmp_path / "lab.csv", "u [V]", ["a [nm]", "b [nm]"], time="t [s]")
-    assert record.signal("measurement").axes == ("x", "y") and record.sample_time(("command",)) == pytest.approx(1 / 500)
+    assert record.signal("measurement").axes == ("x", "y") and record.common_step(("command",)) == pytest.approx(1 / 500)
     np.testing.assert_allclose(record.signal("measurement").values[-1], [0.49, 0.98])
     by_number = hc.read_csv(tmp_path / "lab.csv", "2 [V]", "3 [nm]", rate=500)
     np.testing.assert_array_equal(by_number.signal("measurement").values[:, 0], record.signal("measurement").values[:, 0])

@@ -22,11 +22,11 @@ from hyst_control.control.feedback.loop import feedforward_rows
 from hyst_control.control.feedforward.compensator import KINDS, build_compensator, split
 from hyst_control.control.feedforward.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
 from hyst_control.control.feedforward.reachable_stroke import check_reachable
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.mhl.paper_mhl import inverse_model
 from hyst_control.model_file import Model, Simulator, load_model, simulate
 from hyst_control.records.excitation.excitation import build
+from hyst_control.records.record import sampled_record
 
 MODELS = Path(__file__).resolve().parents[2] / "config" / "models"
 HAMPI, HAPI = load_model(MODELS / "pea_hampi.yaml"), load_model(MODELS / "pea_hapi.yaml")
@@ -318,7 +318,7 @@ def test_a_lead_identified_behind_the_filter_that_looks_ahead_makes_up_for_a_tic
     rate, line = 5000.0, Madelung([1.0], [1.0], 100.0, 2.0)
     plant = replace(MHL, axes=("x",), sample_time=1.0 / rate).with_stages([line])
     command = build({"signal": "mhl_identification", "peak": 100.0, "sweep_time": 1.0}, 1.0 / rate)
-    record = Dataset("raw", command, simulate(plant, command, 1.0 / rate), 1.0 / rate, ("x",), "mrad")
+    record = sampled_record("raw", command, simulate(plant, command, 1.0 / rate), 1.0 / rate, ("x",), "mrad", start="settled")
     reference = sine(100, 0.9, 1.0, 1.0 / rate, periods=10)
     errors = []
     for order in (0, 4):

@@ -11,10 +11,9 @@ import pytest
 from scipy.signal import lfilter
 
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import Record, Signal, sampled_record
 from test.diagnose.conftest import all_but
 from test.diagnose.test_baseline import bouc_wen
 
@@ -40,7 +39,8 @@ def loops(frequency: float, amplitude: float, fall: float = 0.2) -> np.ndarray:
 def model() -> Model:
     commands = [loops(1.0, 100.0), loops(0.5, 80.0, 0.6), loops(3.0, 60.0)]
     clean = [
-        Dataset(f"clean {seed}", u[:, None], machine(u, seed)[:, None], 1.0 / RATE, ("x",), "um") for seed, u in enumerate(commands)
+        sampled_record(f"clean {seed}", u[:, None], machine(u, seed)[:, None], 1.0 / RATE, ("x",), "um", start="settled")
+        for seed, u in enumerate(commands)
     ]
     return identified(clean, "pi", operators=8).model
 

@@ -284,7 +284,7 @@ def _read(path: Path) -> None:
         for signal in record.signals.values():
             assert signal.values.shape == (len(signal.time), len(signal.axes)) and np.isfinite(signal.time).all()
         assert not any("\n" in note for note in record.notes)
-        record.aligned(["command", "measurement"], allow_gaps=True)
+        record.aligned(allow_gaps=True)
     except InputError as error:
         one_line(error)
 
@@ -414,11 +414,11 @@ def times(given) -> None:
     }
     try:
         with np.errstate(all="raise", under="ignore"):
-            parts = Record(signals, "made").aligned(["command", "measurement"], gaps)
+            parts = Record(signals, "made").aligned(allow_gaps=gaps)
     except InputError as error:
         one_line(error)
     else:
-        assert all(len(part.time) == len(part.values["command"]) and np.isfinite(part.time).all() for part in parts)
+        assert all(len(part.time) == len(part.command) and np.isfinite(part.time).all() for part in parts)
 
 
 ROWS = st.lists(st.tuples(TIME, st.floats(), st.floats()), min_size=1, max_size=5)

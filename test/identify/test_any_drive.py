@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from evaluation.benchmarks.round_trips import MIDDLE, PLANTS, SWING, fresh, identified, taught
-from hyst_control.identify import Dataset, Fit, estimators, identify
+from hyst_control.identify import Fit, estimators, identify
 from hyst_control.identify.assess.fit_report import record_rows
 from hyst_control.identify.data.initial_memory import (
     ESTIMATED,
@@ -23,6 +23,7 @@ from hyst_control.identify.data.initial_memory import (
     with_beginning,
 )
 from hyst_control.model_file import simulate
+from hyst_control.records.record import Record, sampled_record
 from test.identify.test_estimators import EXAMPLES
 
 pytestmark = pytest.mark.long_file
@@ -66,19 +67,19 @@ def test_drift_and_beginning_are_reported(name, fits):
     """The drift of 2 % of the range is half of it in each direction; beginnings are told in words."""
     data, report = taught(name), fits[name].report
     share = 1.0 - report["beginnings"][0]["first_row"] / len(data.command)
-    assert report["records"][0]["drift"] / data.range[0] == pytest.approx(0.01 * share, rel=0.1)
+    assert report["records"][0]["drift"] / data.span[0] == pytest.approx(0.01 * share, rel=0.1)
     assert report["beginnings"][0]["assumed"] == FILLED and 0.3 < share < 1.0
     lower, upper = fits[name].model.valid["command"]
     assert (lower, upper) == (pytest.approx(MIDDLE - SWING, abs=0.1), pytest.approx(MIDDLE + SWING, abs=0.1))
 
 
-def growing(start: str = "auto", rows: slice = slice(None), before: float = 0.0) -> Dataset:
+def growing(start: str = "auto", rows: slice = slice(None), before: float = 0.0) -> Record:
     """Loops of play operators about 0 V whose amplitude grows from 3 to 30 V; `before` (V): the drive has been there and back."""
     time = np.arange(6000) * 1e-3
     way = np.concatenate([np.linspace(0.0, before, 50), np.linspace(before, 0.0, 50)])
     command = np.concatenate([way, (3.0 + 4.5 * time) * np.sin(2 * np.pi * time)])[:, None]
     measurement = simulate(PLANTS["pi"].model, command) + 1e-4 * np.random.default_rng(4).normal(size=command.shape)
-    return Dataset("growing", command[100:][rows], measurement[100:][rows], 1e-3, ("x",), "um", start=start)
+    return sampled_record("growing", command[100:][rows], measurement[100:][rows], 1e-3, ("x",), "um", start=start)
 
 
 @pytest.mark.parametrize("before, assumed", [(0.0, [VIRGIN]), (35.0, [ESTIMATED]), (-35.0, [ESTIMATED, PERIODIC])])
@@ -108,7 +109,7 @@ def test_a_periodic_record_is_preceded_by_itself():
     time = np.arange(3000) * 1e-3
     command = (MIDDLE + 30.0 * np.sin(2 * np.pi * time + 1.0))[:, None]
     measurement = simulate(PLANTS["pi"].model, command)
-    data = Dataset("loop", command[1000:2000], measurement[1000:2000], 1e-3, ("x",), "um", start="auto")
+    data = sampled_record("loop", command[1000:2000], measurement[1000:2000], 1e-3, ("x",), "um", start="auto")
     assert beginning_rows([with_beginning(data)])[0]["assumed"] == PERIODIC
     fit = identify([data], "pi", **EXAMPLES["pi"].options | {"nuisance": "offset"})
     assert fit.report["records"][0]["samples"] == 1000 and fit.report["records"][0]["nrmse_own_zero"] < 0.01

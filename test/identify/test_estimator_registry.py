@@ -14,11 +14,12 @@ from docs.reference.options import with_present_tables
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
-from hyst_control.identify import Dataset, Estimator, Fit, Options, estimators, identify, option, register
+from hyst_control.identify import Estimator, Fit, Options, estimators, identify, option, register
 from hyst_control.identify.families import estimator
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.families.options import INTEGER, NUMBER, TEXT, TRUTH, Option, declared
 from hyst_control.model_file import Model
+from hyst_control.records.record import sampled_record
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ def registry(monkeypatch):
 
 
 def gain_family(**change):
-    def fit(self, datasets, options):
-        data = datasets[0]
+    def fit(self, records, options):
+        data = records[0]
         slope = float(np.sum(data.command * data.measurement) / np.sum(data.command**2)) * options.scale
         model = Model("gain", data.axes, {"command": "V", "measurement": data.unit}, data.sample_time, Chain((Gain(slope),)))
         return Fit(model, {"family": "slope", "method": "joint", "unit": "um", "records": [], "parameters": [], "notes": []})
@@ -49,7 +50,7 @@ def test_a_registered_family_is_like_any_other(registry):
     assert register(made) is made
     assert list(estimators())[-1] == "slope" and every_option()["scale"].keys() == {"slope"}
     command = np.linspace(0.0, 1.0, 60)[:, None]
-    data = Dataset("line", command, 3.0 * command, 1e-3, ("x",), "um")
+    data = sampled_record("line", command, 3.0 * command, 1e-3, ("x",), "um", start="settled")
     assert identify([data], "slope", scale="2").model.chain.stages[0].gain == pytest.approx(6.0)
     with pytest.raises(InputError, match="slope: scale: must be a number >= 0 um/V, got -1"):
         identify([data], "slope", scale=-1)

@@ -23,9 +23,10 @@ from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import Rate
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Offset
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
-from hyst_control.identify import Dataset, Fit, estimator_of, estimators, identify
+from hyst_control.identify import Fit, estimator_of, estimators, identify
 from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.model_file import Model, load_model, save_model, simulate
+from hyst_control.records.record import Record, sampled_record
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 from hysteretic_oscillators.stages.duhem import Duhem
 from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
@@ -57,12 +58,12 @@ class Example:
     def plant(self) -> Model:
         return Model("plant", ("x",), {"command": "V", "measurement": "um"}, self.sample_time, Chain(self.stages))
 
-    def record(self, seed: int | None, command: np.ndarray | None = None) -> Dataset:
+    def record(self, seed: int | None, command: np.ndarray | None = None) -> Record:
         """A record of the plant; without a seed without noise."""
         command = self.command if command is None else command
         clean = simulate(self.plant, command)
         noise = 0.0 if seed is None else self.noise * np.random.default_rng(seed).normal(size=clean.shape)
-        return Dataset("loops", command, clean + noise, self.sample_time, ("x",), "um")
+        return sampled_record("loops", command, clean + noise, self.sample_time, ("x",), "um", start="settled")
 
 
 def loops(sample_time: float, *cycles: tuple[float, float], seconds: float = 0.1) -> np.ndarray:
@@ -221,9 +222,9 @@ def test_standard_errors_are_the_scatter_of_repeated_noise(name):
     "change, words",
     [
         (lambda data: data.rows(0, 10), "samples, got 10: record for longer"),
-        (lambda data: replace(data, command=np.full_like(data.command, 3.0)), "command of axis x never moves"),
-        (lambda data: replace(data, measurement=np.full_like(data.measurement, 3.0)), "measurement of axis x never moves"),
-        (lambda data: replace(data, measurement=np.where(data.command > 40.0, np.nan, data.measurement)), "must be finite"),
+        (lambda data: data.with_values(command=np.full_like(data.command, 3.0)), "command of axis x never moves"),
+        (lambda data: data.with_values(measurement=np.full_like(data.measurement, 3.0)), "measurement of axis x never moves"),
+        (lambda data: data.with_values(measurement=np.where(data.command > 40.0, np.nan, data.measurement)), "must be finite"),
     ],
     ids=["short", "constant command", "constant measurement", "not finite"],
 )
@@ -237,7 +238,9 @@ def test_records_that_tell_nothing_are_refused_in_one_line(name, change, words):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_no_record_and_records_of_two_plants_are_refused(name):
     data = EXAMPLES[name].record(0)
-    for records in ([], [data, replace(data, axes=("y",))], [data, replace(data, unit="mrad")]):
+    other = {topic: replace(each, axes=("y",)) for topic, each in data.signals.items()}
+    turned = {**data.signals, "measurement": replace(data.signals["measurement"], unit="mrad")}
+    for records in ([], [data, replace(data, signals=other)], [data, replace(data, signals=turned)]):
         with pytest.raises(InputError) as caught:
             identify(records, name)
         assert one_line(caught.value)

@@ -13,11 +13,11 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
 from hyst_control.identify import estimators, workflow
 from hyst_control.identify.assess.explained_share import explained_shares, useless
-from hyst_control.identify.data.dataset import Dataset, Fit
+from hyst_control.identify.data.fit import Fit
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.model_file import Model, load_model, model_from_document
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import Record, Signal, sampled_record
 from hyst_control.records.tables.importing import write_bag
 
 STEP = 1e-3
@@ -60,7 +60,7 @@ def test_shares_are_those_of_a_regression_with_one_zero_a_record(zero):
     records = []
     for k in range(2):
         measured = 0.4 * DRIVE + zero * k + random.normal(size=len(DRIVE))
-        records.append(Dataset(str(k), DRIVE[:, None], measured[:, None], STEP, ("x",), "um"))
+        records.append(sampled_record(str(k), DRIVE[:, None], measured[:, None], STEP, ("x",), "um", start="settled"))
     errors = [data.measurement - 0.3 * data.command for data in records]
     [row] = explained_shares(records, errors)
     zeros = np.repeat(np.eye(2), len(DRIVE), axis=0)
@@ -82,7 +82,7 @@ def test_the_limits(model, gain, bad):
 
 
 def test_an_axis_at_rest_is_not_judged():
-    still = Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), STEP, ("x",), "um")
+    still = sampled_record("still", np.zeros((100, 1)), np.zeros((100, 1)), STEP, ("x",), "um", start="settled")
     assert explained_shares([still], [np.zeros((100, 1))]) == []
 
 

@@ -13,12 +13,13 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import frozen
-from hyst_control.identify import Dataset, Fit, identify
+from hyst_control.identify import Fit, identify
 from hyst_control.identify.data.fit_windows import stretches, whole_records
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
+from hyst_control.records.record import Record, sampled_record
 
 SAMPLE_TIME = 5e-5
 THRESHOLDS = [0.0, 2.0, 5.0, 9.0, 14.0, 20.0]
@@ -47,10 +48,10 @@ def excitation(seed: int, scale: float = 1.0) -> np.ndarray:
     return np.concatenate(parts)[:, None]
 
 
-def record(model: Model, seed: int, scale: float = 1.0, sigma: float = SIGMA) -> Dataset:
+def record(model: Model, seed: int, scale: float = 1.0, sigma: float = SIGMA) -> Record:
     command = excitation(seed, scale)
     noise = np.random.default_rng(seed + 1000).normal(0.0, sigma, command.shape)
-    return Dataset(f"record {seed}", command, simulate(model, command) + noise, SAMPLE_TIME, ("x",), "um")
+    return sampled_record(f"record {seed}", command, simulate(model, command) + noise, SAMPLE_TIME, ("x",), "um", start="settled")
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
@@ -140,7 +141,7 @@ def test_standard_errors_tell_the_scatter():
     z = []
     for seed in range(12):
         data = replace(record(truth, 1, sigma=0.0), name="r")
-        noisy = replace(data, measurement=data.measurement + np.random.default_rng(seed).normal(0, 0.02, data.measurement.shape))
+        noisy = data.with_values(measurement=data.measurement + np.random.default_rng(seed).normal(0, 0.02, data.measurement.shape))
         fit = identify([noisy], "hampi", thresholds=THRESHOLDS, structure=structure, nuisance="none")
         rows = {row["name"]: row for row in fit.report["parameters"]}
         z += [
@@ -165,13 +166,14 @@ def test_two_axes_are_identified_side_by_side():
     first, second = plant(), plant(9e-5)
     a, b = record(first, 1), record(second, 2)
     rows = min(len(a.command), len(b.command))
-    both = Dataset(
+    both = sampled_record(
         "both",
         np.hstack([a.command[:rows], b.command[:rows]]),
         np.hstack([a.measurement[:rows], b.measurement[:rows]]),
         SAMPLE_TIME,
         ("x", "y"),
         "um",
+        start="settled",
     )
     fit = identify([both], "hampi", structure=Structure(modes=1, zeros=1, delay=True))
     simulated = simulate(fit.model, both.command)
@@ -188,7 +190,7 @@ def test_what_the_data_cannot_tell_is_named():
     phase = 2 * np.pi * np.arange(20000) * SAMPLE_TIME
     command = (25.0 * (1 - np.cos(phase)))[:, None]
     noise = np.random.default_rng(0).normal(0.0, SIGMA, command.shape)
-    data = Dataset("slow", command, simulate(truth, command) + noise, SAMPLE_TIME, ("x",), "um")
+    data = sampled_record("slow", command, simulate(truth, command) + noise, SAMPLE_TIME, ("x",), "um", start="settled")
     notes = " ".join(identify([data], "hampi", thresholds=THRESHOLDS).report["notes"])
     assert "m1 is not identifiable: " in notes and "an effect of at most 0.0" in notes and "no resonance is identifiable" in notes
     assert "record" not in notes.replace("records", "") and "100 Hz" not in notes
@@ -199,7 +201,9 @@ def test_few_operators_are_for_the_loop(count):
     """Of a drive from 0 V and back no play that is wider than half of it moves after the first rise."""
     command = (25.0 * (1 - np.cos(2 * np.pi * np.arange(4000) / 1000)))[:, None]
     measured = sum(simulate(replace(plant(), chain=Chain((PlayOperator(r),))), command) for r in (0.0, 4.0, 8.0, 12.0, 16.0))
-    model = identify([Dataset("loops", command, measured, SAMPLE_TIME, ("x",), "um")], "pi", operators=count).model
+    model = identify(
+        [sampled_record("loops", command, measured, SAMPLE_TIME, ("x",), "um", start="settled")], "pi", operators=count
+    ).model
     left = np.std((measured - simulate(model, command))[2000:])
     straight = np.polynomial.Polynomial.fit(command[2000:, 0], measured[2000:, 0], 1)(command[2000:, 0])
     assert left < 0.2 * np.std(measured[2000:, 0] - straight)
@@ -215,7 +219,8 @@ def test_few_operators_are_for_the_loop(count):
 )
 def test_records_that_tell_nothing_are_refused(change, words):
     k = np.arange(200.0)[:, None]
-    data = replace(Dataset("dull", np.sin(k), np.sin(k), 1e-3, ("x",), "um"), **change)
+    rows = {"command": np.sin(k), "measurement": np.sin(k), **change}
+    data = sampled_record("dull", rows["command"], rows["measurement"], 1e-3, ("x",), "um", start="settled")
     with pytest.raises(InputError, match=words):
         identify([data], "hapi")
 
@@ -223,7 +228,7 @@ def test_records_that_tell_nothing_are_refused(change, words):
 def test_the_papers_sequence_names_the_missing_experiment():
     phase = 2 * np.pi * 50.0 * np.arange(4000) * SAMPLE_TIME
     command = (20.0 * (1 - np.cos(phase)))[:, None]
-    data = Dataset("fast only", command, simulate(plant(), command), SAMPLE_TIME, ("x",), "um")
+    data = sampled_record("fast only", command, simulate(plant(), command), SAMPLE_TIME, ("x",), "um", start="settled")
     with pytest.raises(InputError, match="fast only: the paper's sequence needs a step"):
         identify([data], "hampi", "paper")
 
@@ -260,7 +265,9 @@ def test_measured_nested_loops_of_a_piezo_stack(measured_data):
     """Fitted on one full cycle of the first file, scored on nested loops of the second: at most 3.5 % of range."""
     folder = measured_data / "pea_p885"
     first, second = (np.loadtxt(folder / name) for name in ("Model_Vi_Do.dat", "Test_Vi_Do_Di.dat"))
-    cycle = Dataset("cycle", first[2005:2206, :1].copy(), first[2005:2206, 4:5].copy(), 1 / 200, ("x",), "um", "foh", "unknown")
+    cycle = sampled_record(
+        "cycle", first[2005:2206, :1].copy(), first[2005:2206, 4:5].copy(), 1 / 200, ("x",), "um", "foh", "unknown"
+    )
     for family in ("hapi", "hampi"):
         model = identify([cycle], family).model
         simulated = simulate(model, second[5:14150, :1].copy(), 1 / 200, "foh")[7945:, 0]

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.identify import Dataset, identify
+from hyst_control.identify import identify
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
-from hyst_control.identify.workflow import MAX_NOTES, Result, datasets_of
-from hyst_control.records.record import Record, Signal
+from hyst_control.identify.workflow import MAX_NOTES, Result, gapless_records
+from hyst_control.records.record import Record, Signal, sampled_record
 
 
 def plays(command: np.ndarray) -> np.ndarray:
@@ -39,34 +39,34 @@ def pairs(offset: float = 0.0, late: int = 0) -> Record:
 
 def test_rows_of_pairs_are_recognized_and_told():
     notes: list[str] = []
-    [data] = datasets_of(pairs(), notes=notes)
+    [data] = gapless_records(pairs(), notes=notes)
     assert data.hold == "foh" and "hold foh" in notes[0] and "--hold zoh" in notes[0]
-    assert datasets_of(pairs(), "zoh")[0].hold == "zoh"
+    assert gapless_records(pairs(), "zoh")[0].hold == "zoh"
 
 
 @pytest.mark.parametrize("late", [1, 2, 5])
 def test_samples_of_a_held_command_stay_so(late):
-    assert datasets_of(pairs(late=late))[0].hold == "zoh"
+    assert gapless_records(pairs(late=late))[0].hold == "zoh"
 
 
 def test_noise_does_not_decide():
     random = np.random.default_rng(1)
     for seed in range(20):
         command = np.cumsum(np.random.default_rng(seed).normal(size=(400, 1)), axis=0)
-        late, same = hold_errors(Dataset("n", command, random.normal(size=(400, 1)), 1.0, ("x",), "um"))
+        late, same = hold_errors(sampled_record("n", command, random.normal(size=(400, 1)), 1.0, ("x",), "um", start="settled"))
         assert same > CLEAR * late
 
 
 def test_the_sensors_offset_is_a_stage_of_the_model():
     """A zero of 12 um beside a stroke of 11: the error of the model as it is written is that of a record without it."""
-    fits = [identify(datasets_of(pairs(offset)), "pi") for offset in (0.0, 12.0)]
+    fits = [identify(gapless_records(pairs(offset)), "pi") for offset in (0.0, 12.0)]
     assert all(fit.report["records"][0]["nrmse"] < 0.2 for fit in fits)
     stage = fits[1].model.chain.stages[-1]
     assert stage.name == "offset" and stage.parameters()["offset"] == pytest.approx(12.0, abs=0.05)
 
 
 def test_the_terminal_shows_five_notes():
-    fit = identify(datasets_of(pairs()), "pi")
+    fit = identify(gapless_records(pairs()), "pi")
     fit.report["notes"][:] = [f"number {k}" for k in range(9)]
     lines = [line for line in Result(fit, None).text().splitlines() if line.startswith("  note:")]
     assert len(lines) == MAX_NOTES and lines[-1] == "  note: 5 more are in the report (--json)"

@@ -59,14 +59,14 @@ def test_it_is_refused_by_name_and_fitted_when_forced(name, words, records, tmp_
     assert main(arguments) == 2 and not output.exists()
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and words in line
-    assert main([*arguments, "--force"]) == 2 and "2 datasets reached the fit" in capsys.readouterr().err
+    assert main([*arguments, "--force"]) == 2 and "2 records reached the fit" in capsys.readouterr().err
 
 
-def fitted(datasets, *_, **__):
-    raise InputError(f"{len(datasets)} datasets reached the fit")
+def fitted(records, *_, **__):
+    raise InputError(f"{len(records)} records reached the fit")
 
 
 def test_a_sound_record_is_fitted(records, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(workflow, "identify", fitted)
     assert main(["identify", records["sound"], "--model", "linear", "--output", str(tmp_path / "model.yaml")]) == 2
-    assert "1 datasets reached the fit" in capsys.readouterr().err
+    assert "1 records reached the fit" in capsys.readouterr().err

@@ -10,10 +10,11 @@ import pytest
 from scipy.signal import cont2discrete, dlsim, dlti
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify import Dataset, identify
+from hyst_control.identify import identify
 from hyst_control.identify.assess import fit_report
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.model_file import simulate
+from hyst_control.records.record import Record, sampled_record
 from hyst_control.records.stream import row_store
 
 SAMPLE_TIME = 1e-4
@@ -47,10 +48,10 @@ def step(samples: int = 4000) -> np.ndarray:
     return np.where(np.arange(samples) > 500, 20.0, 10.0)[:, None]
 
 
-def dataset(command: np.ndarray, noise: float = 1e-3, delay: int = 2, name: str = "record") -> Dataset:
+def made(command: np.ndarray, noise: float = 1e-3, delay: int = 2, name: str = "record") -> Record:
     rng = np.random.default_rng(len(command) + delay)
     measurement = plant(command, delay, offset=3.0) + noise * rng.normal(size=command.shape)
-    return Dataset(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh")
+    return sampled_record(name, command, measurement, SAMPLE_TIME, ("x",), "um", "zoh", start="settled")
 
 
 def entries(report: dict) -> dict[str, dict]:
@@ -59,7 +60,7 @@ def entries(report: dict) -> dict[str, dict]:
 
 @pytest.mark.parametrize("command", [sweep(), step()], ids=["sweep", "step"])
 def test_frequency_damping_delay_and_gain_are_found_within_their_errors(command):
-    found = identify([dataset(command)], "linear")
+    found = identify([made(command)], "linear")
     rows = entries(found.report)
     for name, true in (("frequency[0]", FREQUENCY), ("damping[0]", DAMPING)):
         assert abs(rows[name]["value"] - true) < 5 * rows[name]["standard_error"] + 1e-4 * true
@@ -69,7 +70,7 @@ def test_frequency_damping_delay_and_gain_are_found_within_their_errors(command)
 
 
 def test_a_model_of_one_kind_of_record_predicts_another():
-    found = identify([dataset(sweep(), name="sweep"), dataset(step(), name="step"), dataset(sweep(5000), name="other")], "linear")
+    found = identify([made(sweep(), name="sweep"), made(step(), name="step"), made(sweep(5000), name="other")], "linear")
     command = 10 + np.cumsum(np.random.default_rng(5).normal(size=(3000, 1)) * 0.1, axis=0)
     truth = plant(command, 2, offset=3.0)
     assert np.max(np.abs(simulate(found.model, command) - truth)) < 5e-3 * np.ptp(truth)
@@ -91,7 +92,15 @@ def test_two_axes_that_couple_become_one_state_space():
         command[0] = 0.0
         _, response, _ = dlsim(dlti(ad, bd, cd, dd, dt=SAMPLE_TIME), command)
         records.append(
-            Dataset(f"r{index}", command, response + 1e-4 * rng.normal(size=response.shape), SAMPLE_TIME, ("x", "y"), "mrad")
+            sampled_record(
+                f"r{index}",
+                command,
+                response + 1e-4 * rng.normal(size=response.shape),
+                SAMPLE_TIME,
+                ("x", "y"),
+                "mrad",
+                start="settled",
+            )
         )
     found = identify(records[:2], "linear")
     assert [stage.name for stage in found.model.chain.stages][-1] == "state_space"
@@ -102,24 +111,27 @@ def test_two_axes_that_couple_become_one_state_space():
 
 
 def test_axes_that_do_not_couple_become_transfer_functions():
-    one, other = dataset(sweep()), dataset(sweep(), delay=5)
-    both = Dataset(
+    one, other = made(sweep()), made(sweep(), delay=5)
+    both = sampled_record(
         "both",
         np.hstack([one.command, other.command[::-1]]),
         np.hstack([one.measurement, plant(other.command[::-1], 5)]),
         SAMPLE_TIME,
         ("x", "y"),
         "um",
+        start="settled",
     )
     found = identify([both], "linear", coupled=False)
     assert "transfer_function" in [stage.name for stage in found.model.chain.stages]
     error = simulate(found.model, both.command) - both.measurement
-    assert np.all(error.std(axis=0) < 5e-3 * both.range)
+    assert np.all(error.std(axis=0) < 5e-3 * both.span)
 
 
 def test_every_pole_is_stable_even_from_noise_alone():
     rng = np.random.default_rng(0)
-    data = Dataset("noise", rng.normal(size=(2000, 1)), rng.normal(size=(2000, 1)), SAMPLE_TIME, ("x",), "um")
+    data = sampled_record(
+        "noise", rng.normal(size=(2000, 1)), rng.normal(size=(2000, 1)), SAMPLE_TIME, ("x",), "um", start="settled"
+    )
     found = identify([data], "linear", order=6, delay=0.0)
     den = next(stage for stage in found.model.chain.stages if stage.name == "transfer_function").den
     assert np.all(np.roots(den).real < 0)
@@ -127,7 +139,7 @@ def test_every_pole_is_stable_even_from_noise_alone():
 
 def test_the_report_of_a_single_step_is_json():
     """Blocks of rows are held out of a single step, too; no number of its report is one that no JSON document may hold."""
-    found = identify([dataset(step())], "linear", order=2, delay=2e-4)
+    found = identify([made(step())], "linear", order=2, delay=2e-4)
     report = json.loads(json.dumps(found.report, allow_nan=False))
     assert report["orders"] and all(0.0 < row["held_out"] < 0.01 for row in report["orders"])
 
@@ -136,10 +148,13 @@ def test_the_report_of_a_single_step_is_json():
     "records, words",
     [
         ([], "no record"),
-        ([Dataset("still", np.zeros((100, 1)), np.zeros((100, 1)), 1e-3, ("x",), "um")], "never moves"),
-        ([Dataset("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um")], "at least 32"),
-        ([dataset(step(100)), Dataset("slow", step(100), step(100), 1e-3, ("x",), "um")], "sample time"),
-        ([Dataset("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um")], "command: must be finite, is not in sample 0"),
+        ([sampled_record("still", np.zeros((100, 1)), np.zeros((100, 1)), 1e-3, ("x",), "um", start="settled")], "never moves"),
+        ([sampled_record("short", np.ones((8, 1)), np.ones((8, 1)), 1e-3, ("x",), "um", start="settled")], "at least 32"),
+        ([made(step(100)), sampled_record("slow", step(100), step(100), 1e-3, ("x",), "um", start="settled")], "sample time"),
+        (
+            [sampled_record("broken", step(100) * np.nan, step(100), 1e-3, ("x",), "um", start="settled")],
+            "command: must be finite, is not in sample 0",
+        ),
     ],
 )
 def test_unusable_records_are_refused_in_one_line(records, words):
@@ -151,7 +166,7 @@ def test_unusable_records_are_refused_in_one_line(records, words):
 def test_one_line_tells_a_gain_and_no_more():
     """Whole periods of one sine excite one frequency: the fit has that frequency's gain, and does not fail for want of a second one."""
     command = np.sin(2 * np.pi * np.arange(2000) / 100.0)[:, None]
-    model = identify([Dataset("sine", command, 0.7 * command, 1e-4, ("x",), "um")], "linear").model
+    model = identify([sampled_record("sine", command, 0.7 * command, 1e-4, ("x",), "um", start="settled")], "linear").model
     found = simulate(model, np.tile(command, (2, 1)))[2000:]
     np.testing.assert_allclose(np.ptp(found), 2 * 0.7, rtol=0.02)
 
@@ -176,7 +191,10 @@ def late_lag(seed: int, count: int = 269) -> tuple[np.ndarray, np.ndarray]:
 def test_a_lag_read_at_unsteady_times_stays_a_lag(seed, gap):
     command, measurement = late_lag(seed)
     parts = [slice(None)] if gap is None else [slice(0, gap[0]), slice(gap[1], None)]
-    records = [Dataset("late", command[part, None], measurement[part, None], 0.02, ("x",), "um", "zoh") for part in parts]
+    records = [
+        sampled_record("late", command[part, None], measurement[part, None], 0.02, ("x",), "um", "zoh", start="settled")
+        for part in parts
+    ]
     found = identify(records, "linear")
     t = np.arange(200) / 50.0
     answer = simulate(found.model, 40.0 + 8.0 * np.sin(2 * np.pi * t)[:, None])[100:, 0]
@@ -191,7 +209,9 @@ def test_a_lag_read_at_unsteady_times_stays_a_lag(seed, gap):
 )
 def test_the_smaller_part_of_the_rows_is_held_out(lengths, kept, held):
     command = np.random.default_rng(1).normal(size=(max(lengths), 1))
-    records = [Dataset("r", command[:count], command[:count], 1e-3, ("x",), "um", "zoh") for count in lengths]
+    records = [
+        sampled_record("r", command[:count], command[:count], 1e-3, ("x",), "um", "zoh", start="settled") for count in lengths
+    ]
     assert [[len(data.command) for data in part] for part in coupled_linear.held_out_split(records)] == [kept, held]
 
 
@@ -201,7 +221,7 @@ def test_a_long_record_is_taken_in_parts(monkeypatch):
     time = np.arange(rows) * SAMPLE_TIME
     command = (10 + 5 * np.sin(2 * np.pi * (5 * time + 1500 * time**2 / (2 * time[-1]))))[:, None]
     command[-2 * part :] = command[-2 * part]
-    data = dataset(command)
+    data = made(command)
     monkeypatch.setattr(coupled_linear, "WHOLE_ROWS", 2 * part)
     monkeypatch.setattr(coupled_linear, "PART_ROWS", part)
     tracemalloc.start()

@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.identify import Dataset, identify
+from hyst_control.identify import identify
 from hyst_control.identify.modal.linear import Linear, LinearOptions, search
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.records.record import Record, sampled_record
 
 
 def mode(gain: float, frequency: float, damping: float) -> tuple[list[float], list[float]]:
@@ -33,10 +34,10 @@ def answer(command: np.ndarray, period: float, *plants, late: int = 0, first: fl
     )
 
 
-def record(command, measurement, period, noise=1e-3, seed=0) -> tuple[Dataset, float]:
+def record(command, measurement, period, noise=1e-3, seed=0) -> tuple[Record, float]:
     sigma = noise * np.ptp(measurement)
     noisy = measurement + sigma * np.random.default_rng(seed).normal(size=len(command))
-    return Dataset("r", command[:, None], noisy[:, None], period, ("x",), "um", "zoh", "auto"), sigma
+    return sampled_record("r", command[:, None], noisy[:, None], period, ("x",), "um", "zoh", "auto"), sigma
 
 
 def rows(fit) -> dict[str, float]:
@@ -175,7 +176,9 @@ def test_axes_are_fitted_one_by_one_if_they_do_not_drive_each_other():
         [answer(command[:, 0], 1e-3, ([0.2], [0.02, 1.0])), answer(command[:, 1], 1e-3, mode(0.4, 9.0, 0.1))]
     )
     measured += 1e-4 * np.random.default_rng(0).normal(size=measured.shape)
-    fit = Linear().fit([Dataset("r", command, measured, 1e-3, ("x", "y"), "um")], LinearOptions(coupled=False))
+    fit = Linear().fit(
+        [sampled_record("r", command, measured, 1e-3, ("x", "y"), "um", start="settled")], LinearOptions(coupled=False)
+    )
     found = rows(fit)
     assert found["static_gain[x]"] == pytest.approx(0.2, rel=0.01) and found["static_gain[y]"] == pytest.approx(0.4, rel=0.01)
     assert found["frequency[0][y]"] == pytest.approx(9.0, rel=1e-3)

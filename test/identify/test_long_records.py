@@ -16,7 +16,6 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.identify import identify
 from hyst_control.identify.assess import fit_report
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import first_motion, memory_filled, virgin_rows, with_sign
 from hyst_control.identify.mhl.madelung import response_sign
 from hyst_control.identify.model_error import learned_discrepancy
@@ -30,6 +29,7 @@ from hyst_control.model_file import Model, simulate
 from hyst_control.records import correlation, quantization_step
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.quantization_step import rounding_weights
+from hyst_control.records.record import sampled_record
 from hyst_control.records.stream import row_store
 
 STEP = 1e-3
@@ -127,7 +127,9 @@ def long_record():
         "", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((PrandtlIshlinskii([2.0, 5.0], [0.3, 0.2], w0=1.0),))
     )
     noise = 0.01 * np.random.default_rng(4).standard_normal((LONG, 1))
-    return Dataset("long", command, np.round((simulate(plant, command) + noise) / 0.01) * 0.01, STEP, ("x",), "um", start="auto")
+    return sampled_record(
+        "long", command, np.round((simulate(plant, command) + noise) / 0.01) * 0.01, STEP, ("x",), "um", start="auto"
+    )
 
 
 @pytest.mark.parametrize("family, options", [("pi", {"thresholds": (0.0, 2.0, 5.0)}), ("madelung", {})])

@@ -15,13 +15,13 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import CrossCoupling, Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.identify import identify
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.coupling import fit_coupling
 from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.model_file import Model, load_model, save_model, simulate
 from hyst_control.records.excitation import excitation
+from hyst_control.records.record import Record, sampled_record
 
 pytestmark = pytest.mark.long_file
 
@@ -63,19 +63,19 @@ def held_out_command() -> np.ndarray:
     return 50.0 + 20.0 * np.sin(2 * np.pi * 23.0 * t) + 15.0 * np.sin(2 * np.pi * 311.0 * t) + 8.0 * np.sin(2 * np.pi * 1700.0 * t)
 
 
-def record(model: Model, name: str, command: np.ndarray, axes: int, noise: float, seed: int = 0) -> Dataset:
+def record(model: Model, name: str, command: np.ndarray, axes: int, noise: float, seed: int = 0) -> Record:
     """One record; the second axis moves by another rhythm, so that both can be told apart."""
     both = np.stack([command, 0.9 * command[::-1] + 4.0], axis=1)
     both[:, 1] = np.interp(np.arange(len(command)) * 0.83, np.arange(len(command)), both[:, 1])
     y = simulate(model, both, TS) + np.random.default_rng([seed, len(command)]).normal(0.0, noise, both.shape)
-    return Dataset(name, both[:, :axes], y[:, :axes], TS, model.axes[:axes], "mrad")
+    return sampled_record(name, both[:, :axes], y[:, :axes], TS, model.axes[:axes], "mrad", start="settled")
 
 
-def records(axes: int = 1, model: Model | None = None) -> list[Dataset]:
+def records(axes: int = 1, model: Model | None = None) -> list[Record]:
     return [record(model or published(), name, command, axes, SIGMA) for name, command in commands().items()]
 
 
-def nrmse(model: Model, data: Dataset) -> np.ndarray:
+def nrmse(model: Model, data: Record) -> np.ndarray:
     error = simulate(model, data.command, TS) - data.measurement
     return 100.0 * np.sqrt(np.mean((error - error.mean(axis=0)) ** 2, axis=0)) / np.ptp(data.measurement, axis=0)
 
@@ -177,11 +177,11 @@ def test_two_axes_and_their_coupling():
 def test_no_coupling_is_found_where_there_is_none_beside_a_response_that_falls_with_the_command():
     """The second axis turned about a zero of its sensor."""
     turn, zero = np.array([1.0, -1.0]), np.array([0.0, 1.5])
-    fit = identify([replace(data, measurement=zero + turn * data.measurement) for data in records(2)], "mhl", structure=PAPER)
+    fit = identify([data.with_values(measurement=zero + turn * data.measurement) for data in records(2)], "mhl", structure=PAPER)
     assert not any(isinstance(stage, CrossCoupling) for stage in fit.model.chain.stages)
     assert len(fit.model.axes) == 2 and len(fit.report["held_out_nrmse"]) == 2
     clean = record(published(), "clean", held_out_command(), 2, 0.0)
-    assert np.all(nrmse(fit.model, replace(clean, measurement=turn * clean.measurement)) < 0.1)
+    assert np.all(nrmse(fit.model, clean.with_values(measurement=turn * clean.measurement)) < 0.1)
     error = simulate(fit.model, clean.command, TS) - (zero + turn * clean.measurement)
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 0.003)
 
@@ -215,7 +215,9 @@ def test_the_inverse_correction_leads_by_all_that_the_raw_sweep_lags():
     model = replace(published(), axes=("x",), sample_time=1.0 / rate).with_stages([Delay(delay), line])
     command = excitation.build({"signal": "mhl_identification", "peak": 100.0, "sweep_time": 1.0}, 1.0 / rate)
     y = simulate(model, command, 1.0 / rate) + np.random.default_rng(1).normal(0.0, 1e-4, command.shape)
-    found = paper_mhl.inverse_model([Dataset("raw", command, y, 1.0 / rate, ("x",), "mrad")], MhlOptions(degree=1))
+    found = paper_mhl.inverse_model(
+        [sampled_record("raw", command, y, 1.0 / rate, ("x",), "mrad", start="settled")], MhlOptions(degree=1)
+    )
     correction = found.chain.stages[-1].branches[1][0]
     assert correction.k1[0] * slope == pytest.approx(1.0 / rate, rel=0.02)
     assert abs(correction.b1[0]) < 0.05
@@ -233,5 +235,5 @@ def test_a_virgin_curve_does_not_pass_for_coupling():
     top = int(np.flatnonzero(command[:, 1] >= 99.9)[0])
     y[:top, 1] -= np.where(command[:top, 1] > 0, 0.02, 0.04)
     y += np.random.default_rng(2).normal(0.0, 3e-4, y.shape)
-    found = fit_coupling(model, [Dataset("virgin", command, y, 1.0 / rate, ("x", "y"), "mrad")])
+    found = fit_coupling(model, [sampled_record("virgin", command, y, 1.0 / rate, ("x", "y"), "mrad", start="settled")])
     assert found is not None and found.matrix[1, 0] == pytest.approx(truth, rel=0.05)

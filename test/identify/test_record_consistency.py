@@ -9,9 +9,9 @@ import pytest
 
 from hyst_control.base.config_files import config_path
 from hyst_control.identify.assess.record_consistency import disagreements
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import load_model, simulate
 from hyst_control.records.excitation.excitation import build
+from hyst_control.records.record import sampled_record
 
 MODEL = load_model(config_path("models/pea_hampi.yaml"))
 STEP = MODEL.sample_time
@@ -24,7 +24,7 @@ def record(name, late=0, gain=1.0, highest=60.0, kind="diagnostic", seed=0):
     measured = gain * simulate(MODEL, command, STEP)
     measured = np.concatenate([np.repeat(measured[:1], late, axis=0), measured[: len(measured) - late]])
     noise = 0.003 * np.random.default_rng(seed).normal(size=measured.shape)
-    return Dataset(name, command, measured + noise, STEP, ("x",), "um", "zoh", "settled")
+    return sampled_record(name, command, measured + noise, STEP, ("x",), "um", "zoh", "settled")
 
 
 def test_records_of_one_plant_agree():

@@ -5,7 +5,8 @@
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
 
-from hyst_control.identify import Dataset, identify
+from hyst_control.identify import identify
+from hyst_control.records.record import sampled_record
 
 
 def relays(command: np.ndarray) -> np.ndarray:
@@ -29,7 +30,7 @@ def test_a_slope_that_hardly_any_row_shows_is_not_made_up():
     omega = 2.0 * np.pi * 780.0
     num, den, _ = cont2discrete(([omega**2], [1.0, 0.04 * omega, omega**2]), step, "zoh")
     motion = lfilter(num[0], den, relays(command)) + np.random.default_rng(0).normal(0.0, 0.003, rows)
-    data = Dataset("falling", command[:, None], motion[:, None], step, ("x",), "um", start="unknown")
+    data = sampled_record("falling", command[:, None], motion[:, None], step, ("x",), "um", start="unknown")
     hysteresis = identify([data], "hampi", structure="modes=1").model.chain.stages[0]
     slopes = np.cumsum(hysteresis.weights)
     steepest = np.max(np.abs(np.diff(motion[::50]) / np.maximum(np.abs(np.diff(command[::50])), 1.0)))

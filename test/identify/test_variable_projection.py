@@ -5,12 +5,12 @@
 import numpy as np
 import pytest
 
-from hyst_control.identify import Dataset
 from hyst_control.identify.data.fit_windows import largest_drift, whole_records
 from hyst_control.identify.play import hammerstein
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, solve
 from hyst_control.records.excitation import excitation
+from hyst_control.records.record import sampled_record
 from hyst_plant_sim.physics import load_plant
 
 
@@ -19,7 +19,7 @@ def test_the_search_ends_at_one_optimum_wherever_it_begins():
     command = excitation.build({"signal": "hampi_identification", "peak": 140.0, "quasi_static": 4.0, "time": 0.03}, 5e-5)
     plant = load_plant({"plant": "pea"}, seed=3, sample_time=5e-5)
     measurement = np.concatenate([plant.reset(command[0])[None], plant.step(command)[:-1]])
-    data = Dataset("r", command, measurement, 5e-5, ("x",), "um")
+    data = sampled_record("r", command, measurement, 5e-5, ("x",), "um", start="settled")
     operators = hammerstein.default_operators(whole_records([data], 0), hammerstein.OperatorOptions(), dynamic=True)
     problem = Problem(whole_records([data], 0), operators, "offset", 1, float(np.ptp(measurement)) / 140.0)
     structure = Structure(modes=1, slow_pair=True)
@@ -34,6 +34,6 @@ def test_a_drift_is_what_the_rests_show_and_no_more():
     slopes = np.concatenate([np.full(len(loop) + 300, 0.1 + 0.05 * i) for i, loop in enumerate(loops)])[:, None]
     share = np.linspace(0.0, 1.0, len(command))[:, None]
     for drift in (0.0, 0.3):
-        data = Dataset("r", command, slopes * command + drift * share, 1e-3, ("x",), "um")
+        data = sampled_record("r", command, slopes * command + drift * share, 1e-3, ("x",), "um", start="settled")
         assert largest_drift(data, 0) == pytest.approx(drift, rel=0.05, abs=1e-9)
-    assert largest_drift(Dataset("r", command[:1500], command[:1500], 1e-3, ("x",), "um"), 0) == np.inf
+    assert largest_drift(sampled_record("r", command[:1500], command[:1500], 1e-3, ("x",), "um", start="settled"), 0) == np.inf

@@ -256,10 +256,10 @@ def test_a_diagnosis_under_way_ends_with_the_node(talking, tmp_path):
     talking.node.close()
     assert not talking.node._job.running
     assert len(list((tmp_path / "diagnosis").iterdir())) == 2  # that of the canceled one too
-    found = read_bag(talking.node._job.folder / "record").aligned(("command", "measurement"), allow_gaps=True)
+    found = read_bag(talking.node._job.folder / "record").aligned(allow_gaps=True)
     # cut from a run: what does not start at rest is behind a gap, which the diagnosis knows what to do with
     assert [len(stretch.time) for stretch in found] == [1, 2998]
-    np.testing.assert_array_equal(found[1].values["measurement"], measured[2:])
+    np.testing.assert_array_equal(found[1].measurement, measured[2:])
 
 
 def test_a_folder_that_cannot_be_written_is_told(talking, tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.block_replay import replay as replayed
-from hyst_control.identify.workflow import datasets_of, identify_bags
+from hyst_control.identify.workflow import gapless_records, identify_bags
 from hyst_control.model_file import load_model
 from hyst_control.records.actuator_following import INTERVAL, FollowingWatch, ticks_not_followed
 from hyst_control.records.bags.bag_reader import read_bag
@@ -80,7 +80,7 @@ def test_a_stage_that_approaches_its_command_is_identified_as_well_as_one_that_f
 def test_without_a_word_of_the_stage_all_rows_are_used():
     made, _ = record()
     unsaid = replace(made, signals={topic: each for topic, each in made.signals.items() if topic != "applied"})
-    [data] = datasets_of(unsaid)
+    [data] = gapless_records(unsaid)
     assert len(data.command) == 450
 
 
@@ -91,12 +91,12 @@ def test_rows_amid_a_record_are_a_gap_that_has_to_be_allowed():
     values = np.append(made.signals["applied"].values[:, 0], np.arange(5.0))
     stopped = replace(made, signals={**made.signals, "applied": signal(at, values, "V")})
     with pytest.raises(InputError, match="the actuator did not follow the command in 6 ticks in 1 gaps"):
-        datasets_of(stopped)
-    parts = stopped.aligned(("command", "measurement"), allow_gaps=True)
+        gapless_records(stopped)
+    parts = replace(stopped, start="settled").aligned(allow_gaps=True)
     assert [len(part.time) for part in parts] == [199 - approach, 450 - 205]
-    assert np.array_equal(parts[1].values["command"], made.signals["command"].values[205:])
-    assert all(part.amid for part in parts)
-    assert [data.start for data in datasets_of(made, start="settled")] == ["unknown"]
+    assert np.array_equal(parts[1].command, made.signals["command"].values[205:])
+    assert all(part.start == "unknown" for part in parts)
+    assert [data.start for data in gapless_records(made, start="settled")] == ["unknown"]
     transport = replayed(made)[-1]
     assert transport.text == "every tick is there"
 
@@ -106,7 +106,7 @@ def test_an_actuator_that_never_followed_is_refused():
     time = made.signals["command"].time
     off = replace(made, signals={**made.signals, "applied": Signal(time, np.zeros((len(time), 1)), ("x",), "V")})
     with pytest.raises(InputError, match="never followed the command"):
-        datasets_of(off)
+        gapless_records(off)
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -118,7 +118,7 @@ def test_a_plant_that_always_says_what_it_applies_follows_where_that_is_the_comm
     if bits:
         said = np.rint(said * 2**bits / 100.0) * 100.0 / 2**bits
     told = replace(made, signals={**made.signals, "applied": replace(made.signals["command"], values=said)})
-    [part] = told.aligned(("command", "measurement"))
+    [part] = told.aligned()
     assert len(part.time) >= len(values) - late
 
 

@@ -84,9 +84,9 @@ def test_stamps_are_the_times_and_late_messages_shift_nothing(tmp_path):
         path = written(tmp_path / kind[-5:], {"/a": kind, "/b": kind}, late=late)
         record = read_bag(path, columns=columns)
         assert any("the time of reception stands for" in note for note in record.notes) == kind.endswith("MultiArray")
-        [part] = record.aligned(["command", "measurement"])
+        [part] = record.aligned()
         assert part.sample_time == pytest.approx(2e-3, rel=1e-3) and len(part.time) == COUNT
-        np.testing.assert_array_equal(part.values["command"][:, 0], DRIVE)
+        np.testing.assert_array_equal(part.command[:, 0], DRIVE)
 
 
 def test_axes_on_several_topics_and_units(tmp_path):
@@ -153,9 +153,9 @@ def test_messages_in_bursts_and_lost_ones(tmp_path, columns):
     topics = {"/command": "std_msgs/msg/Float64MultiArray", "/measurement": "std_msgs/msg/Float64MultiArray"}
     late = np.tile([8_000_000, 6_100_000, 4_200_000, 2_300_000, 400_000], COUNT // 5)
     record = read_bag(written(tmp_path / "bursts", topics, late=late), columns=columns)
-    [part] = record.aligned(["command", "measurement"])
+    [part] = record.aligned()
     assert part.sample_time == pytest.approx(2e-3, rel=2e-3) and len(part.time) == COUNT
-    np.testing.assert_array_equal(part.values["command"][:, 0], DRIVE)
+    np.testing.assert_array_equal(part.command[:, 0], DRIVE)
     path = tmp_path / "lost"
     with Writer(path, version=9) as bag:
         for topic, kind in topics.items():
@@ -165,9 +165,9 @@ def test_messages_in_bursts_and_lost_ones(tmp_path, columns):
     if columns is None:
         lost = read_bag(path)
         assert any("2 rows are missing" in note for note in lost.notes)
-        parts = lost.aligned(["command", "measurement"], allow_gaps=True)
+        parts = lost.aligned(allow_gaps=True)
         assert [len(part.time) for part in parts] == [70, COUNT - 72]
-        np.testing.assert_array_equal(parts[1].values["command"][:, 0], DRIVE[72:])
+        np.testing.assert_array_equal(parts[1].command[:, 0], DRIVE[72:])
     else:
         with pytest.raises(InputError, match="2 rows are missing, after 0.1.*--resample"):
             read_bag(path, columns=columns)

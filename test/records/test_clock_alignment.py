@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify.workflow import datasets_of
+from hyst_control.identify.workflow import gapless_records
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.record import Record, Signal
@@ -42,7 +42,7 @@ def test_other_clock_is_mended_by_reception_to_a_few_samples_and_told(tmp_path, 
         record.aligned(TOPICS)
     mended = aligned_by_reception(record, TOPICS)
     assert "different clocks: aligned by the time of reception" in mended.notes[-1]
-    [data] = datasets_of(mended)
+    [data] = gapless_records(mended)
     assert COUNT - len(data.command) <= 2
     gap = np.rint((mended.signals["measurement"].time - mended.signals["command"].time) / STEP)
     assert np.abs(gap).max() <= 2
@@ -52,7 +52,7 @@ def test_one_clock_is_left_as_it_is(tmp_path):
     write(tmp_path / "bag", 3)
     record = read_bag(tmp_path / "bag")
     assert aligned_by_reception(record, TOPICS) is record
-    [data] = datasets_of(record)
+    [data] = gapless_records(record)
     np.testing.assert_array_equal(data.command[:, 0], VALUES[3:, 0])
     np.testing.assert_array_equal(data.measurement[:, 0], VALUES[:-3, 0])
 
@@ -72,7 +72,7 @@ def test_short_stretches_between_gaps_are_left_out_and_told(lost):
         topic: Signal(kept * STEP, kept[:, None] * 1.0, ("x",), unit) for topic, unit in (("command", "V"), ("measurement", "um"))
     }
     notes: list[str] = []
-    found = datasets_of(Record(signals, "made"), allow_gaps=True, notes=notes)
+    found = gapless_records(Record(signals, "made"), allow_gaps=True, notes=notes)
     lengths = [len(each) for each in np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1)]
     due = min(max(0.05 * max(lengths), 32), max(lengths))
     assert [len(each.command) for each in found] == [length for length in lengths if length >= due]

@@ -43,7 +43,7 @@ def test_structures_of_matlab_by_path(tmp_path, columns, packed):
     record = import_table(tmp_path / "run.mat", parse_columns(columns), None if "time" in columns else 1000.0)
     np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE)
     np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
-    assert record.sample_time(["command"]) == pytest.approx(1e-3)
+    assert record.common_step(["command"]) == pytest.approx(1e-3)
 
 
 @pytest.mark.parametrize("kind", [".mat", ".npz", ".npy"])

@@ -35,7 +35,7 @@ def middle(record, topic="measurement"):
 def test_a_slow_sine_is_the_same_at_another_rate(rate, frequency):
     record = made(wave(frequency), 2 * wave(frequency), hold="foh").resample(rate)
     signal = record.signal("measurement")
-    assert 1 / record.sample_time(["measurement"]) == pytest.approx(rate)
+    assert 1 / record.common_step(["measurement"]) == pytest.approx(rate)
     edge = len(signal.time) // 8
     np.testing.assert_allclose(signal.values[edge:-edge, 0], 2 * wave(frequency, signal.time)[edge:-edge], atol=0.01)
     np.testing.assert_allclose(2 * middle(record, "command"), middle(record), atol=1e-9)
@@ -100,9 +100,9 @@ def test_steps_turning_points_and_a_ringing_mode_are_no_outliers():
 
 def test_merged_records_are_two_stretches_on_one_clock():
     first, second = made(wave(5), wave(5)), made(wave(7), wave(7)).cut(0.5)
-    parts = first.merge(second).aligned(["command", "measurement"], allow_gaps=True)
+    parts = first.merge(second).aligned(allow_gaps=True)
     assert [len(part.time) for part in parts] == [4000, 3000]
-    np.testing.assert_array_equal(parts[1].values["command"], second.signal("command").values)
+    np.testing.assert_array_equal(parts[1].command, second.signal("command").values)
     with pytest.raises(hc.InputError, match="resample it"):
         first.merge(second.resample(500))
 

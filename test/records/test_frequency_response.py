@@ -30,8 +30,8 @@ def test_the_record_is_one_of_the_plant(tmp_path, columns, capsys):
     assert "a frequency response is no record in time: written is the steady answer to 200 sines" in capsys.readouterr().out
     record = read_bag(tmp_path / "bag")
     assert record.hold == "foh" and record.signals["measurement"].unit == "um" and record.signals["command"].unit == "V"
-    [part] = record.aligned(["command", "measurement"])
-    command, measurement = part.values["command"][:, 0], part.values["measurement"][:, 0]
+    [part] = record.aligned()
+    command, measurement = part.command[:, 0], part.measurement[:, 0]
     answer = signal.lsim(PLANT, command, part.time, interp=True)[1]
     steady = slice(2000, None)
     assert np.std((answer - measurement)[steady]) < 1e-3 * np.std(measurement)

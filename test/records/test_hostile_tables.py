@@ -178,9 +178,9 @@ def test_a_column_of_times_gives_the_rate(tmp_path, capsys, columns, first, star
     words = ["import", str(tmp_path / "a.csv"), "--columns", columns, "--output", str(tmp_path / "bag")]
     assert main(words) == 0
     assert ("numbered from 0" in capsys.readouterr().out) == (first == 0)
-    part = read_bag(tmp_path / "bag").aligned(["command", "measurement"])[0]
+    part = read_bag(tmp_path / "bag").aligned()[0]
     assert part.sample_time == pytest.approx(2.5e-4, rel=1e-2 if start else 1e-9) and len(part.time) == 40
-    np.testing.assert_array_equal(part.values["measurement"][:, 0], TIMES)
+    np.testing.assert_array_equal(part.measurement[:, 0], TIMES)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.identify.workflow import datasets_of
+from hyst_control.identify.workflow import gapless_records
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 
@@ -150,7 +150,7 @@ def test_the_measured_stack_becomes_a_bag_and_is_fitted(tmp_path, measured_data,
     assert main(["identify", str(tmp_path / "cycle"), "--model", "hampi", "--output", str(model), "--start", "unknown"]) == 0
     from hyst_control.model_file import load_model, simulate
 
-    data = datasets_of(read_bag(tmp_path / "nested"))[0]
+    data = gapless_records(read_bag(tmp_path / "nested"))[0]
     assert data.hold == "foh"
     error = (simulate(load_model(model), data.command, data.sample_time, "foh") - data.measurement)[7945:]
     assert np.std(error) / np.ptp(data.measurement[7945:]) < 0.035

@@ -4,6 +4,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,7 @@ def test_what_is_written_is_read_back(tmp_path_factory, values):
         np.testing.assert_array_equal(signal.values, sign * values)
         np.testing.assert_array_equal(signal.time, time)
         assert signal.axes == axes and signal.timing == "layout"
-    assert read.aligned(["command", "measurement"])[0].sample_time == STEP
+    assert read.aligned()[0].sample_time == STEP
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -84,9 +85,9 @@ def test_what_is_written_is_read_back(tmp_path_factory, values):
 def test_bags_of_other_writers(tmp_path, plugin, layout):
     values = foreign_bag(tmp_path / "foreign.bag", plugin, layout)
     read = read_bag(tmp_path / "foreign.bag", unit="um")
-    part = read.aligned(["command", "measurement"])[0]
-    np.testing.assert_array_equal(part.values["measurement"][:, 0], values)
-    assert part.sample_time == pytest.approx(STEP) and part.units == {"command": "V", "measurement": "um"}
+    part = read.aligned()[0]
+    np.testing.assert_array_equal(part.measurement[:, 0], values)
+    assert part.sample_time == pytest.approx(STEP) and (part.command_unit, part.unit) == ("V", "um")
     assert read.signals["command"].timing == ("layout" if layout else "receive")
     assert bool(read.notes) == (not layout)
 
@@ -145,7 +146,7 @@ def test_a_bag_cut_anywhere_gives_a_prefix_or_one_clear_line(tmp_path, share):
 def test_steps_of_next_to_nothing_are_no_sample_time():
     times = Signal(np.array([0.0, 0.0, 2.3e-313, 1.0]), np.zeros((4, 1)), ("x",), "V", "layout")
     with np.errstate(all="raise", under="ignore"), pytest.raises(InputError, match="sample time 0 s"):
-        Record({"command": times, "measurement": times}, "made").aligned(["command", "measurement"])
+        Record({"command": times, "measurement": times}, "made").aligned()
 
 
 @pytest.mark.parametrize(
@@ -159,7 +160,7 @@ def test_steps_of_next_to_nothing_are_no_sample_time():
 )
 def test_unusable_signals_are_named(change, words):
     with pytest.raises(InputError, match=words):
-        record(200, **change).aligned(["command", "measurement"])
+        record(200, **change).aligned()
 
 
 def test_lost_samples_are_found_and_cut_out():
@@ -167,10 +168,32 @@ def test_lost_samples_are_found_and_cut_out():
     whole = record(200)
     lossy = Signal(whole.signals["command"].time[kept], whole.signals["command"].values[kept], ("x",), "V")
     with pytest.raises(InputError, match="10 ticks are missing in 1 gaps, the first before t = 0.009 s"):
-        record(200, command=lossy).aligned(["command", "measurement"])
-    parts = record(200, command=lossy).aligned(["command", "measurement"], allow_gaps=True)
+        record(200, command=lossy).aligned()
+    parts = record(200, command=lossy).aligned(allow_gaps=True)
     assert [len(part.time) for part in parts] == [80, 110]
-    np.testing.assert_array_equal(parts[1].values["measurement"], whole.signals["measurement"].values[90:])
+    np.testing.assert_array_equal(parts[1].measurement, whole.signals["measurement"].values[90:])
+
+
+def test_gapless_parts_are_records_again():
+    """They keep what is known of their record, know how they begin, and are their own gapless parts."""
+    kept = np.r_[0:80, 90:200]
+    whole = record(200, axes=("x", "y"))
+    lossy = whole.signals["command"]
+    lossy = Signal(lossy.time[kept], lossy.values[kept], lossy.axes, "V")
+    gappy = replace(whole, signals={**whole.signals, "command": lossy}, hold="foh", start="settled")
+    parts = gappy.aligned(allow_gaps=True)
+    assert [(part.name, part.start, part.hold) for part in parts] == [("made", "settled", "foh"), ("made[1]", "unknown", "foh")]
+    assert all(part.is_gapless for part in parts) and not gappy.is_gapless
+    for part, rows in zip(parts, (slice(0, 80), slice(90, 200)), strict=True):
+        assert (part.axes, part.unit, part.command_unit, part.sample_time) == (("x", "y"), "um", "V", STEP)
+        [again] = part.aligned()
+        for each in (part, again):
+            np.testing.assert_array_equal(each.command, whole.command[rows])
+            np.testing.assert_array_equal(each.time, np.arange(len(each)) * STEP)
+    cut = parts[0].rows(10, 30).with_values(measurement=np.zeros((20, 2)))
+    assert cut.start == "unknown" and len(cut) == 20 and not cut.measurement.any() and cut.is_gapless
+    np.testing.assert_array_equal(cut.command, whole.command[10:30])
+    assert whole.between(0.001, None).start == "auto" and gappy.between(0.001, None).start == "unknown"
 
 
 def test_repeated_messages_count_once_and_contradicting_ones_are_refused(tmp_path):

@@ -78,9 +78,9 @@ def test_the_shift_that_is_told_mends_the_record():
         "command": Signal(TIME[:-30], COMMAND[:-30, None], ("x",), "V"),
         "measurement": Signal(TIME[:-30], MEASURED[30:, None], ("x",), "um"),
     }
-    [part] = Record(signals, "made").shifted(0.03).aligned(("command", "measurement"))
-    np.testing.assert_array_equal(part.values["command"][:, 0], COMMAND[30:-30])
-    np.testing.assert_array_equal(part.values["measurement"][:, 0], MEASURED[30:-30])
+    [part] = Record(signals, "made").shifted(0.03).aligned()
+    np.testing.assert_array_equal(part.command[:, 0], COMMAND[30:-30])
+    np.testing.assert_array_equal(part.measurement[:, 0], MEASURED[30:-30])
 
 
 def test_rate_and_unit_beside_a_model():

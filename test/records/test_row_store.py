@@ -13,12 +13,11 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.identify.assess.fit_report import lag_one, record_rows
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.record_segmentation import resting_stretches, stretches_between_rests
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.records.record import Record, Signal, increasing
+from hyst_control.records.record import Record, Signal, increasing, sampled_record
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.stream import row_store
 from hyst_control.records.stream.row_store import RowStore, empty_rows
@@ -80,13 +79,13 @@ def whole_record() -> Record:
 
 def test_a_bag_on_a_file_is_the_bag_in_memory(tmp_path, monkeypatch):
     write_bag(tmp_path / "bag", whole_record())
-    held = read_bag(tmp_path / "bag").aligned(("command", "measurement"))[0]
+    held = read_bag(tmp_path / "bag").aligned()[0]
     monkeypatch.setattr(row_store, "BLOCK", 101)
     monkeypatch.setattr(row_store, "IN_MEMORY", 1024)
-    stored = read_bag(tmp_path / "bag").aligned(("command", "measurement"))[0]
+    stored = read_bag(tmp_path / "bag").aligned()[0]
     for topic in ("command", "measurement"):
-        np.testing.assert_array_equal(stored.values[topic], held.values[topic])
-        assert on_file(stored.values[topic]) and not on_file(held.values[topic])
+        np.testing.assert_array_equal(stored.signal(topic).values, held.signal(topic).values)
+        assert on_file(stored.signal(topic).values) and not on_file(held.signal(topic).values)
     np.testing.assert_array_equal(stored.time, held.time)
     assert len(held.time) == 2997
 
@@ -94,11 +93,11 @@ def test_a_bag_on_a_file_is_the_bag_in_memory(tmp_path, monkeypatch):
 def test_consecutive_ticks_are_aligned_as_any_others_are(monkeypatch):
     """The short way, which copies nothing, against the long one."""
     record = whole_record()
-    short = record.aligned(("command", "measurement"))
+    short = record.aligned()
     monkeypatch.setattr(Signal, "consecutive_ticks", lambda *_: None)
-    [long] = record.aligned(("command", "measurement"))
-    np.testing.assert_array_equal(short[0].values["command"], long.values["command"])
-    np.testing.assert_array_equal(short[0].values["measurement"], long.values["measurement"])
+    [long] = record.aligned()
+    np.testing.assert_array_equal(short[0].command, long.command)
+    np.testing.assert_array_equal(short[0].measurement, long.measurement)
     np.testing.assert_array_equal(short[0].time, long.time)
 
 
@@ -120,7 +119,9 @@ def test_a_table_on_a_file_is_the_table_in_memory(tmp_path, monkeypatch):
 
 def test_what_works_block_by_block_finds_what_the_whole_has(monkeypatch):
     model = Model("m", ("x",), {"command": "V", "measurement": "um"}, 1e-4, Chain((PrandtlIshlinskii([1.0, 4.0], [0.2, 0.1]),)))
-    data = Dataset("d", COMMAND[:, None], 0.3 * COMMAND[:, None] + RANDOM.normal(size=(3000, 1)), 1e-4, ("x",), "um")
+    data = sampled_record(
+        "d", COMMAND[:, None], 0.3 * COMMAND[:, None] + RANDOM.normal(size=(3000, 1)), 1e-4, ("x",), "um", start="settled"
+    )
 
     def findings():
         return (

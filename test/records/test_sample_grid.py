@@ -81,7 +81,7 @@ def test_irregular_times_are_refused_or_interpolated_with_the_error(tmp_path):
         import_records(path, COLUMNS, None)
     [record] = import_records(path, COLUMNS, None, hold="foh", resample=100.0)
     signal = record.signals["measurement"]
-    assert record.sample_time(["measurement"]) == pytest.approx(0.01)
+    assert record.common_step(["measurement"]) == pytest.approx(0.01)
     np.testing.assert_allclose(signal.values[:, 0], np.cos(time[0] + signal.time), atol=1e-4)
     assert "interpolated at 100 Hz" in record.notes[-1] and "% of the range of measurement" in record.notes[-1]
     with pytest.raises(InputError, match="resample: 10 Hz is below half"):

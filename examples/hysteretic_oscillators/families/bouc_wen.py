@@ -13,10 +13,10 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import NUMBER, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
+from hyst_control.records.record import Record
 from hysteretic_oscillators.families.oscillator_fit import Linear, axis_fit, problem_of
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
 
@@ -83,8 +83,8 @@ class BoucWenOscillator(Estimator[BoucWenOptions]):
     )
     Options = BoucWenOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: BoucWenOptions) -> AxisFit:
-        problem, law = problem_of(datasets, index, options.nuisance), Formula(options.exponent)
+    def fit_axis(self, records: Sequence[Record], index: int, options: BoucWenOptions) -> AxisFit:
+        problem, law = problem_of(records, index, options.nuisance), Formula(options.exponent)
         selection = problem.selection
         starts = [np.array([0.0, 0.0, 0.0, share, width, *np.zeros(law.size - 2)]) for share, width in product(SHARES, WIDTHS)]
         trials = map_forked(lambda i: selection.fit(law, starts[i], passes=TRIAL_PASSES), len(starts))

@@ -22,7 +22,7 @@ from hyst_control.chain.hysteresis.creep_operators import CreepOperators
 from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.chain.parameter import declared
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset, Number
+from hyst_control.identify.data.fit import Number
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import TRUTH, Options, option
@@ -31,6 +31,7 @@ from hyst_control.identify.mhl.madelung import response_sign
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error, short_stretches
 from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.records.record import Record
 from hysteretic_oscillators.stages.duhem import Duhem
 
 NAMES = tuple(declared(Duhem))
@@ -131,9 +132,9 @@ class DuhemHysteresis(Estimator[DuhemOptions]):
     second_choice = True
     Options = DuhemOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: DuhemOptions) -> AxisFit:
-        axis, solution, held_out = searched(whole_records(datasets, index, weighted=False), options)
-        unit = datasets[0].unit
+    def fit_axis(self, records: Sequence[Record], index: int, options: DuhemOptions) -> AxisFit:
+        axis, solution, held_out = searched(whole_records(records, index, weighted=False), options)
+        unit = records[0].unit
         words = axis.structure.describe() + (f", {len(axis.times)} creep operators" if axis.times else "")
         return AxisFit(
             axis.stages,

@@ -18,11 +18,11 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, TRUTH, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.solve.simulation_error import Solution
+from hyst_control.records.record import Record
 from hysteretic_oscillators.families.oscillator_fit import Linear, Problem, axis_fit, problem_of
 from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
@@ -106,8 +106,8 @@ class DuhemFit(Estimator[DuhemOptions]):
     )
     Options = DuhemOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: DuhemOptions) -> AxisFit:
-        problem = problem_of(datasets, index, options.nuisance)
+    def fit_axis(self, records: Sequence[Record], index: int, options: DuhemOptions) -> AxisFit:
+        problem = problem_of(records, index, options.nuisance)
         selection = problem.selection
         law, best = linear_branches(selection, options.symmetric)
         counts = range(3, options.largest_table + 1) if options.table_size is None else (options.table_size,)

@@ -21,11 +21,12 @@ from hyst_control.chain.parameter import Scattering
 from hyst_control.chain.stage import Sampling
 from hyst_control.identify.assess.assembly import AxisFit
 from hyst_control.identify.assess.fit_report import SPECTRUM_ROWS, command_bandwidth
-from hyst_control.identify.data.dataset import Dataset, Number
+from hyst_control.identify.data.fit import Number
 from hyst_control.identify.data.fit_windows import whole_records, with_sign
 from hyst_control.identify.mhl.madelung import mean_offset, turned_by
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, driving_signal, minimize_simulation_error
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks, spread_parts
 from hysteretic_oscillators.stages.hysteretic_oscillator import HystereticOscillator, OscillatorFilter
 
@@ -52,10 +53,10 @@ class Linear:
         return self.stiffness / self.frequency**2, 2.0 * self.damping * self.stiffness / self.frequency
 
 
-def linear_start(datasets: Sequence[Dataset], axis: int) -> Linear:
+def linear_start(records: Sequence[Record], axis: int) -> Linear:
     """Estimate a linear oscillator from the spectra of the records, a linear least-squares problem in k, c and m."""
     matrix, vector = np.zeros((3, 3)), np.zeros(3)
-    for data in datasets:
+    for data in records:
         for part in spread_parts(len(data.command), SPECTRUM_ROWS):
             command, measurement = data.command[part, axis], data.measurement[part, axis]
             window = np.hanning(len(command))
@@ -68,14 +69,14 @@ def linear_start(datasets: Sequence[Dataset], axis: int) -> Linear:
             columns = np.stack([y[strong], 1j * omega * y[strong], -(omega**2) * y[strong]], axis=1)
             matrix += (columns.conj().T @ columns).real
             vector += (columns.conj().T @ u[strong]).real
-    travel = max(float(np.ptp(data.measurement[:, axis])) for data in datasets)
-    drive = max(float(np.ptp(data.command[:, axis])) for data in datasets)
+    travel = max(float(np.ptp(data.measurement[:, axis])) for data in records)
+    drive = max(float(np.ptp(data.command[:, axis])) for data in records)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     stiffness, damping, mass = np.linalg.lstsq(matrix / scale / scale[:, None], vector / scale, rcond=1e-12)[0] / scale
     sign = -1.0 if stiffness < 0 else 1.0
     stiffness, damping, mass = sign * stiffness, sign * damping, sign * mass
-    band = 2 * np.pi * max(command_bandwidth(data) for data in datasets)
-    fastest = np.pi / min(data.sample_time for data in datasets)
+    band = 2 * np.pi * max(command_bandwidth(data.command, data.sample_time) for data in records)
+    fastest = np.pi / min(data.sample_time for data in records)
     if not stiffness > 0:
         stiffness = drive / travel
     frequency = float(np.sqrt(stiffness / mass)) if mass > 0 else 3.0 * band
@@ -155,10 +156,10 @@ class Problem:
         return min(float(low) for low, _ in ranges), max(float(high) for _, high in ranges)
 
 
-def problem_of(datasets: Sequence[Dataset], axis: int, nuisance: str) -> Problem:
+def problem_of(records: Sequence[Record], axis: int, nuisance: str) -> Problem:
     """Set up the fit of one axis."""
-    linear = linear_start(datasets, axis)
-    windows = [with_sign(window, linear.sign) for window in whole_records(datasets, axis, weighted=False)]
+    linear = linear_start(records, axis)
+    windows = [with_sign(window, linear.sign) for window in whole_records(records, axis, weighted=False)]
     return Problem(windows, linear, nuisance)
 
 

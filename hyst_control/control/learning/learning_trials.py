@@ -56,7 +56,7 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
         held = [LEARNED] if index == 0 and LEARNED in record.signals else []
         [data] = record.aligned([*TOPICS, *held])
         period, axes = description.filter.period, description.filter.axes
-        reference, feedback, measurement = (data.values[topic] for topic in TOPICS)
+        reference, feedback, measurement = (data.signal(topic).values for topic in TOPICS)
         if len(reference) < rows or reference.shape[1] != axes:
             raise InputError(
                 f"{record.source}: {len(reference)} samples of {reference.shape[1]} axes: a trial needs "
@@ -65,7 +65,7 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
         begin = (len(reference) // period) * period - rows
         piece = slice(begin, begin + rows)
         if held:
-            learner = description.start(data.values[LEARNED][begin + rows - period : begin + rows])
+            learner = description.start(data.signal(LEARNED).values[begin + rows - period : begin + rows])
         learner.learned(index * rows, np.zeros((rows, axes)))
         learner.observe(index * rows, reference[piece], measurement[piece], feedback[piece])
         low, high = min(low, float(reference.min())), max(high, float(reference.max()))

@@ -83,10 +83,8 @@ class Baseline:
 
 def no_model(record: Record) -> Model:
     """Make a placeholder for a missing model: its output is 0, so that the baseline record alone is the prediction."""
-    command, measurement = record.signal("command"), record.signal("measurement")
-    units = {"command": command.unit, "measurement": measurement.unit}
-    sample_time = record.sample_time(("command", "measurement"))
-    return Model("no model", measurement.axes, units, sample_time, Chain((Gain(0.0),)), record.hold)
+    units = {"command": record.command_unit, "measurement": record.unit}
+    return Model("no model", record.axes, units, record.sample_time, Chain((Gain(0.0),)), record.hold)
 
 
 def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
@@ -94,13 +92,13 @@ def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
     found = []
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
-        for stretch in record.aligned(("command", "measurement"), allow_gaps=True):
-            command, measurement = stretch.values["command"], stretch.values["measurement"]
+        for stretch in record.aligned(allow_gaps=True):
+            command, measurement = stretch.command, stretch.measurement
             if command.shape[1] != len(model.axes) or measurement.shape[1] != len(model.axes):
                 raise InputError(
                     f"{record.source}: has {measurement.shape[1]} axes, the model {len(model.axes)}: give records of it"
                 )
-            found.append(measurement - simulate(model, command, stretch.sample_time, record.hold))
+            found.append(measurement - simulate(model, command, record.sample_time, record.hold))
     return np.asarray(np.sqrt(np.mean(np.concatenate(found) ** 2, axis=0)), dtype=np.float64)
 
 

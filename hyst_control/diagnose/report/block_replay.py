@@ -37,10 +37,10 @@ def _sum(record: Record, settings: ReplaySettings) -> Block | None:
     if not {"command", "feedforward", "feedback"} <= set(record.signals):
         return None
     try:
-        values = record.aligned(("feedforward", "feedback", "command"), allow_gaps=True)[0].values
+        sent = record.aligned(("feedforward", "feedback", "command"), allow_gaps=True)[0]
     except InputError as error:
         return Block("feedforward", 0.0, f"not replayed: {error}")
-    command, wanted = values["command"], values["feedforward"] + values["feedback"]
+    command, wanted = sent.command, sent.signal("feedforward").values + sent.signal("feedback").values
     span = max(float(np.ptp(command)), 1e-9)
     step = float(np.max(np.abs(np.diff(command, axis=0)), initial=0.0))
     limited = (command <= command.min(axis=0) + settings.tolerance * span) | (
@@ -66,11 +66,11 @@ def _feedback(record: Record, settings: ReplaySettings) -> Block | None:
         stretch = record.aligned(("reference", "feedback", "measurement"), allow_gaps=True)[0]
     except InputError as error:
         return Block("feedback", 0.0, f"not replayed: {error}")
-    feedback = stretch.values["feedback"]
+    feedback = stretch.signal("feedback").values
     span = float(np.ptp(feedback))
     if span == 0.0:
         return Block("feedback", 0.0, "feedback was off")
-    tracking = stretch.values["reference"] - stretch.values["measurement"]
+    tracking = stretch.signal("reference").values - stretch.measurement
     worst = 0.0
     for axis in range(feedback.shape[1]):
         # v[k] - v[k-1] = kp (e[k] - e[k-1]) + ki T e[k]; ticks at a limit, where the integral is led back, stand out and are left out.
@@ -95,8 +95,8 @@ def _feedback(record: Record, settings: ReplaySettings) -> Block | None:
 def _transport(record: Record) -> Block | None:
     sent = replace(record, signals={topic: each for topic, each in record.signals.items() if topic != APPLIED})
     try:
-        stretches = sent.aligned(("command", "measurement"), allow_gaps=True)
-        step = record.sample_time(("command", "measurement"))
+        stretches = sent.aligned(allow_gaps=True)
+        step = record.sample_time
     except InputError:
         return None
     signal = record.signal("measurement")

@@ -20,8 +20,6 @@ from hyst_control.reporting.provenance import Origin
 INVALID_RECORD = "invalid_record"
 """First of the report's reasons; the findings' names follow it."""
 
-TOPICS = ("command", "measurement")
-
 
 def invalid_report(records: Sequence[Record], model: Model, notes: list[str]) -> tuple[dict[str, Any], str] | None:
     """Report on records that show something else than the plant's answer to the command; other findings are added to `notes`."""
@@ -40,12 +38,11 @@ def trials_of(records: Sequence[Record], model: Model) -> list[Trial]:
     trials = []
     for record in records:
         try:
-            for index, part in enumerate(record.aligned(TOPICS, allow_gaps=True)):
-                command, measurement = part.values["command"], part.values["measurement"]
+            for part in record.aligned(allow_gaps=True):
+                command, measurement = part.command, part.measurement
                 if not command.shape[1] == measurement.shape[1] == len(model.axes):
                     return []
-                name = record.source + (f"[{index}]" if index else "")
-                trials.append(trial_beside(model, name, command, measurement, part.sample_time, record.hold))
+                trials.append(trial_beside(model, part.source, command, measurement, record.sample_time, record.hold))
         except InputError:
             return []
     return trials

@@ -191,15 +191,15 @@ def problem_of(
     for record in records:
         check_units(model, record.signal("measurement").unit, record.source)
         check_command(model, record)
-        stretches = record.aligned(("command", "measurement"), allow_gaps=True)
-        used = [stretch for stretch in stretches if len(stretch.time) >= min_rows]
+        stretches = (replace(record, start="settled") if record.start == "auto" else record).aligned(allow_gaps=True)
+        used = [stretch for stretch in stretches if len(stretch) >= min_rows]
         if not used:
             raise InputError(f"{record.source}: no gapless stretch of {min_rows} samples: record longer, or mend the transport")
         if len(stretches) > 1:
             notes.append(f"{record.source}: ticks are missing between {len(stretches)} stretches; only the first starts settled")
         notes += record.notes
-        for i, stretch in enumerate(used):
-            command, measurement = stretch.values["command"], stretch.values["measurement"]
+        for stretch in used:
+            command, measurement = stretch.command, stretch.measurement
             if measurement.shape[1] != len(model.axes) or command.shape[1] != len(model.axes):
                 raise InputError(
                     f"{record.source}: has {command.shape[1]} commands and {measurement.shape[1]} measurements, the model "
@@ -211,18 +211,18 @@ def problem_of(
             if dead:
                 raise InputError(f"{record.source}: the measurement of {', '.join(dead)} never moves: check sensor and import")
             keep = None
-            if i or stretch.amid:
+            if stretch.start != "settled":
                 # The piece does not begin at rest: its first rows fill the hysteresis' memory and do not count.
                 keep = np.arange(len(command)) >= len(command) // configuration.record.memory_part
             elif warm_up:
-                keep = np.arange(len(command)) >= round(warm_up / stretch.sample_time)
+                keep = np.arange(len(command)) >= round(warm_up / record.sample_time)
                 if np.count_nonzero(keep) < min_rows:
                     raise InputError(
                         f"{record.source}: {warm_up:g} s of warm-up leave {np.count_nonzero(keep)} samples, {min_rows} "
                         "are due: shorten the warm-up or record longer"
                     )
             pieces.append(Piece(command, measurement, keep))
-            sample_times.add(stretch.sample_time)
+        sample_times.add(record.sample_time)
         holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)
     if len({float(f"{step:.6g}") for step in sample_times}) > 1:
         raise InputError(

@@ -28,10 +28,11 @@ from hyst_control.identify.assess.fit_report import (
     with_jump,
     with_offset,
 )
-from hyst_control.identify.data.dataset import Dataset, Fit, Number, ParameterRow, Report, StructureRow
+from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.initial_memory import beginning_rows
 from hyst_control.identify.solve.parameter_covariance import PRIOR, uncertainty_of
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 
 STEP = 1e-6
 """Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
@@ -112,9 +113,9 @@ def _joined(stages: Sequence[Stage]) -> Stage:
     return replace(first, **values)
 
 
-def chain_model(datasets: Sequence[Dataset], stages: Sequence[Stage], name: str) -> Model:
+def chain_model(records: Sequence[Record], stages: Sequence[Stage], name: str) -> Model:
     """The model of a chain, valid where the records are."""
-    first = datasets[0]
+    first = records[0]
     return Model(
         name=name,
         axes=tuple(first.axes),
@@ -123,14 +124,14 @@ def chain_model(datasets: Sequence[Dataset], stages: Sequence[Stage], name: str)
         hold=first.hold,
         chain=Chain(tuple(stages)),
         valid={
-            "command": [min(float(data.command.min()) for data in datasets), max(float(data.command.max()) for data in datasets)],
-            "frequency": [0.0, max(command_bandwidth(data) for data in datasets)],
+            "command": [min(float(data.command.min()) for data in records), max(float(data.command.max()) for data in records)],
+            "frequency": [0.0, max(command_bandwidth(data.command, data.sample_time) for data in records)],
         },
     )
 
 
 def fit_of(
-    datasets: Sequence[Dataset],
+    records: Sequence[Record],
     axes: Sequence[AxisFit],
     family: str,
     method: str = "joint",
@@ -147,7 +148,7 @@ def fit_of(
     offset: share of the range from which a common offset becomes the last stage (None: it is one already); by_axis: the noise is a list
     even of one axis; behind, rows: stages that follow the axes' chains, and numbers of theirs; more: further entries of the report.
     """
-    first = datasets[0]
+    first = records[0]
     labels = first.axes if len(axes) == len(first.axes) else [", ".join(first.axes)]
     vector, edges = np.concatenate([axis.vector for axis in axes]), np.cumsum([len(axis.vector) for axis in axes])[:-1]
 
@@ -156,13 +157,13 @@ def fit_of(
 
     sizes = np.concatenate([np.ones(len(axis.vector)) if axis.sizes is None else axis.sizes for axis in axes])
     known = uncertainty_of(stages_of, vector, block_diag(*(axis.covariance for axis in axes)), first.axes, sizes)
-    model = chain_model(datasets, [*stages_of(vector), *behind], name or family)
-    begun = [with_jump(model, data) for data in datasets]
+    model = chain_model(records, [*stages_of(vector), *behind], name or family)
+    begun = [with_jump(model, data) for data in records]
     residuals = [residual_from(model, data) for data in begun]
-    travel = np.max([data.range for data in datasets], axis=0)
+    travel = np.max([data.span for data in records], axis=0)
     if offset is not None:
         model = with_offset(model, residuals, travel, offset)
-    sigma = noise_sigma(residuals, datasets)
+    sigma = noise_sigma(residuals, records)
     stated = {key: [axis.tolerance[key] for axis in axes] for key in axes[0].tolerance}
     model = replace(
         model,
@@ -175,7 +176,7 @@ def fit_of(
         "family": family,
         "method": method,
         "unit": first.unit,
-        "records": error_rows(datasets, residuals),
+        "records": error_rows(records, residuals),
         "parameters": [row for own in found for row in own] + list(rows),
         "notes": [
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),

@@ -15,11 +15,11 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import noise_sigma
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed
 from hyst_control.identify.modal.vector_fitting import responses_of, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.stream.row_store import mean_square
 
@@ -49,28 +49,28 @@ class Poor:
         )
 
 
-def poorly_explained(datasets: Sequence[Dataset], errors: Sequence[Array]) -> list[Poor]:
+def poorly_explained(records: Sequence[Record], errors: Sequence[Array]) -> list[Poor]:
     """Axes of which a model leaves much, or much more than a reference; errors (N, A): of the last N rows of each record."""
     found = []
     cleaned = [without_zero(error)[0] for error in errors]
-    for axis, name in enumerate(datasets[0].axes):
+    for axis, name in enumerate(records[0].axes):
         shares = []
-        for data, error in zip(datasets, cleaned, strict=True):
+        for data, error in zip(records, cleaned, strict=True):
             sigma = noise_sigma([error[:, axis : axis + 1]])[0] if len(error) > 3 else 0.0
-            span = float(data.range[axis])
+            span = float(data.span[axis])
             shares.append(np.sqrt(max(mean_square(error[:, axis]) - sigma**2, 0.0)) / span if span > 0.0 else 0.0)
         worst = int(np.argmax(shares))
         if shares[worst] > LITTLE:
-            poor = _compared(datasets[worst], cleaned[worst][:, axis], axis, name, float(shares[worst]))
+            poor = _compared(records[worst], cleaned[worst][:, axis], axis, name, float(shares[worst]))
             found += [poor] if poor is not None else []
     return found
 
 
-def _compared(data: Dataset, error: Array, axis: int, name: str, left: float) -> Poor | None:
+def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> Poor | None:
     first = len(data.command) - len(error)
     rows = _worst_rows(error)
     command, measurement = data.command[first:, axis][rows], data.measurement[first:, axis][rows]
-    noise, span = noise_sigma([error[rows, None]])[0] ** 2, float(data.range[axis])
+    noise, span = noise_sigma([error[rows, None]])[0] ** 2, float(data.span[axis])
     if not np.ptp(command) > 0.0:
         return None
     window = Window(command, measurement, data.sample_time, data.hold, 0, 0)
@@ -107,7 +107,7 @@ def _worst_rows(error: Array) -> slice:
     return slice(begin, begin + ROWS)
 
 
-def _plays(data: Dataset, axis: int, begin: int, count: int) -> Array:
+def _plays(data: Record, axis: int, begin: int, count: int) -> Array:
     """Play operators (count, n) of the command from a row on, from all that came before."""
     memory, _ = before(data)
     command = data.command[: begin + count, axis]

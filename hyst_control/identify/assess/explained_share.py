@@ -10,7 +10,7 @@ from typing import TypedDict
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.data.dataset import Dataset
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
 LEAST = 0.1
@@ -33,10 +33,10 @@ class ExplainedRow(TypedDict):
     gain: float
 
 
-def explained_shares(datasets: Sequence[Dataset], errors: Sequence[Array]) -> list[ExplainedRow]:
+def explained_shares(records: Sequence[Record], errors: Sequence[Array]) -> list[ExplainedRow]:
     """Shares that a model explains of each axis that moves."""
-    sums = np.zeros((4, len(datasets[0].axes)))  # of command², command · measurement, measurement², error²
-    for data, error in zip(datasets, errors, strict=True):
+    sums = np.zeros((4, len(records[0].axes)))  # of command², command · measurement, measurement², error²
+    for data, error in zip(records, errors, strict=True):
         first = len(data.command) - len(error)
         command, measured = data.command[first:], data.measurement[first:]
         means = [np.mean(values, axis=0) for values in (command, measured, error)]
@@ -44,7 +44,7 @@ def explained_shares(datasets: Sequence[Dataset], errors: Sequence[Array]) -> li
             u, y, e = (values[part] - mean for values, mean in zip((command, measured, error), means, strict=True))
             sums += [np.sum(u * u, axis=0), np.sum(u * y, axis=0), np.sum(y * y, axis=0), np.sum(e * e, axis=0)]
     rows: list[ExplainedRow] = []
-    for axis, (uu, uy, yy, ee) in zip(datasets[0].axes, sums.T, strict=True):
+    for axis, (uu, uy, yy, ee) in zip(records[0].axes, sums.T, strict=True):
         if uu > 0 and yy > 0:
             rows.append({"axis": axis, "model": float(1.0 - ee / yy), "gain": float(uy**2 / (uu * yy))})
     return rows

@@ -6,15 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.memoryless import Offset
-from hyst_control.identify.data.dataset import Beginning, Dataset, RecordRow
+from hyst_control.identify.data.fit import RecordRow
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
+from hyst_control.records.record import Beginning, Record
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.stream.row_store import blocks, largest_size, mean_square, spread_parts
 
@@ -28,7 +30,7 @@ OFFSET_SHARE = 0.02
 """Share of the mean square error that a common offset makes where the model states it."""
 
 
-def residual(model: Model, data: Dataset) -> Array:
+def residual(model: Model, data: Record) -> Array:
     """Measured minus simulated output.
 
     Rows before the hysteresis memory is filled are left out where the record's start is unknown.
@@ -36,7 +38,7 @@ def residual(model: Model, data: Dataset) -> Array:
     return residual_from(model, with_jump(model, data))
 
 
-def residual_from(model: Model, data: Dataset) -> Array:
+def residual_from(model: Model, data: Record) -> Array:
     """The same of a record of which it is known whether its first command jumps."""
     memory, begin = before(data)
     error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
@@ -44,37 +46,37 @@ def residual_from(model: Model, data: Dataset) -> Array:
     return error
 
 
-def with_jump(model: Model, data: Dataset) -> Dataset:
+def with_jump(model: Model, data: Record) -> Record:
     """The record, known to begin at rest at 0 V, from which its first command jumps, where the model agrees with that far better."""
     memory, begin = before(data)
     end = begin + JUMP_ROWS
     if not np.any(data.command[0]) or begin > JUMP_ROWS or not model.chain.stages:
         return data
-    jump = replace(data, start="unknown", beginning=Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
+    at_zero = np.zeros((1, len(data.axes)))
 
     def left(before_it: Array | None) -> float:
         error = data.measurement[begin:end] - simulate(model, data.command[:end], data.sample_time, data.hold, before_it)[begin:]
         return float(np.sum((error - error.mean(axis=0)) ** 2))
 
-    return jump if left(jump.beginning.memory) < JUMP_SHARE * left(memory) else data  # type: ignore[union-attr]
+    return replace(data, start=Beginning(JUMP, at_zero, 0)) if left(at_zero) < JUMP_SHARE * left(memory) else data
 
 
-def record_rows(model: Model, datasets: Sequence[Dataset]) -> tuple[list[RecordRow], list[Array]]:
+def record_rows(model: Model, records: Sequence[Record]) -> tuple[list[RecordRow], list[Array]]:
     """Scores of a model on records, and measured minus simulated (N, A) of each."""
-    residuals = [residual(model, data) for data in datasets]
-    return error_rows(datasets, residuals), residuals
+    residuals = [residual(model, data) for data in records]
+    return error_rows(records, residuals), residuals
 
 
-def error_rows(datasets: Sequence[Dataset], residuals: Sequence[Array]) -> list[RecordRow]:
+def error_rows(records: Sequence[Record], residuals: Sequence[Array]) -> list[RecordRow]:
     """Scores of residuals (N, A), a row a record and axis.
 
     rmse in the measurement unit; nrmse and nme in % of the measured range (HAMPI paper Eq. 26, MHL paper Eq. 10); nrmse_centered without
     the mean; nrmse_own_zero without the session's offset, drift and curvature, which stand beside it.
     """
     rows: list[RecordRow] = []
-    for data, error in zip(datasets, residuals, strict=True):
+    for data, error in zip(records, residuals, strict=True):
         rest, own = without_zero(error)
-        for axis, (name, whole) in enumerate(zip(data.axes, data.range, strict=True)):
+        for axis, (name, whole) in enumerate(zip(data.axes, data.span, strict=True)):
             span = float(whole) or 1.0
             e = error[:, axis]
             rows.append(
@@ -130,25 +132,25 @@ def lag_one(error: Array) -> float:
     return product / power if power > 0 else 0.0
 
 
-def noise_sigma(residuals: Sequence[Array], datasets: Sequence[Dataset] = ()) -> list[float]:
+def noise_sigma(residuals: Sequence[Array], records: Sequence[Record] = ()) -> list[float]:
     """Estimate the white noise in residuals from their third differences, to which smooth model errors contribute little."""
     stacked = np.concatenate(
         [np.diff(error[part], 3, axis=0) for error in residuals for part in spread_parts(len(error), NOISE_ROWS)]
     )
     sigma = np.median(np.abs(stacked), axis=0) / 0.6745 / np.sqrt(20.0)
-    for data in datasets:
+    for data in records:
         sigma = np.maximum(sigma, [quantization_step(column) / np.sqrt(12.0) for column in data.measurement[:NOISE_ROWS].T])
     return [float(value) for value in sigma]
 
 
-def command_bandwidth(data: Dataset) -> float:
+def command_bandwidth(command: Annotated[Array, "N A"], sample_time: float) -> float:
     """Frequency below which 99.9 % of the power of the command's motion lies."""
-    mean, parts = data.command.mean(axis=0), spread_parts(len(data.command), SPECTRUM_ROWS)
+    mean, parts = command.mean(axis=0), spread_parts(len(command), SPECTRUM_ROWS)
     length = parts[0].stop
     power = np.zeros(length // 2 + 1)
     for part in parts:
-        power += np.sum(np.abs(np.fft.rfft(data.command[part] - mean, axis=0)) ** 2, axis=1)
+        power += np.sum(np.abs(np.fft.rfft(command[part] - mean, axis=0)) ** 2, axis=1)
     if power.sum() == 0:
         return 0.0
     cumulative = np.cumsum(power) / power.sum()
-    return float(np.searchsorted(cumulative, 0.999) / (length * data.sample_time))
+    return float(np.searchsorted(cumulative, 0.999) / (length * sample_time))

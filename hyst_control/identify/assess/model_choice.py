@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
-from hyst_control.identify.data.dataset import Fit, TriedRow
+from hyst_control.identify.data.fit import Fit, TriedRow
 
 AS_GOOD = 0.01
 """The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""

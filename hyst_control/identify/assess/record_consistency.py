@@ -17,9 +17,9 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import residual
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.model_file import Model
 from hyst_control.records.averaged_spectra import LONGEST_SEGMENT, SEGMENTS, SHORTEST_SEGMENT, Spectra
+from hyst_control.records.record import Record
 from hyst_control.records.validity.checks import SHORTEST_RECORD
 
 LIKE = 1.3
@@ -51,16 +51,16 @@ class Disagreement:
         )
 
 
-def disagreements(model: Model, datasets: Sequence[Dataset], errors: Sequence[Array] | None = None) -> list[Disagreement]:
+def disagreements(model: Model, records: Sequence[Record], errors: Sequence[Array] | None = None) -> list[Disagreement]:
     """Compare all records of like range in pairs, by what their common model leaves: (N, A) of the last N rows of each, where known.
 
     One per pair and axis that differs by more than `DISAGREEMENT`, in the octave where it does so most.
     """
     found: list[Disagreement] = []
-    if len(datasets) < 2:
+    if len(records) < 2:
         return found
-    errors = [residual(model, data) for data in datasets] if errors is None else errors
-    for (one, of_one), (other, of_other) in combinations(zip(datasets, errors, strict=True), 2):
+    errors = [residual(model, data) for data in records] if errors is None else errors
+    for (one, of_one), (other, of_other) in combinations(zip(records, errors, strict=True), 2):
         if one.axes != other.axes or one.sample_time != other.sample_time:
             continue
         length = min(len(of_one), len(of_other)) // SEGMENTS
@@ -72,7 +72,7 @@ def disagreements(model: Model, datasets: Sequence[Dataset], errors: Sequence[Ar
             measured = data.measurement[-len(error) :]
             spectra.append(Spectra.of(measured - error, measured, length))
         for axis, name in enumerate(one.axes):
-            spans = float(one.range[axis]), float(other.range[axis])
+            spans = float(one.span[axis]), float(other.span[axis])
             if min(spans) > 0 and max(spans) <= LIKE * min(spans):
                 difference, frequency = _largest_difference(spectra[0], spectra[1], axis, 1.0 / (length * one.sample_time))
                 if difference > DISAGREEMENT:

@@ -12,27 +12,28 @@ import numpy as np
 
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
-from hyst_control.identify.data.dataset import Dataset, Fit, ParameterRow
+from hyst_control.identify.data.fit import Fit, ParameterRow
+from hyst_control.records.record import Record
 from hyst_control.records.validity.findings import Finding
 
 LEFT, LEFT_SHARE = 5, 0.03  # samples, and share, of a found delay that are left to the fit: a resonance makes it look longer
 
 
-def lateness(remarks: Sequence[Finding], datasets: Sequence[Dataset]) -> int:
+def lateness(remarks: Sequence[Finding], records: Sequence[Record]) -> int:
     """Samples by which the measurement of every record and axis is late, less what the fit finds itself; 0 where one is not."""
     found = {(each.record, each.axis): each.value for each in remarks if each.name == "late_measurement"}
-    moving = [(data.name, name) for data in datasets for name, span in zip(data.axes, np.ptp(data.command, axis=0)) if span > 0]
+    moving = [(data.name, name) for data in records for name, span in zip(data.axes, np.ptp(data.command, axis=0)) if span > 0]
     if not moving or not all(each in found for each in moving):
         return 0
-    samples = round(min(found[each] for each in moving) / datasets[0].sample_time)
+    samples = round(min(found[each] for each in moving) / records[0].sample_time)
     return max(int(samples - max(LEFT, LEFT_SHARE * samples)), 0)
 
 
-def taken_earlier(data: Dataset, samples: int) -> Dataset:
+def taken_earlier(data: Record, samples: int) -> Record:
     """A record whose measurement is taken earlier by some samples."""
     if samples == 0:
         return data
-    return replace(data, command=data.command[:-samples], measurement=data.measurement[samples:])
+    return data.rows(0, len(data) - samples).with_values(measurement=data.measurement[samples:])
 
 
 def with_delay(fit: Fit, seconds: float) -> Fit:

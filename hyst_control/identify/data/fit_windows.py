@@ -11,21 +11,21 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import rounding_weights
+from hyst_control.records.record import Beginning, Record
 from hyst_control.records.stream.row_store import column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
 
 
-def whole_records(datasets: Sequence[Dataset], axis: int, *, weighted: bool = True) -> list[Window]:
+def whole_records(records: Sequence[Record], axis: int, *, weighted: bool = True) -> list[Window]:
     """Take each record as one window; for a record of unknown start see `before`."""
     windows = []
-    for group, data in enumerate(datasets):
+    for group, data in enumerate(records):
         command = column(data.command, axis)
         memory, skip = before(data)
         windows.append(
@@ -52,7 +52,7 @@ def with_sign(window: Window, sign: float) -> Window:
     return replace(window, measurement=measurement)
 
 
-def balanced_weights(data: Dataset, axis: int) -> Array | None:
+def balanced_weights(data: Record, axis: int) -> Array | None:
     """Weight rows so that slow and fast motions between rests count alike and short fast loops are not drowned.
 
     Readings that repeat because they are rounded count as one (`rounding_weights`).
@@ -70,22 +70,22 @@ def balanced_weights(data: Dataset, axis: int) -> Array | None:
     return weight
 
 
-def before(data: Dataset) -> tuple[Array | None, int]:
+def before(data: Record) -> tuple[Array | None, int]:
     """Find the commands that precede a record, and its first row that counts.
 
     A record of unknown start that is a closed loop (it ends where it began) is taken to have been preceded by itself. Any other
     counts from where its command has met both its extremes, which wipes out all earlier memory.
     """
+    if isinstance(data.start, Beginning):
+        return data.start.memory, data.start.row
     if data.start != "unknown":
         return None, 0
-    if data.beginning is not None:
-        return data.beginning.memory, data.beginning.row
     if closed_loop(data):
         return data.command, 0
     return None, max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
 
 
-def closed_loop(data: Dataset) -> bool:
+def closed_loop(data: Record) -> bool:
     """Report whether a record ends where it began, command and measurement alike."""
     gap = np.abs(np.stack([data.command[-1] - data.command[0], data.measurement[-1] - data.measurement[0]]))
     span = np.stack([np.ptp(data.command, axis=0), np.ptp(data.measurement, axis=0)])
@@ -154,7 +154,7 @@ def memory_filled(command: Annotated[Array, "N"]) -> int:
     )
 
 
-def largest_drift(data: Dataset, axis: int) -> float:
+def largest_drift(data: Record, axis: int) -> float:
     """Bound the drift over a record by its rests at one command.
 
     A drift shows at rest as in motion. What changes with the motions alone, as the mean of a loop does with its frequency, must not

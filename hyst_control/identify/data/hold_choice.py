@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_states, with_beginning
+from hyst_control.records.record import Record
 
 ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
@@ -22,7 +22,7 @@ CLEAR = 0.7
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken."""
 
 
-def hold_errors(data: Dataset) -> tuple[float, float]:
+def hold_errors(data: Record) -> tuple[float, float]:
     """Held-out errors, shares of the range, with the command of the row before (`zoh`) and of the same row (`foh`); equal if untold."""
     memory, begin = before(with_beginning(data))
     end = min(begin + ROWS, len(data.command))

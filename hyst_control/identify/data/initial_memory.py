@@ -18,9 +18,10 @@ import numpy as np
 from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
-from hyst_control.identify.data.dataset import Beginning, BeginningRow, Dataset
+from hyst_control.identify.data.fit import BeginningRow
 from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.records.record import Beginning, Record
 from hyst_control.records.stream.row_store import all_finite, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
@@ -47,7 +48,7 @@ class Memory:
     periodic: bool = False  # The record itself precedes it
 
 
-def with_beginning(data: Dataset) -> Dataset:
+def with_beginning(data: Record) -> Record:
     """Find how a record begins, where its start is "auto"."""
     if data.start != "auto":
         return data
@@ -66,18 +67,18 @@ def with_beginning(data: Dataset) -> Dataset:
         beginning = Beginning(FILLED, None, filled)
     else:
         beginning = Beginning(ESTIMATED, smooth_way([memory.turns for memory in memories], data), 0)
-    return replace(data, start="unknown", beginning=beginning)
+    return replace(data, start=beginning)
 
 
-def beginning_rows(datasets: Sequence[Dataset]) -> list[BeginningRow]:
+def beginning_rows(records: Sequence[Record]) -> list[BeginningRow]:
     """Describe how records begin, for the report."""
     rows: list[BeginningRow] = []
-    for data in datasets:
+    for data in records:
         if data.start == "settled":
             rows.append({"name": data.name, "assumed": VIRGIN, "first_row": 0})
             continue
-        known = data.beginning
-        if known is None:
+        known = data.start
+        if not isinstance(known, Beginning):
             filled = max(memory_filled(data.command[:, axis]) for axis in range(data.command.shape[1]))
             closed = closed_loop(data)
             known = Beginning(PERIODIC if closed else FILLED, None, 0 if closed else filled)
@@ -154,7 +155,7 @@ def followed(command: Annotated[Array, "N"], thresholds: Array, states: Array, r
     return kept
 
 
-def smooth_way(turns: Sequence[Array], data: Dataset) -> Annotated[Array, "R A"]:
+def smooth_way(turns: Sequence[Array], data: Record) -> Annotated[Array, "R A"]:
     """Commands that lead through turning points to a record's first command, slow enough not to excite the dynamics."""
     rows = int(np.clip(LEG / data.sample_time, 16, 2000))
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows + 1) / rows)

@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.identify.data.dataset import Dataset
+from hyst_control.records.record import Record
 
 LAGS, ROWS = 64, 50_000
 """Taps of the response that stands for the plant, and rows at most to which it is fitted."""
@@ -21,16 +20,16 @@ DISTINCT = 0.2
 """Share of a ramp that the command must not explain for a drift to be told from the plant's answer."""
 
 
-def without_drift(datasets: Sequence[Dataset]) -> list[Dataset]:
+def without_drift(records: Sequence[Record]) -> list[Record]:
     """Remove the drift of every record in which it shows.
 
     A slow ramp has power at every low frequency, where a linear model takes it for poles of the plant.
     """
     cleaned = []
-    for data in datasets:
+    for data in records:
         slope = drift(data.command, data.measurement)
         ramp = np.linspace(-1.0, 1.0, len(data.command))[:, None] * slope
-        cleaned.append(replace(data, measurement=data.measurement - ramp) if np.any(slope) else data)
+        cleaned.append(data.with_values(measurement=data.measurement - ramp) if np.any(slope) else data)
     return cleaned
 
 

@@ -11,8 +11,8 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
 REST_TIME = 5e-3
@@ -32,7 +32,7 @@ class Stretch:
     amplitude: float  # Height of the step or motion, V
 
 
-def stretches_between_rests(data: Dataset, record: int, axis: int) -> list[Stretch]:
+def stretches_between_rests(data: Record, record: int, axis: int) -> list[Stretch]:
     """Find the motions of one axis of a record, each with the rest that follows it.
 
     Motions that join without a rest are cut where their frequency changes: at returns to the lowest command.
@@ -119,9 +119,9 @@ def _motions(command: Array, sample_time: float) -> list[tuple[int, int, float, 
     return runs
 
 
-def select_stretches(datasets: Sequence[Dataset], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
+def select_stretches(records: Sequence[Record], axis: int, kind: str, frequency: float | None = None) -> list[Stretch]:
     """Select stretches for a role; of the motions those of the largest amplitude, as in the papers."""
-    everything = [stretch for number, data in enumerate(datasets) for stretch in stretches_between_rests(data, number, axis)]
+    everything = [stretch for number, data in enumerate(records) for stretch in stretches_between_rests(data, number, axis)]
     if kind == "step":
         steps = [stretch for stretch in everything if stretch.kind == "step" and stretch.amplitude > 0]
         return steps[:1]

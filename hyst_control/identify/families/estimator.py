@@ -3,7 +3,7 @@
 """Estimators by name, one for each model family, with one interface.
 
 A family is one class: its `Options`, which the command line, the node's parameters and the documents are derived from, and
-`fit_axis(datasets, index, options) -> AxisFit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one
+`fit_axis(records, index, options) -> AxisFit`. Every module of `hyst_control.identify` is searched for them, so that a new family is one
 new file; another distribution names its class as an entry point of the group `hyst_control.estimators`.
 """
 
@@ -20,8 +20,9 @@ from hyst_control.base import plugins
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import shown
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.families.options import Option, Options, declared
+from hyst_control.records.record import Record
 
 O = TypeVar("O", bound=Options)  # noqa: E741
 E = TypeVar("E", bound="type[Estimator[Any]]")
@@ -46,14 +47,14 @@ class Estimator(Generic[O]):
     """Mark of the families, slower to fit, that are compared as well where none of the suggested ones does well; the same holds."""
     Options: type[O]
 
-    def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
-        """Identify a model from `datasets` of one plant with `options`; raises `InputError` where they do not determine one."""
-        check_records(datasets)
-        axes = [self.fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
-        return fit_of(datasets, axes, self.name, options.method)
+    def fit(self, records: Sequence[Record], options: O) -> Fit:
+        """Identify a model from `records` of one plant with `options`; raises `InputError` where they do not determine one."""
+        check_records(records)
+        axes = [self.fit_axis(records, index, options) for index in range(len(records[0].axes))]
+        return fit_of(records, axes, self.name, options.method)
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: O) -> AxisFit:
-        """Fit the axis `index` of the `datasets` with `options`."""
+    def fit_axis(self, records: Sequence[Record], index: int, options: O) -> AxisFit:
+        """Fit the axis `index` of the `records` with `options`."""
         raise NotImplementedError
 
     @property

@@ -8,7 +8,7 @@ What an axis does not explain of its measurement is compared with what the other
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,9 +17,10 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
-from hyst_control.identify.data.dataset import Dataset, ParameterRow
+from hyst_control.identify.data.fit import ParameterRow
 from hyst_control.identify.data.fit_windows import before, first_motion, virgin_rows
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks as row_blocks
 from hyst_control.records.stream.row_store import empty_rows
 
@@ -59,22 +60,22 @@ class Coupling:
         ]
 
 
-def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | None = None) -> Coupling | None:
+def fit_coupling(model: Model, records: Sequence[Record], near: Coupling | None = None) -> Coupling | None:
     """Look for coupling between the axes of a model that has none."""
-    simulated = [simulated_rows(model, data) for data in datasets]
+    simulated = [simulated_rows(model, data) for data in records]
     count = len(model.axes)
     corners: tuple[float | None, ...] = CORNERS if near is None else (near.corner,)
     if near is not None and near.corner is not None:
         corners = tuple(near.corner * factor for factor in (0.85, 1.0, 1.18))
-    fastest = 0.4 / max(data.sample_time for data in datasets)
+    fastest = 0.4 / max(data.sample_time for data in records)
     slow_enough = [corner for corner in corners if corner is None or corner <= fastest]
 
     def tried(index: int) -> tuple[float, Coupling, bool]:
         corner = slow_enough[index]
-        others = [low_passed(y, corner, data.sample_time) for y, data in zip(simulated, datasets, strict=True)]
+        others = [low_passed(y, corner, data.sample_time) for y, data in zip(simulated, records, strict=True)]
         matrix, errors, share, worthwhile = np.eye(count), np.zeros((count, count)), 0.0, False
         for i in range(count):
-            found, spread, without, held_out = regress(i, others, simulated, datasets)
+            found, spread, without, held_out = regress(i, others, simulated, records)
             matrix[i, np.arange(count) != i], errors[i, np.arange(count) != i] = found, spread
             share += held_out / max(without, 1e-300)
             worthwhile |= held_out < (1.0 - WORTHWHILE) * without
@@ -84,20 +85,20 @@ def fit_coupling(model: Model, datasets: Sequence[Dataset], near: Coupling | Non
     return best[1] if best[2] else None
 
 
-def without_coupling(model: Model, coupling: Coupling, datasets: Sequence[Dataset]) -> list[Dataset]:
+def without_coupling(model: Model, coupling: Coupling, records: Sequence[Record]) -> list[Record]:
     """Records with the other axes' share of each measurement subtracted."""
     cleaned = []
-    for data in datasets:
+    for data in records:
         y = simulated_rows(model, data)
         passed, others = low_passed(y, coupling.corner, data.sample_time), (coupling.matrix - np.eye(len(model.axes))).T
         measurement = empty_rows(*data.measurement.shape)
         for part in row_blocks(len(measurement)):
             measurement[part] = data.measurement[part] - passed[part] @ others
-        cleaned.append(replace(data, measurement=measurement))
+        cleaned.append(data.with_values(measurement=measurement))
     return cleaned
 
 
-def simulated_rows(model: Model, data: Dataset) -> Array:
+def simulated_rows(model: Model, data: Record) -> Array:
     """Output (N, A) of the model for the record `data`, in the measurement unit; an unknown start is simulated from its memory."""
     memory, _ = before(data)
     return simulate(model, data.command, data.sample_time, data.hold, memory)
@@ -117,7 +118,7 @@ def low_passed(signal: Annotated[Array, "N A"], corner: float | None, sample_tim
 
 
 def regress(
-    axis: int, others: Sequence[Array], simulated: Sequence[Array], datasets: Sequence[Dataset]
+    axis: int, others: Sequence[Array], simulated: Sequence[Array], records: Sequence[Record]
 ) -> tuple[Array, Array, float, float]:
     """Coupling into one axis (A - 1,), its standard errors, and the held-out square sums of the error without and with it.
 
@@ -125,11 +126,11 @@ def regress(
     after it. Every third block of rows is held out.
     """
     grams = []
-    for other, own, data in zip(others, simulated, datasets, strict=True):
+    for other, own, data in zip(others, simulated, records, strict=True):
         _, skip = before(data)
         n = len(own)
         # A fraction of the rows says as much: what limits the coupling is how much the axes have in common.
-        every = max(n * len(datasets) // ROWS, 1)
+        every = max(n * len(records) // ROWS, 1)
         taken = slice(skip, None, every)
         columns = np.column_stack([np.delete(other[taken], axis, axis=1), data.measurement[taken, axis] - own[taken, axis]])
         first, virgin = first_motion(data.command[:, axis]), virgin_rows(data.command[:, axis])

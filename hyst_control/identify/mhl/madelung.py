@@ -20,7 +20,6 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import per_axis_scalars
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
@@ -28,6 +27,7 @@ from hyst_control.identify.families.shared_options import nuisance_option
 from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
 NEAR = 0.05
@@ -83,8 +83,8 @@ class MadelungCurves(Estimator[MadelungOptions]):
     sentence = "Madelung hysteresis without dynamics, and the sensor's zero: rising curves from slow loops, nested ones included"
     Options = MadelungOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: MadelungOptions) -> AxisFit:
-        found = fit_records(whole_records(datasets, index, weighted=False), options)
+    def fit_axis(self, records: Sequence[Record], index: int, options: MadelungOptions) -> AxisFit:
+        found = fit_records(whole_records(records, index, weighted=False), options)
         rest = [*turned_by(found.sign), *([Offset(found.offset)] if found.offset else [])]
         return AxisFit(
             lambda vector: [found.curves.stage(vector, found.ends, found.output_scale), *rest],
@@ -92,7 +92,7 @@ class MadelungCurves(Estimator[MadelungOptions]):
             found.solution.covariance,
             found.curves.numbers,
             tolerance=found.curves.tolerance(found.solution.parameters, found.solution.covariance),
-            notes=lambda _: range_notes(datasets, index, found.ends),
+            notes=lambda _: range_notes(records, index, found.ends),
         )
 
 
@@ -212,13 +212,13 @@ def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) ->
     return float(np.average(solution.nuisances[::extra], weights=np.maximum(rows, 1e-9)))
 
 
-def range_notes(datasets: Sequence[Dataset], index: int, ends: Ends) -> list[str]:
+def range_notes(records: Sequence[Record], index: int, ends: Ends) -> list[str]:
     """Name the part of the curves of one axis that the records do not reach, with the excitation that would show it."""
-    low = (min(float(data.command[:, index].min()) for data in datasets) - ends.lower) / ends.length
-    high = (max(float(data.command[:, index].max()) for data in datasets) - ends.lower) / ends.length
+    low = (min(float(data.command[:, index].min()) for data in records) - ends.lower) / ends.length
+    high = (max(float(data.command[:, index].max()) for data in records) - ends.lower) / ends.length
     if low <= NEAR and high >= 1.0 - NEAR:
         return []
     return [
-        f"axis {datasets[0].axes[index]}: the records span {100 * low:.0f} to {100 * high:.0f} % of {ends.lower:g} to {ends.upper:g} V: "
+        f"axis {records[0].axes[index]}: the records span {100 * low:.0f} to {100 * high:.0f} % of {ends.lower:g} to {ends.upper:g} V: "
         "the curves beyond are a continuation; record a slow loop over the whole drive"
     ]

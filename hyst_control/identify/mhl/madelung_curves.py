@@ -12,7 +12,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.identify.data.dataset import Number
+from hyst_control.identify.data.fit import Number
 
 MIN_SLOPE = 5e-3
 """Smallest slope of a curve relative to its mean slope: a curve that rises this much everywhere has an inverse."""

@@ -20,7 +20,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.assess.assembly import chain_model, fit_of, side_by_side
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.mhl import paper_mhl
@@ -50,6 +50,7 @@ from hyst_control.identify.solve.simulation_error import (
 )
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 
 T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
@@ -70,50 +71,50 @@ class ModifiedHammersteinLike(Estimator[MhlOptions]):
     )
     Options = MhlOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: MhlOptions) -> Fit:
-        check_records(datasets)
+    def fit(self, records: Sequence[Record], options: MhlOptions) -> Fit:
+        check_records(records)
         if options.method == "paper":
-            return _assembled(datasets, paper_mhl.fit_axes(datasets, options), "paper", None)
+            return _assembled(records, paper_mhl.fit_axes(records, options), "paper", None)
         axes: list[Found] = []
-        for index in range(len(datasets[0].axes)):
-            axes.append(fit_joint(axis_windows(datasets, index), options, axes[0] if axes else None))
+        for index in range(len(records[0].axes)):
+            axes.append(fit_joint(axis_windows(records, index), options, axes[0] if axes else None))
         coupling = None
         if options.cross_coupling and len(axes) > 1:
-            coupling, axes = with_coupling(datasets, axes, options.nuisance)
-        cleaned = datasets
+            coupling, axes = with_coupling(records, axes, options.nuisance)
+        cleaned = records
         if coupling is not None:
-            cleaned = without_coupling(model_of(datasets, axes), coupling, datasets)
+            cleaned = without_coupling(model_of(records, axes), coupling, records)
         if options.structure is None:
             model = model_of(cleaned, axes)
             axes = list(map_forked(lambda index: with_parted_pair(model, cleaned, axes[index], index, options.nuisance), len(axes)))
         final = map_forked(lambda index: refit(cleaned, index, axes[index], options.nuisance), len(axes))
-        return _assembled(datasets, list(final), options.method, coupling)
+        return _assembled(records, list(final), options.method, coupling)
 
 
-def _assembled(datasets: Sequence[Dataset], axes: Sequence[Found], method: str, coupling: Coupling | None) -> Fit:
-    fits = [found.axis_fit(datasets, index) for index, found in enumerate(axes)]
-    behind, rows = ([coupling.stage], coupling.rows(datasets[0].axes)) if coupling is not None else ([], [])
-    return fit_of(datasets, fits, "mhl", method, name=f"mhl_{method}", behind=behind, rows=rows)
+def _assembled(records: Sequence[Record], axes: Sequence[Found], method: str, coupling: Coupling | None) -> Fit:
+    fits = [found.axis_fit(records, index) for index, found in enumerate(axes)]
+    behind, rows = ([coupling.stage], coupling.rows(records[0].axes)) if coupling is not None else ([], [])
+    return fit_of(records, fits, "mhl", method, name=f"mhl_{method}", behind=behind, rows=rows)
 
 
-def model_of(datasets: Sequence[Dataset], axes: Sequence[Found]) -> Model:
+def model_of(records: Sequence[Record], axes: Sequence[Found]) -> Model:
     """The model of the axes without coupling."""
-    chains = [found.axis_fit(datasets, index).stages(found.vector) for index, found in enumerate(axes)]
-    return chain_model(datasets, side_by_side(chains), "plain")
+    chains = [found.axis_fit(records, index).stages(found.vector) for index, found in enumerate(axes)]
+    return chain_model(records, side_by_side(chains), "plain")
 
 
-def axis_windows(datasets: Sequence[Dataset], index: int, sign: float = 1.0) -> list[Window]:
+def axis_windows(records: Sequence[Record], index: int, sign: float = 1.0) -> list[Window]:
     """Records of one axis, counted from the end of its initial loading curve, which Madelung's rules do not describe.
 
     On the virgin curve a stack is up to a few percent lower and arrives at a different zero. Counting those rows would bend the
     curves; and while an axis waits for its turn, its zero would pass for a drift, or for coupling from the axis that moves.
     """
-    records = whole_records(datasets, index, weighted=False)
-    return [with_sign(replace(window, skip=max(window.skip, virgin_rows(window.command))), sign) for window in records]
+    windows = whole_records(records, index, weighted=False)
+    return [with_sign(replace(window, skip=max(window.skip, virgin_rows(window.command))), sign) for window in windows]
 
 
 def with_coupling(
-    datasets: Sequence[Dataset], axes: list[Found], nuisance: str, rounds: int = 3
+    records: Sequence[Record], axes: list[Found], nuisance: str, rounds: int = 3
 ) -> tuple[Coupling | None, list[Found]]:
     """Coupling, None if the records show none, and the axes fitted without it.
 
@@ -121,20 +122,20 @@ def with_coupling(
     """
     coupling: Coupling | None = None
     for _ in range(rounds):
-        plain = model_of(datasets, axes)
-        coupling = fit_coupling(plain, datasets, coupling)
+        plain = model_of(records, axes)
+        coupling = fit_coupling(plain, records, coupling)
         if coupling is None:
             break
-        cleaned = without_coupling(plain, coupling, datasets)
+        cleaned = without_coupling(plain, coupling, records)
         axes = refined_axes(cleaned, axes, nuisance)
     return coupling, axes
 
 
-def refined_axes(datasets: Sequence[Dataset], axes: Sequence[Found], nuisance: str) -> list[Found]:
+def refined_axes(records: Sequence[Record], axes: Sequence[Found], nuisance: str) -> list[Found]:
     """Refine every axis by a few passes, on all cores."""
 
     def work(index: int) -> Found:
-        return refined(axis_windows(datasets, index, axes[index].axis.sign), axes[index], nuisance, passes=3)
+        return refined(axis_windows(records, index, axes[index].axis.sign), axes[index], nuisance, passes=3)
 
     return list(map_forked(work, len(axes)))
 
@@ -171,9 +172,9 @@ def refined(turned: Sequence[Window], found: Found, nuisance: str, passes: int) 
     return replace(found, vector=solution.parameters)
 
 
-def refit(datasets: Sequence[Dataset], index: int, found: Found, nuisance: str) -> Found:
+def refit(records: Sequence[Record], index: int, found: Found, nuisance: str) -> Found:
     """Last passes over every row of every record, with the covariance of the parameters and the offset."""
-    turned, problem = axis_windows(datasets, index, found.axis.sign), found.axis.parametrization()
+    turned, problem = axis_windows(records, index, found.axis.sign), found.axis.parametrization()
     solution = minimize_simulation_error(turned, problem, found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True)
     offset = mean_offset(solution, turned, nuisance)
     return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
@@ -313,7 +314,7 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 
-def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: Found, index: int, nuisance: str) -> Found:
+def with_parted_pair(model: Model, records: Sequence[Record], found: Found, index: int, nuisance: str) -> Found:
     """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the held-out error enough.
 
     Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone
@@ -321,7 +322,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: Found, in
     """
     axis, dynamics = found.axis, found.axis.split(found.vector)[2]
     signals = []
-    for data in datasets:
+    for data in records:
         error = simulated_rows(model, data)
         np.subtract(data.measurement, error, out=error)  # in place: a long record's is on a file
         begin = virgin_rows(data.command[:, index])
@@ -329,7 +330,7 @@ def with_parted_pair(model: Model, datasets: Sequence[Dataset], found: Found, in
     frequency = unexplained_frequency(signals, axis.sample_time)
     if axis.structure.modes > 1 or frequency is None:
         return found
-    turned = axis_windows(datasets, index, axis.sign)
+    turned = axis_windows(records, index, axis.sign)
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
     plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)

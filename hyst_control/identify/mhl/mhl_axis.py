@@ -15,13 +15,14 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain import Parallel, Stage
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset, Number, ParameterRow
+from hyst_control.identify.data.fit import Number, ParameterRow
 from hyst_control.identify.families.options import TRUTH, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.mhl.madelung import CurveOptions, range_notes, turned_by
 from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.records.record import Record
 
 MOST = 0.95  # Of the mean slope: from it on the compensators refuse a model, as they cannot invert its rate correction
 K2_UNIT = 1e-3
@@ -112,10 +113,10 @@ class Found:
     held_out: float  # Mean square error on the rows held out
     steps: dict[str, dict[str, Any]] = field(default_factory=dict)  # Results of the paper's sequence
 
-    def axis_fit(self, datasets: Sequence[Dataset], index: int) -> AxisFit:
+    def axis_fit(self, records: Sequence[Record], index: int) -> AxisFit:
         """The fit as every family hands it over."""
-        axis, name = self.axis, datasets[0].axes[index]
-        unit = datasets[0].unit
+        axis, name = self.axis, records[0].axes[index]
+        unit = records[0].unit
 
         def numbers(vector: Array) -> list[Number]:
             curves, _, dynamics = axis.split(vector)
@@ -133,7 +134,7 @@ class Found:
             self.held_out,
             tolerance=axis.curves.tolerance(axis.split(self.vector)[0], self.covariance),
             structure=axis.structure.describe(),
-            notes=lambda rows: range_notes(datasets, index, axis.ends) + _unresolved(name, rows),
+            notes=lambda rows: range_notes(records, index, axis.ends) + _unresolved(name, rows),
             steps=self.steps,
         )
 

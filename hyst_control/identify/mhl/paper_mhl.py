@@ -29,7 +29,7 @@ from hyst_control.chain.linear.symmetric_filter import smooth_weights
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
-from hyst_control.identify.data.dataset import Dataset, check_records
+from hyst_control.identify.data.fit import check_records
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
 from hyst_control.identify.data.record_segmentation import moving_stretches
 from hyst_control.identify.data.reversal_points import turning_points
@@ -48,6 +48,7 @@ from hyst_control.identify.solve.simulation_error import (
 )
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 
 REST_TIME = 0.02
 """A command that holds still for this long (s) rests."""
@@ -121,24 +122,24 @@ class Inverse:
 
 
 def inverse_model(
-    datasets: Sequence[Dataset], options: MhlOptions | None = None, k2: float | None = None, smoothing: int = 0
+    records: Sequence[Record], options: MhlOptions | None = None, k2: float | None = None, smoothing: int = 0
 ) -> Model:
     """Identify the compensator of Eq. 6 and 7 from the paper's records, taken at the rate of the loop, whose hold it makes up for.
 
     Its chain runs from the measurement to V, for the kinds `mhl` and `mhl_static`.
     """
     # smoothing: order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none
-    check_records(datasets)
+    check_records(records)
     options = options or MhlOptions()
-    first, axes = datasets[0], range(len(datasets[0].axes))
+    first, axes = records[0], range(len(records[0].axes))
     found = []
     for index in axes:
-        sign = response_sign(whole_records(datasets, index))
-        pieces = sorted_pieces(datasets, index, sign)
-        ends = from_zero(datasets, index, options)
+        sign = response_sign(whole_records(records, index))
+        pieces = sorted_pieces(records, index, sign)
+        ends = from_zero(records, index, options)
         static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
         found.append(
-            fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
+            fit_inverse_correction(records, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
         )
 
     def per_axis(name: str) -> list[float]:
@@ -147,7 +148,7 @@ def inverse_model(
     rate = RateCorrection(per_axis("k1"), per_axis("k2"), per_axis("b1"))
     stages: list[Stage] = [Offset([-zero for zero in per_axis("zero")])]
     stages.append(Parallel((tuple(side_by_side([[inverse.hysteresis] for inverse in found])), (rate,))))
-    signs = [response_sign(whole_records(datasets, index)) for index in axes]
+    signs = [response_sign(whole_records(records, index)) for index in axes]
     if min(signs) < 0:
         stages.insert(0, Gain(signs))
     return Model(
@@ -161,7 +162,7 @@ def inverse_model(
 
 
 def fit_inverse_correction(
-    datasets: Sequence[Dataset],
+    records: Sequence[Record],
     index: int,
     sign: float,
     hysteresis: Madelung,
@@ -175,12 +176,13 @@ def fit_inverse_correction(
     """
     weights, ahead = (smooth_weights(smoothing), smoothing + 1) if smoothing else (np.ones(1), 0)
     targets: list[tuple[Array, Array, list[slice], Sampling]] = []
-    for data in datasets:
+    for data in records:
         command = data.command[:, index]
         rows = [
             slice(begin, moving)
             for begin, moving, end in motions(command, data.sample_time)
-            if moving - begin > 2 and SLOW < command_bandwidth(_cut(data, index, begin, end)) <= MEDIUM
+            if moving - begin > 2
+            and SLOW < command_bandwidth(data.command[begin:end, index : index + 1], data.sample_time) <= MEDIUM
         ]
         sampling = Sampling(data.sample_time, 1, "foh")
         y = sign * data.measurement[:, index : index + 1] - zero
@@ -202,7 +204,7 @@ def fit_inverse_correction(
         solution = np.linalg.lstsq(matrix, goal, rcond=None)[0]
         return float(np.mean((goal - matrix @ solution) ** 2)), solution
 
-    bounds = np.log(np.array([FASTEST, SLOWEST]) * datasets[0].sample_time)
+    bounds = np.log(np.array([FASTEST, SLOWEST]) * records[0].sample_time)
     best = np.log(k2) if k2 else minimize_scalar(lambda value: left(value)[0], bounds=bounds, method="bounded").x
     power, (k1, b1) = left(best)
     before = np.concatenate([target[part] for target, _, rows, _ in targets for part in rows])
@@ -215,34 +217,27 @@ def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
     return np.asarray(running.process(np.ascontiguousarray(signal)))[:, 0]
 
 
-def from_zero(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Ends:
+def from_zero(records: Sequence[Record], index: int, options: MhlOptions) -> Ends:
     """Commands at the ends of the curves, which begin at 0 V in the paper's sequence."""
-    ends = curve_ends(whole_records(datasets, index), options)
+    ends = curve_ends(whole_records(records, index), options)
     if ends.lower != 0.0:
         raise InputError(
-            f"{datasets[0].name}: command: the paper's sequence begins at 0 V, the records of axis {datasets[0].axes[index]} at "
+            f"{records[0].name}: command: the paper's sequence begins at 0 V, the records of axis {records[0].axes[index]} at "
             f"{ends.lower:g} V: use the joint method"
         )
     return ends
 
 
-def _cut(data: Dataset, index: int, begin: int, end: int) -> Dataset:
-    """A part of one axis."""
-    return replace(
-        data, command=data.command[begin:end, index : index + 1], measurement=data.measurement[begin:end, index : index + 1]
-    )
-
-
-def fit_axes(datasets: Sequence[Dataset], options: MhlOptions) -> list[Found]:
+def fit_axes(records: Sequence[Record], options: MhlOptions) -> list[Found]:
     """Identify every axis in the paper's steps. Raises `InputError` naming an experiment that is missing."""
-    return [_fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
+    return [_fit_axis(records, index, options) for index in range(len(records[0].axes))]
 
 
-def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> Found:
-    everything = whole_records(datasets, index)
+def _fit_axis(records: Sequence[Record], index: int, options: MhlOptions) -> Found:
+    everything = whole_records(records, index)
     sign = response_sign(everything)
-    pieces = sorted_pieces(datasets, index, sign)
-    ends = from_zero(datasets, index, options)
+    pieces = sorted_pieces(records, index, sign)
+    ends = from_zero(records, index, options)
     structure = options.structure or PAPER_STRUCTURE
 
     # Step 1: the delay.
@@ -251,7 +246,7 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> F
     # Step 2: the curves, from loops so slow that nothing else matters.
     static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
     curves = static.solution.parameters
-    inverse = fit_inverse_correction(datasets, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
+    inverse = fit_inverse_correction(records, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
 
     # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
     axis = Axis(options.curves, replace(structure, delay=True), ends, static.output_scale, sign, everything[0].sample_time)
@@ -291,11 +286,11 @@ def _fit_axis(datasets: Sequence[Dataset], index: int, options: MhlOptions) -> F
     return Found(axis, vector, covariance, static.offset, dynamics.held_out, steps)
 
 
-def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Pieces:
+def sorted_pieces(records: Sequence[Record], index: int, sign: float) -> Pieces:
     """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing."""
     found = Pieces([], [], [], [])
     group = 0
-    for data in datasets:
+    for data in records:
         command, measurement = data.command[:, index], sign * data.measurement[:, index]
         virgin = virgin_rows(command)
         for begin, moving, end in motions(command, data.sample_time):
@@ -317,10 +312,10 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
                 memory=memory,
             )
             group += 1
-            bandwidth = command_bandwidth(_cut(data, index, begin, end))
+            bandwidth = command_bandwidth(data.command[begin:end, index : index + 1], data.sample_time)
             kind = found.step if jump else found.slow if bandwidth <= SLOW else found.medium if bandwidth <= MEDIUM else found.fast
             kind.append(window)
-    names = ", ".join(data.name for data in datasets)
+    names = ", ".join(data.name for data in records)
     for kind, words in (
         (found.step, "a step between two rests"),
         (found.slow, f"slow loops (up to {SLOW:g} Hz) of variable amplitude"),
@@ -329,7 +324,7 @@ def sorted_pieces(datasets: Sequence[Dataset], index: int, sign: float) -> Piece
     ):
         if not kind:
             raise InputError(
-                f"{names}: the paper's sequence needs {words} of axis {datasets[0].axes[index]}: add such a record or use the "
+                f"{names}: the paper's sequence needs {words} of axis {records[0].axes[index]}: add such a record or use the "
                 "joint method"
             )
     return found

@@ -16,14 +16,15 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.assembly import fit_of
-from hyst_control.identify.data.dataset import Dataset, Fit, OrderRow
 from hyst_control.identify.data.excited_band import REACH
+from hyst_control.identify.data.fit import Fit, OrderRow
 from hyst_control.identify.data.record_drift import without_drift
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import axis_fit
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
 MAX_LINES = 6000
@@ -43,20 +44,20 @@ NOTHING_HELD_OUT = (
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 
 
-def fit(datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
+def fit(records: Sequence[Record], options: LinearOptions) -> Fit:
     """Identify one `state_space` of all axes."""
-    chosen, table = _search(without_drift(datasets), options)
-    found = axis_fit(chosen, datasets[0].sample_time)
+    chosen, table = _search(without_drift(records), options)
+    found = axis_fit(chosen, records[0].sample_time)
     if all(row["held_out"] is None for row in table):
         found = replace(found, notes=lambda _: [NOTHING_HELD_OUT])
     more = {"orders": table, "states": chosen.model.states}
-    return fit_of(datasets, [found], "linear", options.method, offset=0.0, by_axis=True, more=more)
+    return fit_of(records, [found], "linear", options.method, offset=0.0, by_axis=True, more=more)
 
 
-def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
+def spectra_of_records(records: Sequence[Record]) -> list[Spectra]:
     """Take the spectra of records, of a long one those of its parts."""
     found = []
-    for data in datasets:
+    for data in records:
         n = len(data.command)
         if n <= WHOLE_ROWS:
             found.append(spectra_of(data))
@@ -69,7 +70,7 @@ def spectra_of_records(datasets: Sequence[Dataset]) -> list[Spectra]:
     return found
 
 
-def spectra_of(data: Dataset, most: int = MAX_LINES) -> Spectra:
+def spectra_of(data: Record, most: int = MAX_LINES) -> Spectra:
     """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
@@ -88,28 +89,28 @@ def spectra_of(data: Dataset, most: int = MAX_LINES) -> Spectra:
     return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], False)
 
 
-def held_out_split(datasets: Sequence[Dataset]) -> tuple[list[Dataset], list[Dataset]]:
+def held_out_split(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
 
     Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
     would not excite every axis, or the held-out part would hardly move.
     """
-    datasets = list(datasets)
-    held = datasets[2::3] or datasets[1:]
-    kept = [data for data in datasets if not any(data is other for other in held)]
-    if not held or sum(map(_length, kept)) < sum(map(_length, held)):
-        longest = max(datasets, key=_length)
-        cut = 2 * _length(longest) // 3
-        kept = [longest.rows(0, cut) if data is longest else data for data in datasets]
-        held = [longest.rows(cut, _length(longest))]
+    records = list(records)
+    held = records[2::3] or records[1:]
+    kept = [data for data in records if not any(data is other for other in held)]
+    if not held or sum(map(len, kept)) < sum(map(len, held)):
+        longest = max(records, key=len)
+        cut = 2 * len(longest) // 3
+        kept = [longest.rows(0, cut) if data is longest else data for data in records]
+        held = [longest.rows(cut, len(longest))]
 
-    def motion(records: list[Dataset]) -> Array:
-        found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in records) / len(records))
+    def motion(part: list[Record]) -> Array:
+        found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in part) / len(part))
         return found
 
-    everything = motion(datasets)
-    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(_length, held)) < 64:
-        return datasets, []
+    everything = motion(records)
+    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(len, held)) < 64:
+        return records, []
     return kept, held
 
 
@@ -119,10 +120,6 @@ def _mean_square_step(command: Array) -> Array:
     for part in blocks(len(command)):
         total += np.sum(np.diff(command[part.start : part.stop + 1], axis=0) ** 2, axis=0)
     return total / (len(command) - 1)
-
-
-def _length(data: Dataset) -> int:
-    return len(data.command)
 
 
 def choose(
@@ -188,10 +185,10 @@ def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
     return bool(np.any(np.abs(model.poles) > REACH * highest))
 
 
-def _search(datasets: Sequence[Dataset], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
-    first = datasets[0]
+def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
+    first = records[0]
     inputs = len(first.axes)
-    kept, held = held_out_split(datasets)
+    kept, held = held_out_split(records)
     train, test = spectra_of_records(kept), spectra_of_records(held)
     orders: Sequence[int] = [options.order] if options.order else COUPLED_ORDERS
     lines = sum(len(spectra.angle) * inputs for spectra in train)
@@ -217,7 +214,7 @@ def _search(datasets: Sequence[Dataset], options: LinearOptions) -> tuple[Candid
     good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
     index = min(good)[1]
     delays, direct, free = variants[index]
-    everything = spectra_of_records(datasets)
+    everything = spectra_of_records(records)
     final = refined(everything, results[index][0].model, direct, free, options.iterations)
     return replace(final, held_out=results[index][0].held_out), rows
 

@@ -19,8 +19,8 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
-from hyst_control.identify.data.dataset import Dataset, Fit, Number, OrderRow, ParameterRow, check_records
 from hyst_control.identify.data.excited_band import REACH, excited_band
+from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.linear_options import LinearOptions
@@ -28,6 +28,7 @@ from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import column
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
@@ -101,21 +102,21 @@ class Linear(Estimator[LinearOptions]):
     )
     Options = LinearOptions
 
-    def fit(self, datasets: Sequence[Dataset], options: LinearOptions) -> Fit:
-        first = checked(datasets)
+    def fit(self, records: Sequence[Record], options: LinearOptions) -> Fit:
+        first = checked(records)
         axes = len(first.axes)
         if axes > 1 and options.coupled is not False:
-            return coupled_linear.fit(datasets, options)
+            return coupled_linear.fit(records, options)
         fits: list[AxisFit] = []
         table: list[OrderRow] = []
         states = 0
         for axis, name in enumerate(first.axes):
-            candidate, rows = search([_window(data, axis, number) for number, data in enumerate(datasets)], options)
+            candidate, rows = search([_window(data, axis, number) for number, data in enumerate(records)], options)
             fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
             table += [{**row, "axis": name} if axes > 1 else row for row in rows]
             states += candidate.sections.order
         more = {"orders": table, "states": states}
-        return fit_of(datasets, fits, self.name, options.method, offset=0.0, by_axis=True, more=more)
+        return fit_of(records, fits, self.name, options.method, offset=0.0, by_axis=True, more=more)
 
 
 def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
@@ -266,7 +267,7 @@ def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) ->
     }
 
 
-def _window(data: Dataset, axis: int, number: int) -> Window:
+def _window(data: Record, axis: int, number: int) -> Window:
     return Window(column(data.command, axis), column(data.measurement, axis), data.sample_time, data.hold, 0, number)
 
 
@@ -327,10 +328,10 @@ def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFi
     return AxisFit(sections.stages, solution.parameters, solution.covariance, numbers, notes=notes)
 
 
-def checked(datasets: Sequence[Dataset]) -> Dataset:
+def checked(records: Sequence[Record]) -> Record:
     """The first record, if all agree in axes, unit, hold and sample time, and move on every axis; else an `InputError`."""
-    for data in datasets:
-        first = datasets[0]
+    for data in records:
+        first = records[0]
         if data.hold != first.hold:
             raise InputError(
                 f"{data.name}: hold {data.hold}, but {first.name} has {first.hold}: give a linear fit records of one hold"
@@ -340,5 +341,5 @@ def checked(datasets: Sequence[Dataset]) -> Dataset:
                 f"{data.name}: sample time {data.sample_time:g} s, but {first.name} has {first.sample_time:g} s: "
                 "give a linear fit records of one sample time"
             )
-    check_records(datasets, 32)
-    return datasets[0]
+    check_records(records, 32)
+    return records[0]

@@ -10,7 +10,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.stage import Stage
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Number
+from hyst_control.identify.data.fit import Number
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.modal.modal_model import ModalModel
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
@@ -23,6 +22,7 @@ from hyst_control.identify.families.shared_options import nuisance_option, struc
 from hyst_control.identify.solve.gram_sums import Operators, Window
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
@@ -63,15 +63,15 @@ class HammersteinOptions(PlayOptions):
 
 
 def axis_problem(
-    datasets: Sequence[Dataset], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
+    records: Sequence[Record], axis: int, options: OperatorOptions, *, one_sided: bool = False, dynamic: bool = False
 ) -> Problem:
     """Set up the fit of one axis to all its records."""
-    windows = whole_records(datasets, axis)
+    windows = whole_records(records, axis)
     operators = default_operators(windows, options, one_sided=one_sided, dynamic=dynamic)
     travel = max(np.ptp(window.measurement) for window in windows)
     drive = max(np.ptp(window.command) for window in windows)
-    drift = [largest_drift(data, axis) for data in datasets]
-    return Problem(windows, operators, options.nuisance, len(datasets), travel / drive, drift)
+    drift = [largest_drift(data, axis) for data in records]
+    return Problem(windows, operators, options.nuisance, len(records), travel / drive, drift)
 
 
 def fit_static(problem: Problem) -> tuple[Solution, float]:

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify.data.dataset import Dataset
 from hyst_control.identify.data.fit_windows import whole_records
 from hyst_control.identify.data.record_segmentation import Stretch, select_stretches
 from hyst_control.identify.data.reversal_points import turning_points
@@ -23,6 +22,7 @@ from hyst_control.identify.solve.bounded_least_squares import cost
 from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
+from hyst_control.records.record import Record
 
 DYNAMIC_FREQUENCY = 100.0
 PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
@@ -30,32 +30,32 @@ PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
 
 
 def fit_axis(
-    datasets: Sequence[Dataset], axis: int, options: HammersteinOptions, *, dynamic: bool
+    records: Sequence[Record], axis: int, options: HammersteinOptions, *, dynamic: bool
 ) -> tuple[Operators, Solution, float]:
     """One axis in the paper's three steps: its operators, the solution, and the mean square error of the last step."""
-    step = _windows(datasets, axis, "step", "a step from rest that is then held")
-    slow = _windows(datasets, axis, "quasi_static", "loops at 5 Hz or slower")
-    everything = whole_records(datasets, axis)
+    step = _windows(records, axis, "step", "a step from rest that is then held")
+    slow = _windows(records, axis, "quasi_static", "loops at 5 Hz or slower")
+    everything = whole_records(records, axis)
     operators = default_operators(everything, options, one_sided=options.one_sided)
     drive = max(float(np.ptp(window.command)) for window in everything)
     mean_slope = max(float(np.ptp(window.measurement)) for window in everything) / drive
 
     # Step 1: G(s), with a plain gain for the hysteresis, which the small step hardly shows.
-    gain = Problem(step, Operators(np.zeros(1)), "none", len(datasets), mean_slope)
+    gain = Problem(step, Operators(np.zeros(1)), "none", len(records), mean_slope)
     structure = options.structure or PAPER_STRUCTURE
     trials = [solve(gain, structure, structure.start(frequency), everything=True) for frequency in (300.0, 800.0, 2000.0)]
     parameters = min(trials, key=lambda trial: trial.fitted).parameters
 
     # Step 2: the static weights, G(s) as it is.
-    static = solve(Problem(slow, operators, "offset", len(datasets), mean_slope), structure, parameters, passes=2, everything=True)
+    static = solve(Problem(slow, operators, "offset", len(records), mean_slope), structure, parameters, passes=2, everything=True)
     static = replace(static, parameters=parameters, held_out=static.fitted)
     if not dynamic:
         return operators, static, static.fitted
 
     # Step 3: the dynamic weights, everything else as it is.
-    fast = _windows(datasets, axis, "dynamic", "loops at 100 Hz", DYNAMIC_FREQUENCY)
+    fast = _windows(records, axis, "dynamic", "loops at 100 Hz", DYNAMIC_FREQUENCY)
     operators = replace(operators, dynamic=True)
-    solution = _dynamic_weights(fast, operators, static, len(datasets))
+    solution = _dynamic_weights(fast, operators, static, len(records))
     return operators, solution, solution.fitted
 
 
@@ -92,17 +92,17 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
     )
 
 
-def _windows(datasets: Sequence[Dataset], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
-    chosen = select_stretches(datasets, axis, kind, frequency)
+def _windows(records: Sequence[Record], axis: int, kind: str, words: str, frequency: float | None = None) -> list[Window]:
+    chosen = select_stretches(records, axis, kind, frequency)
     if not chosen:
         raise InputError(
-            f"{', '.join(data.name for data in datasets)}: the paper's sequence needs {words}: add such a record or "
+            f"{', '.join(data.name for data in records)}: the paper's sequence needs {words}: add such a record or "
             "use the joint method"
         )
-    return [_window(datasets[stretch.record], axis, stretch) for stretch in chosen]
+    return [_window(records[stretch.record], axis, stretch) for stretch in chosen]
 
 
-def _window(data: Dataset, axis: int, stretch: Stretch) -> Window:
+def _window(data: Record, axis: int, stretch: Stretch) -> Window:
     command = np.ascontiguousarray(data.command[:, axis])
     begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
     turning = turning_points(command[: begin + 1])

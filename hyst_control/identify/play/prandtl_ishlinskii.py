@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
-from hyst_control.identify.data.dataset import Dataset, Fit, check_records
+from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.families.estimator import Estimator, O, register
 from hyst_control.identify.play import paper_hampi
 from hyst_control.identify.play.hammerstein import (
@@ -20,6 +20,7 @@ from hyst_control.identify.play.hammerstein import (
     fit_static,
 )
 from hyst_control.identify.play.prandtl_ishlinskii_model import SENSOR_OFFSET, axis_fit
+from hyst_control.records.record import Record
 
 
 class _Operators(Estimator[O]):
@@ -27,11 +28,11 @@ class _Operators(Estimator[O]):
 
     suggested = True
 
-    def fit(self, datasets: Sequence[Dataset], options: O) -> Fit:
-        check_records(datasets)
-        axes = [self.fit_axis(datasets, index, options) for index in range(len(datasets[0].axes))]
+    def fit(self, records: Sequence[Record], options: O) -> Fit:
+        check_records(records)
+        axes = [self.fit_axis(records, index, options) for index in range(len(records[0].axes))]
         title = f"{self.name}_{options.method}"
-        return fit_of(datasets, axes, self.name, options.method, name=title, offset=SENSOR_OFFSET)
+        return fit_of(records, axes, self.name, options.method, name=title, offset=SENSOR_OFFSET)
 
 
 @register
@@ -42,9 +43,9 @@ class Play(_Operators[PlayOptions]):
     sentence = "Prandtl-Ishlinskii model without dynamics: play operators whose weights are a linear least-squares problem"
     Options = PlayOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: PlayOptions) -> AxisFit:
-        problem = axis_problem(datasets, index, options, one_sided=options.one_sided)
-        return axis_fit(datasets, index, problem.operators, *fit_static(problem), dynamics=False)
+    def fit_axis(self, records: Sequence[Record], index: int, options: PlayOptions) -> AxisFit:
+        problem = axis_problem(records, index, options, one_sided=options.one_sided)
+        return axis_fit(records, index, problem.operators, *fit_static(problem), dynamics=False)
 
 
 class _Hammerstein(_Operators[HammersteinOptions]):
@@ -54,11 +55,11 @@ class _Hammerstein(_Operators[HammersteinOptions]):
     dynamic = False
     """Weights that follow the command's rate and level."""
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: HammersteinOptions) -> AxisFit:
+    def fit_axis(self, records: Sequence[Record], index: int, options: HammersteinOptions) -> AxisFit:
         if options.method == "paper":
-            return axis_fit(datasets, index, *paper_hampi.fit_axis(datasets, index, options, dynamic=self.dynamic))
-        problem = axis_problem(datasets, index, options, one_sided=options.one_sided, dynamic=self.dynamic)
-        return axis_fit(datasets, index, problem.operators, *fit_dynamic(problem, options.structure))
+            return axis_fit(records, index, *paper_hampi.fit_axis(records, index, options, dynamic=self.dynamic))
+        problem = axis_problem(records, index, options, one_sided=options.one_sided, dynamic=self.dynamic)
+        return axis_fit(records, index, problem.operators, *fit_dynamic(problem, options.structure))
 
 
 @register
@@ -80,9 +81,9 @@ class RateDependent(_Operators[OperatorOptions]):
     sentence = "rate-dependent Prandtl-Ishlinskii model: thresholds that widen with the command's rate by one factor, searched for"
     Options = OperatorOptions
 
-    def fit_axis(self, datasets: Sequence[Dataset], index: int, options: OperatorOptions) -> AxisFit:
-        problem, solution, held_out = fit_rate_dependent(axis_problem(datasets, index, options))
-        return axis_fit(datasets, index, problem.operators, solution, held_out, dynamics=False)
+    def fit_axis(self, records: Sequence[Record], index: int, options: OperatorOptions) -> AxisFit:
+        problem, solution, held_out = fit_rate_dependent(axis_problem(records, index, options))
+        return axis_fit(records, index, problem.operators, solution, held_out, dynamics=False)
 
 
 @register

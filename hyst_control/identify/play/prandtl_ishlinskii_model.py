@@ -13,19 +13,20 @@ from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.dataset import Dataset, Number, ParameterRow, StructureRow
 from hyst_control.identify.data.excited_band import REACH
+from hyst_control.identify.data.fit import Number, ParameterRow, StructureRow
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Solution
+from hyst_control.records.record import Record
 
 SENSOR_OFFSET = 0.01
 """Share of the range from which an offset is the sensor's; a smaller one is as well the session's remanence or an error of the model."""
 
 
 def axis_fit(
-    datasets: Sequence[Dataset],
+    records: Sequence[Record],
     index: int,
     operators: Operators,
     solution: Solution,
@@ -35,7 +36,7 @@ def axis_fit(
     dynamics: bool = True,
 ) -> AxisFit:
     """The fit of one axis; tried: solutions of the structures that were compared; dynamics: whether any were looked for."""
-    unit, name, span = datasets[0].unit, datasets[0].axes[index], max(float(data.range[index]) for data in datasets)
+    unit, name, span = records[0].unit, records[0].axes[index], max(float(data.span[index]) for data in records)
     linear, structure = len(solution.theta), solution.structure
     vector = np.concatenate([solution.theta, solution.parameters])
     coefficients = np.concatenate([solution.theta, np.zeros(structure.size), solution.nuisances])

@@ -25,7 +25,7 @@ from hyst_control.chain.linear.linear_stages import (
     transfer_function_system,
 )
 from hyst_control.chain.stage import Sampling, Stage
-from hyst_control.identify.data.dataset import Number
+from hyst_control.identify.data.fit import Number
 
 MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01

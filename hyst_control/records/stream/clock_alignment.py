@@ -20,7 +20,7 @@ def aligned_by_reception(record: Record, topics: Sequence[str]) -> Record:
         return record
     if max(signal.time[0] for signal in signals) <= min(signal.time[-1] for signal in signals):
         return record
-    step = record.sample_time(topics)
+    step = record.common_step(topics)
     moved, told = dict(record.signals), []
     for topic, signal in zip(topics[1:], signals[1:], strict=True):
         ticks = round((signal.received - signals[0].received) / step)

@@ -131,7 +131,7 @@ def _of_run(
     signals, more = on_one_clock(str(path), raw.signals, hold, resample, allow_gaps)
     record = Record(signals, str(path), (*notes, *more), hold)
     if rate is not None and len(time) > 1:
-        own = 1.0 / record.sample_time(list(signals)[:1])
+        own = 1.0 / record.common_step(list(signals)[:1])
         if abs(own - rate) > RATE_TOLERANCE * rate:
             raise InputError(
                 f"{path}: time: has {own:.6g} samples/s, --rate says {rate:g}: leave one of them out, or check the unit"

@@ -1,70 +1,29 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records cut into gapless pieces of command and measurement, and the model and report of a fit."""
+"""What a fit asks of its records, and the model and report that it gives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple, TypedDict
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import all_finite
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """Memory with which a record begins, other than rest at 0 V."""
-
-    assumed: str  # In words
-    memory: Array | None  # Commands (M, A) that precede the record, V; None where none are known
-    row: int  # First row that counts
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """A gapless, uniformly sampled record of command and measurement."""
-
-    name: str  # Name of the record, for messages
-    command: Annotated[Array, "N A"]  # Commands (N, A) in V
-    measurement: Annotated[Array, "N A"]  # Measurements (N, A) in `unit`
-    sample_time: float  # Sample time, s
-    axes: tuple[str, ...]  # Names of the A axes
-    unit: str  # Unit of the measurement
-    hold: str = "zoh"  # Command between ticks: "zoh" (held) or "foh" (straight)
-    # "settled": the record begins at rest at its first command, reached from 0 V on the virgin curve; "unknown": an identification
-    # lets the hysteresis memory fill before it counts the error; "auto": found from the record by `identify`
-    start: str = "settled"
-    beginning: Beginning | None = None  # Memory at an unknown start, as found from the record
-    command_unit: str = "V"  # Unit of the command, where it is not V
-
-    @property
-    def range(self) -> Array:
-        """Range (A,) of the measurement, the norm of NRMSE and NME."""
-        span: Array = np.ptp(self.measurement, axis=0)
-        return span
-
-    def rows(self, begin: int, end: int) -> Dataset:
-        """Cut the record; the start of a cut that does not begin at row 0 is unknown."""
-        return replace(
-            self,
-            command=self.command[begin:end],
-            measurement=self.measurement[begin:end],
-            start=self.start if begin == 0 else "unknown",
-            beginning=self.beginning if begin == 0 else None,
-        )
-
-
-def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
-    """Check that records belong to one plant and are usable for identification."""
-    if not datasets:
+def check_records(records: Sequence[Record], least: int = 50) -> None:
+    """Check that records belong to one plant, have no gaps and are usable for identification."""
+    if not records:
         raise InputError("no record: give at least one bag with command and measurement")
-    first = datasets[0]
-    for data in datasets:
+    first = records[0]
+    for data in records:
+        data.check_axes()
         if (data.axes, data.unit, data.command_unit) != (first.axes, first.unit, first.command_unit):
             raise InputError(
                 f"{data.name}: axes {', '.join(data.axes)} in {data.unit} of {data.command_unit}, but {first.name} has "
@@ -72,14 +31,18 @@ def check_records(datasets: Sequence[Dataset], least: int = 50) -> None:
             )
         if len(data.command) < least:
             raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")
+        if not data.is_gapless:
+            raise InputError(
+                f"{data.name}: command and measurement do not have every tick of one clock: give what `aligned` makes of it"
+            )
         for topic, values in (("command", data.command), ("measurement", data.measurement)):
             if not all_finite(values):
                 row = int(np.flatnonzero(~np.all(np.isfinite(values), axis=1))[0])
                 raise InputError(f"{data.name}: {topic}: must be finite, is not in sample {row}: remove it")
     for axis, name in enumerate(first.axes):
-        if all(np.ptp(data.command[:, axis]) == 0 for data in datasets):
+        if all(np.ptp(data.command[:, axis]) == 0 for data in records):
             raise InputError(f"{first.name}: the command of axis {name} never moves: record an excitation")
-        if all(np.ptp(data.measurement[:, axis]) == 0 for data in datasets):
+        if all(np.ptp(data.measurement[:, axis]) == 0 for data in records):
             raise InputError(f"{first.name}: the measurement of axis {name} never moves: check the sensor and the topic")
 
 
