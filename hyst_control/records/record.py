@@ -246,7 +246,7 @@ class Record:
 
     @property
     def is_gapless(self) -> bool:
-        """Whether command and measurement have every tick of one clock, as records that `aligned` gives."""
+        """True where command and measurement have every tick of one clock, as in what `aligned` gives."""
         ticks = [self.signal(topic).consecutive_ticks(self.sample_time) for topic in TOPICS]
         return ticks[0] is not None and ticks[0] == ticks[1]
 
@@ -257,7 +257,7 @@ class Record:
         return self.signal("measurement" if "measurement" in topics or not topics else topics[-1])
 
     def rows(self: Cut, begin: int, end: int) -> Cut:
-        """Some rows of every signal of a gapless record; a cut that does not begin at row 0 begins with unknown memory."""
+        """Rows `begin` to `end` - 1 of a gapless record; a cut that does not begin at row 0 begins with unknown memory."""
         parts = {
             topic: replace(signal, time=signal.time[begin:end], values=signal.values[begin:end])
             for topic, signal in self.signals.items()

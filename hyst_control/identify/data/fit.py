@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit asks of its records, and the model and report that it gives."""
+"""Checks of the records of a fit, and its model and report."""
 
 from __future__ import annotations
 
