@@ -17,13 +17,15 @@ CASES = {
     "linear_system": ("saturation", "upper", 30.0, 1.0),
     "network": ("sensor_lowpass", "cutoff", 15.0, 1.0),
     "mujoco_joint": ("backlash", "half_width", 20.0, 1.0),
+    "fmu_stage": ("delay", "tau", 4e-3, 1e-4),
 }
+NEEDED = {"mujoco_joint": "mujoco", "fmu_stage": "fmpy"}
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_withheld_effect_is_named(name):
-    if name == "mujoco_joint":
-        pytest.importorskip("mujoco")
+    if name in NEEDED:
+        pytest.importorskip(NEEDED[name])
     example, (effect, parameter, size, within) = import_module(f"simulators.{name}"), CASES[name]
     record = example.measured()
     gap = hc.diagnose(record, example.simulate, parameters=example.PARAMETERS, verbose=False)
