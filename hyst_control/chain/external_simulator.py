@@ -7,18 +7,23 @@
 command[k] holds from tick k to tick k + 1, and measurement[k] is the sample at tick k, before command[k] acts; of a record with hold
 `foh` command and measurement are samples at the same instants. Arrays are (N,) for one axis and (N, A) for several. The stage is no part
 of the vocabulary of model files: a file that is read must not run functions by name.
+
+A function with the attribute `vectorized` also takes parameters (P,) and returns the measurement of each, (P, N) or (P, N, A): columns of
+derivatives are then one call.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.bounded_cache import KEPT
 from hyst_control.chain.parameter import Coordinate
 from hyst_control.chain.stage import Filter, Role, Sampling, Stage
 
@@ -40,6 +45,9 @@ class ExternalSimulator(Stage):
     names: tuple[str, ...]
     values: tuple[float, ...]
     units: tuple[str, ...]
+    # Shared by all that are made of one by other values: measurements of commands at rest, and of those that are computed together
+    at_rest: dict[tuple[Any, ...], Array] = field(default_factory=dict, compare=False, repr=False)
+    batch: dict[tuple[float, ...], dict[tuple[float, bytes], Array]] = field(default_factory=dict, compare=False, repr=False)
 
     def parameters(self) -> dict[str, Any]:
         raise InputError(f"simulator {title_of(self.simulate)}: a Python function is no model file: keep function and parameters")
@@ -55,27 +63,66 @@ class ExternalSimulator(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         return ExternalFilter(self, sampling)
 
+    def settled(self, command: Annotated[Array, "A"], sample_time: float) -> Annotated[Array, "A"]:
+        """Measurement at rest at a command."""
+        key = (self.values, command.tobytes(), sample_time)
+        if key not in self.at_rest:
+            if len(self.at_rest) >= KEPT:
+                self.at_rest.clear()
+            self.at_rest[key] = self.run(np.repeat(command[None], 2, axis=0), sample_time)[0]
+        return self.at_rest[key]
+
     def run(self, command: Array, sample_time: float) -> Array:
         """Measurement (N, A) of a command (N, A)."""
-        where, axes = f"simulator {title_of(self.simulate)}", command.shape[1]
-        parameters = dict(zip(self.names, self.values, strict=True))
+        if self.values in self.batch:
+            known, key = self.batch[self.values], (sample_time, command.tobytes())
+            if key not in known:
+                columns = np.array(list(self.batch)).T
+                for each, rows in zip(self.batch.values(), self._called(command, sample_time, columns), strict=True):
+                    each[key] = rows
+            output = known[key]
+        else:
+            output = self._called(command, sample_time, self.values)
+        if not np.isfinite(output).all():
+            row = int(np.argmin(np.isfinite(output).all(axis=1)))
+            told = ", ".join(f"{name} = {value:g}" for name, value in zip(self.names, self.values, strict=True))
+            raise InputError(
+                f"simulator {title_of(self.simulate)}: is not finite at sample {row} with {told or 'no parameters'}: check its dynamics"
+            )
+        return output
+
+    def _called(self, command: Array, sample_time: float, values: Sequence[Any] | Array) -> Array:
+        """Measurement (N, A), or (P, N, A) where each of the values is an array (P,)."""
+        where, (count, axes), sets = f"simulator {title_of(self.simulate)}", command.shape, np.shape(values)[1:]
+        parameters = dict(zip(self.names, values, strict=True))
         try:
             given = self.simulate(command[:, 0].copy() if axes == 1 else command.copy(), sample_time, **parameters)
             output = np.array(given, dtype=float)
         except Exception as error:  # of any kind: it is foreign code
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            called = ", ".join(["command", f"{sample_time:g}", *(f"{name}={value:g}" for name, value in parameters.items())])
+            told = (f"{name}={value.tolist() if sets else format(value, 'g')}" for name, value in parameters.items())
+            called = ", ".join(["command", f"{sample_time:g}", *told])
             raise InputError(f"{where}: {reason}: mend it, and try {title_of(self.simulate)}({called})") from None
-        if output.shape not in (command.shape, (len(command),) if axes == 1 else command.shape):
+        if output.shape not in ((*sets, count, axes), (*sets, count) if axes == 1 else (*sets, count, axes)):
             raise InputError(
-                f"{where}: gives values of shape {output.shape} for a command of {len(command)} samples and {axes} axes: "
-                "return one row per sample"
+                f"{where}: gives values of shape {output.shape} for a command of {count} samples and {axes} axes"
+                f"{f' and {sets[0]} sets of parameters' if sets else ''}: return one row per sample"
             )
-        if not np.isfinite(output).all():
-            row = int(np.argmin(np.isfinite(output.reshape(len(command), axes)).all(axis=1)))
-            told = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
-            raise InputError(f"{where}: is not finite at sample {row} with {told or 'no parameters'}: check its dynamics")
-        return output.reshape(command.shape)
+        return output.reshape(*sets, count, axes)
+
+
+@contextmanager
+def together(chains: Iterable[Sequence[Stage]]) -> Iterator[None]:
+    """Within, a vectorized simulator computes the values of all these chains in one call a command."""
+    found = [stage for chain in chains for stage in chain if isinstance(stage, ExternalSimulator)]
+    found = [stage for stage in found if getattr(stage.simulate, "vectorized", False)]
+    for stage in found:
+        stage.batch[stage.values] = {}
+    try:
+        yield
+    finally:
+        for stage in found:
+            stage.batch.clear()
 
 
 class ExternalFilter(Filter):
@@ -90,8 +137,7 @@ class ExternalFilter(Filter):
     def settle(self, value: Array) -> Array:
         begin = np.asarray(value, dtype=float)[None]
         self.command = begin if self.sampling.first_tick else begin[:0]
-        settled: Array = self.stage.run(np.repeat(begin, 2, axis=0), self.sampling.sample_time)[0]
-        return settled
+        return self.stage.settled(begin[0], self.sampling.sample_time)
 
     def process(self, block: Array) -> Array:
         self.command = np.concatenate([self.command, block])

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 import hyst_control as hc
+from hyst_control.base import parallel
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
@@ -156,3 +158,40 @@ def test_a_file_of_parameters_is_a_mapping(tmp_path):
     path.write_text("- 3\n")
     with pytest.raises(InputError, match="must be a mapping"):
         read_parameters(path)
+
+
+def test_a_vectorized_simulator_has_the_same_verdict_by_fewer_calls(monkeypatch):
+    """A lag by scipy for sets of parameters at once, and set by set."""
+    monkeypatch.setattr(parallel, "cores", lambda: 1)  # so that every call is seen
+    calls = []
+
+    def lags(command, sample_time, gain, time):
+        keep, gain = np.exp(-sample_time / np.asarray(time)), np.asarray(gain)
+        rows = [
+            lfilter([0.0, share * (1.0 - left)], [1.0, -left], command, zi=[share * command[0]])[0]
+            for share, left in np.broadcast(gain, keep)
+        ]
+        calls.append(len(rows))
+        return np.reshape(rows, (*np.shape(gain), len(command)))
+
+    steps = np.repeat([0.0, 30.0, 10.0, 50.0, 20.0, 0.0, 40.0, 5.0], 40)
+    record = hc.from_arrays(steps, lags(steps, 1e-3, 0.11, 6e-3) + 0.01 * np.random.default_rng(0).standard_normal(320), 1000.0)
+    found = {}
+    for vectorized in (False, True):
+        lags.vectorized = vectorized
+        calls.clear()
+        gap = hc.diagnose(record, lags, parameters={"gain": (0.1, 0.01), "time": (5e-3, 1e-3)}, verbose=False)
+        found[vectorized] = gap.document, len(calls), max(calls)
+    assert found[True][0] == found[False][0]
+    assert found[True][0]["verdict"] == "parameters"
+    assert found[True][1] < found[False][1] and (found[False][2], found[True][2]) == (1, 3)
+
+
+def test_a_vectorized_simulator_of_another_shape_is_one_line():
+    def amiss(command, sample_time, gain):
+        return 0.1 * command
+
+    amiss.vectorized = True
+    steps = np.repeat([0.0, 30.0, 10.0, 50.0, 20.0, 0.0], 50)
+    with pytest.raises(hc.InputError, match="samples and 1 axes and 2 sets of parameters: return one row per sample"):
+        hc.diagnose(hc.from_arrays(steps, 0.1 * steps, 1000.0), amiss, parameters={"gain": (0.1, 0.01)}, verbose=False)

@@ -18,7 +18,8 @@ times over. A fit beside linear coefficients takes ŷ(z, x) = ŷ(0, x) + J z ins
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -27,6 +28,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.external_simulator import together
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.coefficient_prior import Scatter
 from hyst_control.diagnose.problem.problem import Problem
@@ -100,14 +102,21 @@ class Linearized:
         self.count = len(scatter.coefficients)
         self.measured = problem.measured()
         centre = np.zeros(self.count) if z is None else z
-        self.nominal = self.simulate(centre, unknowns, x)
-        if not is_bounded(self.nominal):
-            raise InputError("model: its simulation of the record grows without limit: check its dynamics")
-        self.columns = np.empty((len(self.nominal), self.count), order="F")  # a column's values side by side: it is faster
-        for k in range(self.count):
-            self.columns[:, k] = self._column(centre, k, unknowns, x)
+        with together(self._known_chains([centre, *(centre + STEP * np.eye(self.count))])):
+            self.nominal = self.simulate(centre, unknowns, x)
+            if not is_bounded(self.nominal):
+                raise InputError("model: its simulation of the record grows without limit: check its dynamics")
+            self.columns = np.empty((len(self.nominal), self.count), order="F")  # a column's values side by side: it is faster
+            for k in range(self.count):
+                self.columns[:, k] = self._column(centre, k, unknowns, x)
         self.gram = problem.weight * (self.columns.T @ self.columns)
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
+
+    def _known_chains(self, points: Sequence[Array]) -> Iterator[tuple[Stage, ...]]:
+        """The chains of coefficients (K,), without those that a stage refuses."""
+        for point in points:
+            with suppress(InputError):
+                yield self.scatter.at(point)
 
     def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
         """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
