@@ -46,7 +46,7 @@ class ExternalSimulator(Stage):
     values: tuple[float, ...]
     units: tuple[str, ...]
     # Shared by all that are made of one by other values: measurements of commands at rest, and of those that are computed together
-    at_rest: dict[tuple[Any, ...], Array] = field(default_factory=dict, compare=False, repr=False)
+    resting: dict[tuple[Any, ...], Array] = field(default_factory=dict, compare=False, repr=False)
     batch: dict[tuple[float, ...], dict[tuple[float, bytes], Array]] = field(default_factory=dict, compare=False, repr=False)
 
     def parameters(self) -> dict[str, Any]:
@@ -66,11 +66,11 @@ class ExternalSimulator(Stage):
     def settled(self, command: Annotated[Array, "A"], sample_time: float) -> Annotated[Array, "A"]:
         """Measurement at rest at a command."""
         key = (self.values, command.tobytes(), sample_time)
-        if key not in self.at_rest:
-            if len(self.at_rest) >= KEPT:
-                self.at_rest.clear()
-            self.at_rest[key] = self.run(np.repeat(command[None], 2, axis=0), sample_time)[0]
-        return self.at_rest[key]
+        if key not in self.resting:
+            if len(self.resting) >= KEPT:
+                self.resting.clear()
+            self.resting[key] = self.run(np.repeat(command[None], 2, axis=0), sample_time)[0]
+        return self.resting[key]
 
     def run(self, command: Array, sample_time: float) -> Array:
         """Measurement (N, A) of a command (N, A)."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation.reproduction import fsm_cubespec
-from evaluation.reproduction.fsm_cubespec import PUBLISHED_ALL, PUBLISHED_OWN, report_shares
+from evaluation.reproduction.fsm_cubespec import PUBLISHED_ALL, PUBLISHED_OWN, PUBLISHED_RMS, report_rms, report_shares
 from evaluation.reproduction.fsm_cubespec_records import (
     TEST,
     fit_level,
@@ -20,7 +20,7 @@ from evaluation.reproduction.fsm_cubespec_records import (
 from hyst_control.base.errors import InputError
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of
 from hyst_control.identify.modal.modal_model import ModalModel
-from hyst_control.model_file import load_model
+from hyst_control.model_file import load_model, simulate
 from hyst_control.reporting.tables import Table
 
 MODEL = Path(__file__).resolve().parents[3] / "config" / "models" / "fsm_cubespec.yaml"
@@ -83,6 +83,24 @@ def test_the_shares_of_the_gap_add_up_to_it(levels):
     shares = {row.subject: row.value for row in table.rows if row.case == "300 mV" and row.quantity == "share"}
     assert sum(shares.values()) == pytest.approx(100.0, abs=1e-6)
     assert shares["softening: frequencies"] > 50.0 > shares["not explained"] > shares["noise"] > 0.0
+
+
+def test_the_benchmarks_own_measure_is_that_of_every_output_and_period(levels):
+    """By plain numpy: the first 100 samples of a period do not count, and the whole is the root of the mean square."""
+    table, model = Table("measure"), load_model(MODEL)
+    report_rms(table, levels, model)
+    for level, published in zip(levels, PUBLISHED_RMS.values(), strict=True):
+        rows = {row.subject: row.value for row in table.rows if row.case == level.name}
+        command = level.command[:, :, 5, 0]
+        simulated = simulate(model, np.vstack([command, command]))[8192:]
+        squares = []
+        for axis, name in enumerate("abc"):
+            for period in (0, 1):
+                left = level.measurement[100:, axis, 5, period] - simulated[100:, axis]
+                squares.append(left @ left / 8092)
+                assert rows[f"output {name}, period {period + 1}"] == pytest.approx(np.sqrt(squares[-1]), rel=1e-3)
+        assert rows["all outputs and periods"] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-3) and len(rows) == 7
+        assert rows["all outputs and periods"] < 0.95 * published
 
 
 def test_of_models_alike_the_smallest_is_chosen():
