@@ -140,7 +140,7 @@ def test_standard_errors_tell_the_scatter():
     structure = Structure(modes=1, zeros=1, delay=True)
     z = []
     for seed in range(12):
-        data = replace(record(truth, 1, sigma=0.0), name="r")
+        data = record(truth, 1, sigma=0.0)
         noisy = data.with_values(measurement=data.measurement + np.random.default_rng(seed).normal(0, 0.02, data.measurement.shape))
         fit = identify([noisy], "hampi", thresholds=THRESHOLDS, structure=structure, nuisance="none")
         rows = {row["name"]: row for row in fit.report["parameters"]}
