@@ -69,8 +69,10 @@ def check_times(where: str, time: Array) -> None:
         raise InputError(f"{where}: the time column holds {worst:g} s, no clock goes beyond {LATEST_TIME:g} s: record again")
 
 
-STEPS_LOOKED_AT = 2**22
-"""Steps of a record's times from which the commonest is taken: all, or those of stretches spread evenly over it."""
+STEPS_LOOKED_AT, REGULAR_STEPS = 2**22, 2**16
+"""Steps from which the commonest is taken of times with the reception's jitter, and of the control clock's own: all, or those of stretches
+spread evenly over the record.
+"""
 
 
 def increasing(values: Array | Integers, equal: bool = False) -> bool:
@@ -95,22 +97,24 @@ def increasing(values: Array | Integers, equal: bool = False) -> bool:
     )
 
 
-def commonest_step(time: Array) -> float:
+def commonest_step(time: Array, steps: int = STEPS_LOOKED_AT) -> float:
     """Median step of sample times; of very many, that of stretches spread evenly over them.
 
     Parameters
     ----------
     time
         Sample times (N,), s, at least two.
+    steps
+        Steps from which it is taken at most.
 
     Returns
     -------
     float
         Step, s.
     """
-    if len(time) <= STEPS_LOOKED_AT + 1:
+    if len(time) <= steps + 1:
         return float(np.median(np.diff(time)))
-    size = STEPS_LOOKED_AT // 64
+    size = steps // 64
     begins = np.linspace(0, len(time) - size - 1, 64).astype(int)
     return float(np.median(np.concatenate([np.diff(time[begin : begin + size + 1]) for begin in begins])))
 
@@ -349,8 +353,9 @@ class Record:
             check_times(f"{self.source}: {topic}", time)
             if len(time) < 2:
                 raise InputError(f"{self.source}: {topic}: {len(time)} sample{'s' * (len(time) != 1)}, at least two are needed")
-            step = commonest_step(time)
-            if step > 0 and self.signal(topic).timing == "layout":
+            regular = self.signal(topic).timing == "layout"
+            step = commonest_step(time, REGULAR_STEPS if regular else STEPS_LOOKED_AT)
+            if step > 0 and regular:
                 with np.errstate(over="ignore"):  # a step of next to nothing, which is no sample time
                     step = (time[-1] - time[0]) / max(np.rint((time[-1] - time[0]) / step), 1.0)
             steps[topic] = float(f"{step:.12g}")

@@ -17,7 +17,6 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import replacing
-from hyst_control.base.signals import averaged_periodogram
 from hyst_control.records.motion_frequency import motion_frequency
 from hyst_control.records.record import Record, Signal
 from hyst_control.reporting.html_page import COLORS, Page
@@ -166,6 +165,8 @@ def spectra(*records: Record) -> list[Panel]:
     """Draw the amplitude spectral density of every signal (Welch's method, Hann windows), signals of the same unit together."""
     for record in records:
         record.check(list(record.signals))
+    from hyst_control.base.signals import averaged_periodogram  # imports numba
+
     panels = []
     for unit, curves in _by_unit(records).items():
         lines = []
