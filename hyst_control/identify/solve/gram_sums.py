@@ -170,7 +170,8 @@ def gram_matrices(
         place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         together, chunk = -(-n // (length * MAX_BLOCKS)), length * max(BLOCK // length, 1)
-        sums, kept, used_blocks = np.zeros((2, len(place), len(place))), [], 0
+        sums, used_blocks = np.zeros((2, len(place), len(place))), 0
+        kept: list[Array] = []
         for begin in range(0, n, chunk):
             end, first = min(begin + chunk, n), max(window.skip, begin)
             raw = passing.rows(begin, end)[:, first - begin :]
