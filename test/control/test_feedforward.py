@@ -281,9 +281,11 @@ def test_whole_inverse_of_a_rate_correction_much_faster_than_the_sample_time(siz
     compensator = build_compensator(model, "mhl_inverse", sample_time=2e-4)
     assert nrmse(track(model, compensator, reference)[:, :1], reference[:, :1], 100) < 0.01
     if size < 0.0:
-        slower = replace(fast, k1=(-1.01 * k2 * mean_slope(stage, 2)).tolist())
-        with pytest.raises(InputError, match="no stable inverse"):
-            build_compensator(model.with_stages([delay, Parallel(((stage,), (slower,))), dynamics]), "mhl_inverse")
+        for share, sample_time, reason in ((-1.01, 2e-4, "no stable inverse"), (5.0, 1e-5, "do not converge")):
+            larger = replace(fast, k1=(share * k2 * mean_slope(stage, 2)).tolist())
+            with pytest.raises(InputError, match=reason):
+                refused = model.with_stages([delay, Parallel(((stage,), (larger,))), dynamics])
+                build_compensator(refused, "mhl_inverse", sample_time=sample_time)
 
 
 def test_smoothing_looks_further_ahead_and_softens_jumps_alone():

@@ -133,15 +133,15 @@ def whole_inverse(
     if correction is None:
         return [inverse]
     axes = sampling.axes
-    subtracted = sampled_correction(replace(correction, b1=0.0), after, sampling)
+    subtracted = sampled_correction(replace(correction, b1=0.0), after, sampling, mean_slope(stage, axes))
     solution: list[Stage] = [Parallel(((inverse,), (inverse_rate_correction(stage, correction, axes),)))]
     for _ in range(passes):
         solution = [Parallel(((Gain(1.0),), (*solution, subtracted, Gain(-1.0)))), inverse]
     return [*constant_removed(correction, axes), *solution]
 
 
-def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampling: Sampling) -> StateSpace:
-    """Ψ as the sampled plant shows it: (Ψ G)(z) / G(z), both discretized exactly for the held command.
+def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampling: Sampling, slope: Array) -> StateSpace:
+    """Ψ as the sampled plant shows it, below a `slope`: (Ψ G)(z) / G(z), both discretized exactly for the held command.
 
     Between two samples Ψ's output is not held as H_S's is: a lag much faster than the sample time is a pulse behind every step of the
     command. The ratio has a pole for every zero of G(z). Where one of them cannot be inverted, a longer numerator stands for it, by least
@@ -163,6 +163,12 @@ def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampl
         columns, goal = back * (g.response(z) / (back @ den) / (z - 1.0))[:, None], lg.response(z) / (z - 1.0)
         lag = np.linalg.lstsq(np.vstack([columns.real, columns.imag]), np.concatenate([goal.real, goal.imag]), rcond=1e-13)[0]
         num = k1[axis] / k2[axis] * (den - lag * den.sum() / lag.sum())
+        largest = float(np.max(np.abs((back @ num) / (back @ den)))) / slope[axis]
+        if largest >= 1.0:
+            raise InputError(
+                f"k1: the passes of mhl_inverse do not converge: at this sample time the rate correction is {largest:.3g} times the mean "
+                "slope at most: take kind mhl"
+            )
         states = len(den) - 1
         a = np.eye(states, k=-1)
         a[0] = -den[1:]
