@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.base.errors import InputError
-from hyst_control.chain import Chain, Sampling
+from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
@@ -265,6 +265,27 @@ def test_whole_inverse_of_the_mhl_model_tracks_100_hz():
     ]
     assert all(after < 0.5 * before for before, after in zip(errors, errors[1:]))
     assert errors[2] < 0.05
+
+
+@pytest.mark.parametrize("size", [-0.9, 0.9, 1.5])
+def test_whole_inverse_of_a_rate_correction_much_faster_than_the_sample_time(size):
+    """At 5 kHz a lag of 20 us is a pulse behind every step of the command; a zero of y that is not inverted leaves x as it is."""
+    delay, core, _ = MHL.chain.stages
+    stage, correction = rate_dependent_parts(core)
+    k2 = 2e-5
+    fast = replace(correction, k1=(size * k2 * mean_slope(stage, 2)).tolist(), k2=[k2, k2])
+    mode = [1.0 / (2 * np.pi * 1900.0) ** 2, 0.1 / (2 * np.pi * 1900.0), 1.0]
+    dynamics = TransferFunction([[0.0, 0.0, 1.0], np.multiply(mode, [1.1, 1.0, 1.0]).tolist()], [[0.0, 1e-4, 1.0], mode])
+    model = MHL.with_stages([delay, Parallel(((stage,), (fast,))), dynamics])
+    reference = sine(100, 0.9, 1.0, 2e-4, axes=2, periods=10)
+    compensator = build_compensator(model, "mhl_inverse", sample_time=2e-4)
+    assert nrmse(track(model, compensator, reference)[:, :1], reference[:, :1], 100) < 0.01
+    if size < 0.0:
+        for share, sample_time, reason in ((-1.01, 2e-4, "no stable inverse"), (5.0, 1e-5, "do not converge")):
+            larger = replace(fast, k1=(share * k2 * mean_slope(stage, 2)).tolist())
+            with pytest.raises(InputError, match=reason):
+                refused = model.with_stages([delay, Parallel(((stage,), (larger,))), dynamics])
+                build_compensator(refused, "mhl_inverse", sample_time=sample_time)
 
 
 def test_smoothing_looks_further_ahead_and_softens_jumps_alone():

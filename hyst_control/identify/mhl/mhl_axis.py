@@ -24,7 +24,7 @@ from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.record import Record
 
-MOST = 0.95  # Of the mean slope: from it on the compensators refuse a model, as they cannot invert its rate correction
+MOST = 0.95  # Of the mean slope: from it on the passes of the whole inverse may not converge
 K2_UNIT = 1e-3
 """Unit (s) of k2 in the parameter vector, which holds its logarithm."""
 

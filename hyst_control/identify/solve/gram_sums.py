@@ -84,7 +84,7 @@ def weighted_rows(
     """[θ columns, derivatives, nuisances, y], each row times the root of its weight."""
     columns = len(theta)
     slopes = (raw[columns:] - theta @ raw[:columns]) / step
-    block = np.concatenate([raw[:columns], slopes, share ** np.arange(extra)[:, None], measurement[None]])
+    block = np.concatenate([raw[:columns], slopes, np.array([np.ones(len(share)), share])[:extra], measurement[None]])
     if weight is not None:
         block *= np.sqrt(weight)
     return block
@@ -168,34 +168,35 @@ def gram_matrices(
         passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
         n = len(window.command)
         place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
-        square = np.ix_(place, place)
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
         together, chunk = -(-n // (length * MAX_BLOCKS)), length * max(BLOCK // length, 1)
-        used_blocks = 0
-        for begin in range(0, n, length):
-            end = min(begin + length, n)
-            if begin % chunk == 0:
-                several = passing.rows(begin, min(begin + chunk, n))
-            first = max(window.skip - begin, 0)
-            if first >= end - begin:
+        sums, used_blocks = np.zeros((2, len(place), len(place))), 0
+        kept: list[Array] = []
+        for begin in range(0, n, chunk):
+            end, first = min(begin + chunk, n), max(window.skip, begin)
+            raw = passing.rows(begin, end)[:, first - begin :]
+            if first >= end:
                 continue
-            used = slice(begin + first, end)
-            raw = several[:, begin % chunk + first : begin % chunk + end - begin]
-            share = window.begin - 0.5 + window.share * np.arange(used.start, end) / n
-            weight = None if window.weight is None else window.weight[used]
-            block = weighted_rows(raw, theta, step, share, extra, window.measurement[used], weight)
-            # Every third block is held out of the choice between structures: a part of every experiment in the record.
-            part = 1 if begin // length % 3 == 2 else 0
-            product = np.zeros((total, total))
-            product[square] = block @ block.T
-            grams[part] += product
-            rows[part] += end - used.start
-            if used_blocks % together:
-                blocks[-1] += product
-            else:
-                blocks.append(product)
-            used_blocks += 1
-    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.array(blocks))
+            share = window.begin - 0.5 + window.share * np.arange(first, end) / n
+            weight = None if window.weight is None else window.weight[first:end]
+            several = weighted_rows(raw, theta, step, share, extra, window.measurement[first:end], weight)
+            for start in range(first - first % length, end, length):
+                block = several[:, max(start - first, 0) : min(start + length, end) - first]
+                product = block @ block.T
+                # Every third block is held out of the choice between structures: a part of every experiment in the record.
+                part = 1 if start // length % 3 == 2 else 0
+                sums[part] += product
+                rows[part] += block.shape[1]
+                if used_blocks % together:
+                    kept[-1] += product
+                else:
+                    kept.append(product)
+                used_blocks += 1
+        grams[:, place[:, None], place] += sums
+        blocks.append(np.zeros((len(kept), total, total)))
+        if kept:
+            blocks[-1][:, place[:, None], place] = kept
+    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.concatenate(blocks))
 
 
 class _Pass:
@@ -216,16 +217,15 @@ class _Pass:
             for part in row_store.blocks(len(self.window.memory)):
                 self._regressors(self.window.memory[part])
             self.previous[0] = self.window.command[0]
-        self.lanes.settle(self._inputs(self._regressors(self.window.command[:1]))[:, 0])
+        self.lanes.settle(np.ravel(self._inputs(self._regressors(self.window.command[:1]))))
 
     def rows(self, begin: int, end: int) -> Array:
         """Columns (J + P, N) of the rows from `begin` to `end` of the window, which follow those of the call before."""
         return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end])))
 
-    def _inputs(self, found: Array) -> Array:
-        """Inputs (J + P, N) of G and of its neighbors."""
-        columns = self.operators.columns
-        return found[np.minimum(np.arange(self.lanes.count), columns)]
+    def _inputs(self, found: Array) -> list[Array]:
+        """Inputs (N,) of G, a regressor each, and of its neighbors, the weighted sum of all."""
+        return [found[min(lane, self.operators.columns)] for lane in range(self.lanes.count)]
 
     def _regressors(self, command: Array) -> Array:
         ops = self.operators
