@@ -15,10 +15,13 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search.beam_search import search
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import TAIL, Linearized, fit
 from hyst_control.diagnose.search.starts import Begun, begin, finish
+from hyst_control.effects.added_mass import AddedMass
+from hyst_control.effects.slew_limit import SlewLimit
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-4, 0.002, 4000
@@ -102,6 +105,44 @@ def test_the_truth_leads_and_its_fit_of_the_chain_leaves_the_noise():
     assert [one.misfit for one in begun] == sorted(one.misfit for one in begun)
     ((_, solution),) = finish(linearized, begun[:1], np.inf)
     assert 2.0 * solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
+
+
+def lag_of_second_order(corner: float) -> TransferFunction:
+    w = 2 * np.pi * corner
+    return TransferFunction((1.0,), (1.0 / w**2, 1.4 / w, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "truth"),
+    [
+        *(("sensor_lowpass", (PLANT, lag_of_second_order(corner))) for corner in (150.0, 1000.0, 4000.0)),
+        *(("added_mass", (PLANT, AddedMass(share))) for share in (-0.3, 0.02, 0.4, 1.5, 2.5)),
+        *(("slew_limit", (SlewLimit(rate), PLANT)) for rate in (2000.0, 7000.0)),
+    ],
+)
+def test_effects_of_two_parameters_are_found_however_large(name, truth):
+    linearized = linearised_of(*truth)
+    candidates = [Candidate((one,)) for one in catalogue(linearized.problem, {}) if one.name == name]
+    begun = begin(linearized, [(one, one.starts()) for one in candidates], CONFIGURATION.search, linearized_misfit(linearized))
+    left = min(solution.misfit for _, solution in finish(linearized, begun, np.inf))
+    assert 2.0 * left / ROWS == pytest.approx(1.0, abs=0.1)
+
+
+def linearized_misfit(linearized: Linearized) -> float:
+    return fit(linearized, linear=True).misfit
+
+
+def test_a_large_effect_alone_needs_no_second_one_for_what_linear_coefficients_leave():
+    w = 2 * np.pi * 380.0  # the mode is 5 % slower than the model's
+    linearized = linearised_of(TransferFunction((1.0,), (1.0 / w**2, 0.08 / w, 1.0)), LAG)
+    members = [one for one in catalogue(linearized.problem, {}) if one.name in ("sensor_lowpass", "gain", "gain_drift", "creep")]
+    begun = begin(linearized, [(Candidate((one,)), one.starts()) for one in members], CONFIGURATION.search)
+    beyond = 2.0 * begun[0].misfit / ROWS - 1.0
+    assert beyond > 0.1  # so much is left beside linear coefficients
+    found = search(linearized, members, 10.0, 0.0)
+    assert found.singles[0].names == ("sensor_lowpass",)
+    assert not found.combinations
+    assert 2.0 * found.singles[0].solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
 
 
 def test_fits_far_behind_another_end_early():

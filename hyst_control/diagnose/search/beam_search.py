@@ -106,20 +106,22 @@ def search(
     alternatives = np.log(max(len(realizations), 1))
     members = _screened(linearized, members, settings.realizations)
     without = none.solution.misfit
-    begun = begin(linearized, [(one, one.starts()) for one in map(_alone, members)], settings)
+    begun = begin(linearized, [(one, one.starts()) for one in map(_alone, members)], settings, without)
     for one in begun:
         progress(one.candidate.names[0])
     size = len(linearized.measured)
-    leading, waiting = _leading(begun, size), begun
+    leading, waiting, finished = _leading(begun, size), begun, list[tuple[Candidate, Solution]]()
     for size_reached in range(1, depth):
         if not leading:
             break
         best = leading[0].ends[0]
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
-        # The spectrum of the own error is an upper one: what is below it may hold an effect yet.
-        nothing_left = _beyond_noise(best) < excess and not whitened
-        if nothing_left and not strained(best):
-            break  # nothing but noise is left, and no coefficients were strained for it
+        # The spectrum of the own error is an upper one: what is below it may hold an effect yet. Beside linear coefficients a large effect
+        # leaves what is none of a second one.
+        if not whitened:
+            finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
+            if any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished))):
+                break  # nothing but noise is left, and no coefficients were strained for it
         if whitened and without - best.misfit < threshold:
             break  # there is no gap to explain
         # Beside the own error several effects are alike, and the two at work need not lead alone.
@@ -139,7 +141,7 @@ def search(
             break
         leading = _leading(grown, size)
         waiting = waiting + grown
-    finished = _contenders(linearized, waiting, without, threshold, configuration)
+    finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
     fits = [item for item in finished if len(item[0].members) == 1]
     combinations = [item for item in finished if len(item[0].members) > 1]
     for candidate, solution in _pruned(linearized, combinations):
@@ -220,16 +222,22 @@ def _rest(begun: Sequence[Begun], finished: Sequence[tuple[Candidate, Solution]]
 
 
 def _contenders(
-    linearized: Linearized, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
+    linearized: Linearized,
+    begun: Sequence[Begun],
+    finished: Sequence[tuple[Candidate, Solution]],
+    without: float,
+    threshold: float,
+    configuration: Configuration,
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
-    settings, found, best = configuration.search, list[tuple[Candidate, Solution]](), without
+    settings, found = configuration.search, list[tuple[Candidate, Solution]]()
+    best = min([without, *(solution.misfit for _, solution in finished)])
     begun = sorted(begun, key=lambda one: one.misfit)
     while begun:
         within = _within(min(best, begun[0].misfit), without, settings)
         # What gains less than half of what a claim needs can be left as it is.
         least = min(within, without - settings.promise * threshold)
-        near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found else begun[:1])
+        near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found or finished else begun[:1])
         if not near:
             break
         ends = _restart_from_grid_minimum(linearized, finish(linearized, near, best), without, configuration)
@@ -271,9 +279,7 @@ def _grown(
     joint: Sequence[tuple[Candidate, Array]] = (),
 ) -> list[Begun]:
     """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
-    promising = map_forked(
-        lambda i: promising_pairs(linearized, parents[i].candidate, parents[i].ends[0], members, least, settings), len(parents)
-    )
+    promising = promising_pairs(linearized, parents, members, least, settings)
     wanted: list[tuple[Candidate, list[Array]]] = []
     for parent, found in zip(parents, promising, strict=True):
         for index, start in found:
@@ -281,7 +287,7 @@ def _grown(
             if not any(_same(pair, other) for other, _ in wanted):
                 wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
     wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    begun = begin(linearized, wanted, settings)
+    begun = begin(linearized, wanted, settings, parents[0].misfit)
     for one in begun:
         progress("+".join(one.candidate.names))
     return begun

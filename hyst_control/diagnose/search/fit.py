@@ -203,25 +203,26 @@ def fit(
         columns = columns * weight[:, None]
         gram = sample_weight * (columns.T @ columns)
 
-    def residual_of(z: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Residual, the z that it belongs to, and the simulated output."""
+    nominal = np.zeros(count)
+
+    def tried(z: Array, x: Array) -> tuple[float, Array, Array, Array]:
+        """Φ, the z that it belongs to, the residual (beside linear coefficients: before z takes its part off), and the simulated output."""
         output = linearized.simulate(nominal if linear else z, unknowns, x)
         found = y - output
-        if linear and is_bounded(found):
-            z = linearized.explaining(found)
-            found -= columns @ z
         # chosen, not multiplied: 0 times what ran away to infinity is no number
-        return (found if weight is None else np.where(weight > 0, found, 0.0)), z, output
+        found = found if weight is None else np.where(weight > 0, found, 0.0)
+        if not is_bounded(found):
+            return np.inf, z, found, output
+        energy = sample_weight * float(found @ found)
+        if linear and count:
+            along = sample_weight * (columns.T @ found)
+            z = np.asarray(cho_solve(linearized.factor, along), dtype=np.float64)
+            energy -= float(along @ z)
+        elif not linear:
+            energy += float(z @ z)
+        return 0.5 * energy + _prior_misfit(x if fitted is None else x - fitted.centre), z, found, output
 
-    def misfit_of(residual: Array, z: Array, x: Array) -> float:
-        prior = x if fitted is None else x - fitted.centre
-        if not is_bounded(residual):
-            return np.inf
-        return 0.5 * float(sample_weight * (residual @ residual) + z @ z) + _prior_misfit(prior)
-
-    nominal = np.zeros(count)
-    residual, z, output = residual_of(z, x)
-    misfit = misfit_of(residual, z, x)
+    misfit, z, residual, output = tried(z, x)
     normal = np.eye(count + size)
     for _ in range(rounds):
         enough = max((LINEAR_FIT_TOLERANCE_FACTOR if linear else 1.0) * (MIN_GAIN + 1e-5 * misfit), MIN_APPROACH * (misfit - rival))
@@ -233,9 +234,12 @@ def fit(
                 away = x - fitted.centre
             except InputError:
                 break  # next to these values the chain cannot be simulated
-        # The best z for x leaves nothing that a step of z alone would take off.
-        pull = np.zeros(count) if linear else sample_weight * (columns.T @ residual) - z
-        normal, right = _normal(columns, gram, design, residual, pull, away, sample_weight)
+        normal = _normal(columns, gram, design, away, sample_weight)
+        if linear:  # the best z for x leaves nothing that a step of z alone would take off
+            pull, left = np.zeros(count), sample_weight * (design.T @ residual) - normal[count:, :count] @ z
+        else:
+            pull, left = sample_weight * (columns.T @ residual) - z, sample_weight * (design.T @ residual)
+        right = np.concatenate([pull, left - _prior_weight(away) * away])
         step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         if fitted is not None:
             step = _within(normal, right, step, x, fitted, count)
@@ -250,10 +254,9 @@ def fit(
             if fitted is not None:
                 new_x = np.clip(new_x, fitted.lower, fitted.upper)
             try:
-                new_residual, new_z, new_output = residual_of(new_z, new_x)
+                new, new_z, new_residual, new_output = tried(new_z, new_x)
             except InputError:
                 continue
-            new = misfit_of(new_residual, new_z, new_x)
             if np.isfinite(new) and new < misfit:
                 better = True
                 break
@@ -263,6 +266,8 @@ def fit(
         z, x, residual, output, misfit = new_z, new_x, new_residual, new_output, new
         if gained < enough:
             break
+    if linear and is_bounded(residual):
+        residual = residual - columns @ z
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     information = np.zeros((0, 0))
     if fitted is not None:
@@ -308,17 +313,14 @@ def is_bounded(values: Array) -> bool:
     return bool(np.max(np.abs(values), initial=0.0) < RAN_AWAY)
 
 
-def _normal(
-    columns: Array, gram: Array, design: Array, residual: Array, pull: Array, away: Array, weight: float
-) -> tuple[Array, Array]:
+def _normal(columns: Array, gram: Array, design: Array, away: Array, weight: float) -> Array:
     count, size = columns.shape[1], design.shape[1]
     normal = np.empty((count + size, count + size))
     cross = weight * (columns.T @ design)
     normal[:count, :count], normal[:count, count:], normal[count:, :count] = gram, cross, cross.T
     normal[count:, count:] = weight * (design.T @ design)
-    prior = _prior_weight(away)
-    normal[np.diag_indices(count + size)] += np.concatenate([np.ones(count), prior])
-    return normal, np.concatenate([pull, weight * (design.T @ residual) - prior * away])
+    normal[np.diag_indices(count + size)] += np.concatenate([np.ones(count), _prior_weight(away)])
+    return normal
 
 
 def _prior_misfit(away: Array) -> float:

@@ -17,11 +17,8 @@ from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
 
-FEW = 2
-"""Parameters up to which fits begin at the starts themselves too."""
-
 FAR = 4.0
-"""Misfit of a start, in those of the nominal model, from which the start is too large an effect to lead to the gap's."""
+"""Misfit of a start, in those without the effect, from which the effect is far larger there than what it could explain."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +34,20 @@ class Begun:
         return self.ends[0].misfit
 
 
-def begin(linearized: Linearized, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings) -> list[Begun]:
-    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter."""
-    ends = map_forked(lambda i: _begun(linearized, *candidates[i], settings), len(candidates))
-    found = [Begun(candidate, tuple(one)) for (candidate, _), one in zip(candidates, ends, strict=True) if one]
-    return sorted(found, key=lambda one: one.misfit)
+def begin(
+    linearized: Linearized,
+    candidates: Sequence[tuple[Candidate, Sequence[Array]]],
+    settings: SearchSettings,
+    rival: float = np.inf,
+) -> list[Begun]:
+    """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter.
+
+    Each has to come below a rival, the misfit without it.
+    """
+    order = sorted(range(len(candidates)), key=lambda i: -len(candidates[i][1]) * len(candidates[i][1][0]))  # the longest first
+    ends = map_forked(lambda i: _begun(linearized, *candidates[order[i]], settings, rival), len(order))
+    found = {i: Begun(candidates[i][0], tuple(one)) for i, one in zip(order, ends, strict=True) if one}
+    return sorted((found[i] for i in sorted(found)), key=lambda one: one.misfit)
 
 
 def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
@@ -50,7 +56,9 @@ def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list
     return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
 
 
-def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings) -> list[Solution]:
+def _begun(
+    linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings, rival: float
+) -> list[Solution]:
     """Fits from the most promising starts, the coefficients' columns as they are: best first."""
     unknowns = candidate.unknowns()
     if len(candidate.members) == 1:
@@ -59,8 +67,9 @@ def _begun(linearized: Linearized, candidate: Candidate, starts: Sequence[Array]
         starts = _promising(linearized, candidate, unknowns, starts, settings)
     tried: list[Solution] = []
     for start in starts:
+        nearest = min((rival, *(one.misfit for one in tried)))
         try:
-            tried.append(fit(linearized, unknowns, start, rival=min((one.misfit for one in tried), default=np.inf), linear=True))
+            tried.append(fit(linearized, unknowns, start, rival=nearest, linear=True))
         except InputError:
             continue
     return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
@@ -71,26 +80,37 @@ def _promising(
 ) -> list[Array]:
     """Where fits of an effect of several starts begin: where a linear step leads that promises most, and at starts themselves.
 
-    Beside a great gap the linear step, in all coefficients too, may lead to the end of a range. So effects of few parameters begin at their
-    starts too: the closest to the record, and those that are not off by far more than the nominal model is: whatever explains the gap is
-    about as large as the gap.
+    Beside a great gap the linear step, in all coefficients too, may lead to the end of a range. So effects of one or two parameters begin
+    where they come closest to the record too, and those of two at every start that is not far off.
     """
-    if len(starts[0]) == FEW:
-        misfits = [_misfit_at(linearized, unknowns, start) for start in starts]
-        order = sorted(range(len(starts)), key=misfits.__getitem__)
-        most = FAR * misfit_of(linearized, linearized.measured - linearized.nominal)
-        return [starts[i] for rank, i in enumerate(order) if rank < settings.followed or misfits[i] <= most]
+    nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
+    near = _near(linearized, unknowns, starts, nominal, settings)
+    if len(starts[0]) == 2:
+        return near
     ranked: list[tuple[float, int, Array]] = []
-    for start in starts:
+    for start in near:
         try:
             left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
             ranked.append((left, len(ranked), there))
         except InputError:
             continue
     leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
-    if len(starts[0]) > FEW:
-        return leading
-    return [*leading, min(starts, key=lambda start: _misfit_at(linearized, unknowns, start))]
+    return [*leading, near[0]] if len(starts[0]) == 1 else leading
+
+
+def _near(
+    linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float, settings: SearchSettings
+) -> list[Array]:
+    """The start that comes closest to the record, and others that are not off by far more than without the effect, closest first.
+
+    What explains a gap is about as large as the gap: of a much larger effect no step says anything. Where there are many starts, these
+    are over frequencies, and none is large.
+    """
+    if len(starts) > settings.screened:
+        return list(starts)
+    misfits = [_misfit_at(linearized, unknowns, start) for start in starts]
+    nearest, *others = sorted(range(len(starts)), key=misfits.__getitem__)
+    return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
 
 
 def _misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> float:
@@ -173,36 +193,54 @@ def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: 
 
 
 def promising_pairs(
-    linearized: Linearized,
-    candidate: Candidate,
-    solution: Solution,
-    members: Sequence[Member],
-    least: float,
-    settings: SearchSettings,
-) -> list[tuple[int, Array]]:
-    """Find the effects that a linear step on top of a candidate makes most of."""
-    found: dict[tuple[object, ...], tuple[float, int, Array]] = {}
+    linearized: Linearized, parents: Sequence[Begun], members: Sequence[Member], least: float, settings: SearchSettings
+) -> list[list[tuple[int, Array]]]:
+    """Find the effects that a linear step on top of each parent makes most of."""
     nominal = np.zeros(linearized.count)
-    before = misfit_of(linearized, linearized.measured - linearized.simulate(nominal, candidate.unknowns(), solution.x))
-    for index, member in enumerate(members):
-        if any(member.excludes(other) for other in candidate.members):
+    before = [
+        misfit_of(linearized, linearized.measured - linearized.simulate(nominal, one.candidate.unknowns(), one.ends[0].x))
+        for one in parents
+    ]
+    pairs = [
+        (parent, index)
+        for parent, one in enumerate(parents)
+        for index, member in enumerate(members)
+        if not any(member.excludes(other) for other in one.candidate.members)
+    ]
+
+    def gained(i: int) -> tuple[float, Array] | None:
+        parent, index = pairs[i]
+        return _gain_on_top(linearized, parents[parent], members[index], before[parent], settings)
+
+    best = [dict[tuple[object, ...], tuple[float, int, Array]]() for _ in parents]
+    for (parent, index), found in zip(pairs, map_forked(gained, len(pairs)), strict=True):
+        variant = members[index].variant
+        if found is not None and found[0] > max(least, best[parent].get(variant, (-np.inf,))[0]):
+            best[parent][variant] = found[0], index, found[1]
+    return [
+        [(index, start) for _, index, start in sorted(one.values(), key=lambda item: -item[0])[: settings.promising]]
+        for one in best
+    ]
+
+
+def _gain_on_top(
+    linearized: Linearized, parent: Begun, member: Member, before: float, settings: SearchSettings
+) -> tuple[float, Array] | None:
+    """What a linear step gains from the best start of an effect on top of others, and where it leads; None where none can be simulated."""
+    pair, best, starts = parent.candidate.with_member(member), None, member.starts()
+    unknowns = pair.unknowns()
+    begins = [
+        merged_start(pair, parent.candidate, parent.ends[0].x, member, start)
+        for start in starts[:: max(len(starts) // settings.screened, 1)]
+    ]
+    for x in _near(linearized, unknowns, begins, before, settings) if len(begins) > 1 else begins:
+        try:
+            left, there = _after_step(linearized, unknowns, pair, member, x, settings)
+        except InputError:
             continue
-        best = None
-        pair = candidate.with_member(member)
-        unknowns = pair.unknowns()
-        starts = member.starts()
-        for start in starts[:: max(len(starts) // settings.screened, 1)]:
-            x = merged_start(pair, candidate, solution.x, member, start)
-            try:
-                left, there = _after_step(linearized, unknowns, pair, member, x, settings)
-                gain = before - left
-            except InputError:
-                continue
-            if best is None or gain > best[0]:
-                best = gain, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
-        if best is not None and best[0] > max(least, found.get(member.variant, (-np.inf,))[0]):
-            found[member.variant] = best[0], index, best[1]
-    return [(index, start) for _, index, start in sorted(found.values(), key=lambda item: -item[0])[: settings.promising]]
+        if best is None or before - left > best[0]:
+            best = before - left, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
+    return best
 
 
 def _after_step(

@@ -102,7 +102,7 @@ def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
 
 
 def model_findings(trial: Trial, moving: Sequence[int]) -> list[Finding]:
-    """What a model explains clearly better than the record as it is; notes on what it tells besides."""
+    """Findings where a model explains a changed record clearly better than the record as it is, and notes."""
     if trial.simulated is None or not moving:
         return []
     expected, measured = trial.simulated[:LONGEST], trial.measurement[:LONGEST]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an axis follows its commands, and in which direction of time."""
+"""Check that an axis follows its commands, in the direction of time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What record checks look at, and what they say: stretches of records, and findings with their texts."""
+"""Stretches of records for the record checks, and findings with their texts."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ LONG_STILL = 0.05
 
 
 def is_modeled(trial: Trial, index: int) -> bool:
-    """Whether a model explains an axis but for a few percent of its power: a compensator's output may stand still."""
+    """True where a model explains an axis but for a few percent of its power: a compensator's output may stand still."""
     return trial.simulated is not None and unexpected_share(trial.simulated[:, index], trial.measurement[:, index]) < MODELED
 
 

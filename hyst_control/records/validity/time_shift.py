@@ -23,11 +23,12 @@ SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
 
 
 def in_words(seconds: float) -> str:
+    """Time for a person, in ms or s."""
     return f"{1e3 * seconds:.3g} ms" if seconds < 10.0 else f"{seconds:.3g} s"
 
 
 def time_shifts(trial: Trial, rows: CondensedRows, index: int, own: Reference) -> tuple[Reference, Reference, float, list[Finding]]:
-    """The model of the rows with its delay, and begun with a lead's poles; what a lead leaves, what is told of either."""
+    """The model of the rows with its delay, and begun with a lead's poles; what a lead leaves, and findings on either."""
     command, measured = rows.inputs(index), rows.measurement[:, index]
     reach, informative = len(measured) // 8, independent_sines(rows.command[:, index]) >= MIN_SINES
     curves = [shift_curve(command, measured, poles, reach) for poles in (own.poles, own.poles[:0])]
