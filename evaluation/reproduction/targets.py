@@ -227,22 +227,9 @@ def mhl_targets(rows: Rows) -> list[Target]:
         add("MHL Fig. 10", f"{case}: relative error of the response, rms", value, published, "%", origin=OURS)
         for frequency, (nme, nrmse) in given["table_3"].items():
             place = f"{frequency:g} Hz, {case}"
-            add(
-                "MHL Table 3",
-                f"{place}: NME",
-                rows.value("MHL Table 3", place, "MHL, paper", "nme"),
-                nme,
-                "%",
-                cause=why["fast"],
-            )
-            add(
-                "MHL Table 3",
-                f"{place}: NRMSE",
-                rows.value("MHL Table 3", place, "MHL, paper", "nrmse"),
-                nrmse,
-                "%",
-                cause=why["fast"],
-            )
+            for quantity, limit in (("NME", nme), ("NRMSE", nrmse)):
+                value = rows.value("MHL Table 3", place, "MHL, paper", quantity.lower())
+                add("MHL Table 3", f"{place}: {quantity}", value, limit, "%", cause=why["fast"])
         for quantity, subject in (("open loop", "mirror"), ("lead of Ψ'", "inverse")):
             off = abs(rows.value("MHL lags", f"100 Hz, {case}", subject, quantity) - given["lags"][quantity])
             add(

@@ -50,7 +50,7 @@ class Record(EditableRecord, Shown):
     history
         Steps of its preparation, in their order.
     start
-        How it begins: "settled" at its first command, "unknown", or "auto", found from the record.
+        State at the first row: "settled" (at rest at the first command), "unknown", or "auto" (found from the record).
 
     Examples
     --------

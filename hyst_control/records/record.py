@@ -192,7 +192,7 @@ class Record:
     history: tuple[str, ...] = ()
     """Steps of its preparation, in their order."""
     start: str | Beginning = "auto"
-    """How it begins: "settled" at its first command, reached from 0 V on the virgin curve, "unknown", or "auto", found from the record."""
+    """State at the first row: "settled" (at rest at the first command, reached from 0 V), "unknown", or "auto" (found from the record)."""
 
     def __len__(self) -> int:
         return len(self.time)

@@ -375,7 +375,7 @@ OUT = os.dup(1)
 
 def copy_of_sources(folder: Path) -> None:
     """Copy what the tests need into a folder."""
-    for part in ("hyst_control", "hyst_plant_sim", "config", "test", "pyproject.toml"):
+    for part in ("hyst_control", "hyst_plant_sim", "evaluation", "config", "test", "pyproject.toml"):
         source = ROOT / part
         if source.is_dir():
             shutil.copytree(source, folder / part, ignore=shutil.ignore_patterns("__pycache__"))

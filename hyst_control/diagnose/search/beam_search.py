@@ -116,8 +116,8 @@ def search(
             break
         best = leading[0].ends[0]
         excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
-        # The spectrum of the own error is an upper one: what is below it may hold an effect yet. Beside linear coefficients a large effect
-        # leaves what is none of a second one.
+        # The stated spectrum of the discrepancy is an upper bound: an effect may hide below it, so there the search goes on. Elsewhere
+        # exact fits are made first: beside linear coefficients a large effect leaves an error that looks like a second effect.
         if not whitened:
             finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
             if any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished))):

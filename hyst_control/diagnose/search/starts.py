@@ -78,10 +78,10 @@ def _begun(
 def _promising(
     linearized: Linearized, candidate: Candidate, unknowns: Unknowns, starts: Sequence[Array], settings: SearchSettings
 ) -> list[Array]:
-    """Where fits of an effect of several starts begin: where a linear step leads that promises most, and at starts themselves.
+    """Select the points at which the fits of an effect with several starts begin.
 
-    Beside a great gap the linear step, in all coefficients too, may lead to the end of a range. So effects of one or two parameters begin
-    where they come closest to the record too, and those of two at every start that is not far off.
+    These are the ends of the most promising linear steps. In a large gap such a step may lead to the end of a range. So an effect of one
+    parameter begins also at the start that comes closest to the record, and one of two parameters at every start that is not far off.
     """
     nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
     near = _near(linearized, unknowns, starts, nominal, settings)
@@ -101,10 +101,10 @@ def _promising(
 def _near(
     linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float, settings: SearchSettings
 ) -> list[Array]:
-    """The start that comes closest to the record, and others that are not off by far more than without the effect, closest first.
+    """Starts whose misfit is at most `FAR` times that without the effect, closest first; the closest one is always among them.
 
-    What explains a gap is about as large as the gap: of a much larger effect no step says anything. Where there are many starts, these
-    are over frequencies, and none is large.
+    An effect that explains a gap is about as large as the gap: a linear step from a much larger one tells nothing. Many starts are a
+    scan over frequencies, of which none is large.
     """
     if len(starts) > settings.screened:
         return list(starts)
@@ -226,7 +226,7 @@ def promising_pairs(
 def _gain_on_top(
     linearized: Linearized, parent: Begun, member: Member, before: float, settings: SearchSettings
 ) -> tuple[float, Array] | None:
-    """What a linear step gains from the best start of an effect on top of others, and where it leads; None where none can be simulated."""
+    """Gain and end of the best linear step of an effect on top of others; None where no start can be simulated."""
     pair, best, starts = parent.candidate.with_member(member), None, member.starts()
     unknowns = pair.unknowns()
     begins = [

@@ -50,7 +50,7 @@ class Takeover:
     """Value (A,) on the actuator in V; None when nothing was heard."""
 
     def ready(self, patience: float) -> bool:
-        """True when the node may begin: it has heard what is applied, or has listened for `patience` s (`DISCOVERY` s to nobody)."""
+        """True when the applied command has arrived, or none in `patience` s; `DISCOVERY` s are enough where nobody publishes it."""
         now = time.monotonic()
         if self._since is None:
             self._since = now
