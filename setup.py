@@ -61,7 +61,7 @@ setup(
     },
     packages=find_packages(include=["hyst_control*", "hyst_plant_sim*"]),
     package_data={
-        "hyst_control": ["*/*.yaml", "*/*/*.yaml", "*/templates/*", "*/*.c.in", "*/*/*.c.in", "py.typed"],
+        "hyst_control": ["*/*.yaml", "*/*/*.yaml", "*/templates/*", "*/templates/*/*", "*/*.c.in", "*/*/*.c.in", "py.typed"],
         "hyst_plant_sim": ["py.typed"],
     },
     data_files=[

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.benchmarks import limits
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.stream.signal_message import Encoder
-from hyst_control.reporting.tables import Table
+from hyst_control.reporting.tables import Limit, Table
 
 MESSAGES, ROWS = 24_000, 50
 """Per topic: 1.2 million samples, a minute at 20 kHz, in blocks of 50."""
@@ -41,7 +42,9 @@ def run(table: Table) -> None:
             record = read_bag(path)
             reading.append(time.perf_counter() - begin)
             assert len(record.signals["command"].time) == MESSAGES * ROWS
+        written, read = limits.copying(path)
     case = f"2 topics of {MESSAGES} messages of {ROWS} rows"
-    table.add("bags", case, "hyst", "bag_write_rate", "messages/s", 2 * MESSAGES / np.median(writing), n=REPEATS)
-    table.add("bags", case, "hyst", "bag_read_rate", "messages/s", 2 * MESSAGES / np.median(reading), n=REPEATS)
-    table.add("bags", case, "hyst", "bag_read_time", "s", np.median(reading), n=REPEATS)
+    for quantity, spent, bare in (("bag_write_rate", writing, written), ("bag_read_rate", reading, read)):
+        rate, limit = 2 * MESSAGES / np.median(spent), Limit(2 * MESSAGES / bare.value, bare.of)
+        table.add("bags", case, "hyst", quantity, "messages/s", rate, n=REPEATS, limit=limit)
+    table.add("bags", case, "hyst", "bag_read_time", "s", np.median(reading), n=REPEATS, limit=read)

@@ -7,8 +7,8 @@ A case is a plant of the fitted family with parameters drawn anew for every run,
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,14 +17,14 @@ from scipy.signal import lfilter
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.chain import Chain, Stage
-from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.linear.rational_factors import rational
 from hyst_control.identify import identify
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import sampled_record
-from hyst_control.reporting.tables import Table
+from hyst_control.reporting.tables import Limit, Table
 
 RUNS = 200
 QUANTILE = 1.6449
@@ -77,8 +77,12 @@ def run(table: Table, runs: int = RUNS) -> None:
     each = max(runs // len(CASES), 1)
     inside: list[Array] = []
     for index, case in enumerate(CASES):
-        hits = coverage(case, index, each)
+        found = coverage(case, index, each)
+        hits = {name: values[:, 0] for name, values in found.items()}
         inside.append(np.concatenate(list(hits.values())))
+        error, bound = 100.0 * np.sqrt(np.mean(np.square(np.concatenate(list(found.values()))[:, 1:]), axis=0))
+        limit = None if np.isnan(bound) else Limit(bound, "Cramér-Rao bound")
+        table.add("error of an identified number", case.name, case.family, "rms_error", "%", error, n=each, limit=limit)
         table.add("coverage of the 90 % intervals", case.name, case.family, "coverage", "%", _percent(inside[-1]), n=each)
         for name, values in hits.items():
             table.add("coverage by number", case.name, name, "coverage", "%", _percent(values), n=each)
@@ -91,13 +95,14 @@ def _percent(hits: Array) -> float:
     return 100.0 * float(np.mean(hits))
 
 
-def coverage(case: Case, seed: int, runs: int) -> dict[str, Array]:
-    """Identify plants of a case."""
-    found = list(map_forked(lambda index: _held(case, np.random.default_rng([seed, index])), runs))
-    return {name: np.array([held[name] for held in found]) for name in found[0]}
+def coverage(case: Case, seed: int, runs: int) -> dict[str, Annotated[Array, "N 3"]]:
+    """Identify plants of a case: for each number and run whether its interval holds the truth, its error, and the least possible one."""
+    found = list(map_forked(lambda index: _judged(case, np.random.default_rng([seed, index])), runs))
+    return {name: np.array([judged[name] for judged in found]) for name in found[0]}
 
 
-def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
+def _judged(case: Case, random: np.random.Generator) -> dict[str, tuple[float, float, float]]:
+    """By number: 1 if its interval holds the truth, its error, and the bound of Cramér and Rao for it, relative to the truth."""
     stages = tuple(_plant(random, bool(case.dynamics)))
     truth = Model("truth", ("x",), {"command": "V", "measurement": "um"}, 1.0 / RATE, Chain(stages))
     command = excitation(random)[:, None]
@@ -111,9 +116,27 @@ def _held(case: Case, random: np.random.Generator) -> dict[str, float]:
     values = chain_coordinates(fit.model.chain.stages, ("x",))
     uncertainty = fit.model.uncertainty
     errors = {name: float(np.linalg.norm(row)) for name, row in zip(uncertainty["parameters"], uncertainty["factor"], strict=True)}
-    return {
-        name: float(abs(values[name].value - known[name]) <= QUANTILE * error) for name, error in errors.items() if name in known
-    }
+    stated = [name for name in errors if name in known]
+    away = np.array([abs(values[name].value - known[name]) for name in stated])
+    held = away <= QUANTILE * np.array([errors[name] for name in stated])
+    bounds = cramer_rao(truth, command, stated) if case.noise is white else np.full(len(stated), np.nan)
+    size = np.abs([known[name] for name in stated])
+    return dict(zip(stated, zip(held, away / size, bounds / size, strict=True), strict=True))
+
+
+def cramer_rao(truth: Model, command: Array, names: Sequence[str]) -> Annotated[Array, "P"]:
+    """Least standard deviation of unbiased estimates of these numbers from one record with white noise of `SIGMA`."""
+    stages, columns = truth.chain.stages, []
+    for name in names:
+        value = chain_coordinates(stages, truth.axes)[name].value
+        step = 1e-4 * abs(value)
+        ends = [
+            simulate(replace(truth, chain=Chain(with_coordinates(stages, {name: value + side * step}, truth.axes))), command)
+            for side in (-1.0, 1.0)
+        ]
+        columns.append((ends[1] - ends[0]).ravel() / (2.0 * step))
+    slopes = np.array(columns)
+    return SIGMA * np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))
 
 
 def _plant(random: np.random.Generator, dynamics: bool) -> list[Stage]:

@@ -24,7 +24,7 @@ from hyst_control.chain.hysteresis.madelung import Madelung, madelung_branches
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
 from hyst_control.chain.linear.linear_kernels import advance_single
 from hyst_control.chain.linear.linear_stages import TransferFunction
-from hyst_control.reporting.tables import Table
+from hyst_control.reporting.tables import Limit, Table
 
 ROWS = 200_000
 REPEATS = 9
@@ -52,8 +52,10 @@ def run(table: Table) -> None:
                     begin = time.perf_counter()
                     call()
                     seconds.append(time.perf_counter() - begin)
-            for subject, seconds in zip(("hyst", "c"), times, strict=True):
-                table.add("kernels", pair.case, subject, "kernel_rate", "samples/s", ROWS / min(seconds), n=REPEATS)
+            own, other = (ROWS / min(seconds) for seconds in times)
+            limit = Limit(other, "the same loop in C")
+            table.add("kernels", pair.case, "hyst", "kernel_rate", "samples/s", own, n=REPEATS, limit=limit)
+            table.add("kernels", pair.case, "c", "kernel_rate", "samples/s", other, n=REPEATS)
 
 
 def compiled_library(folder: Path) -> ctypes.CDLL:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.benchmarks import limits
 from hyst_control.base import progress
 from hyst_control.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
@@ -42,13 +43,14 @@ def run(table: Table, minutes: Sequence[float], commands: Sequence[str] = COMMAN
             folder = Path(name)
             rows = write_recording(folder / "recording.npy", length)
             save_model(plant(), folder / "model.yaml")
+            limit = limits.reading(np.load(folder / "recording.npy", mmap_mode="r"))
             for command in commands:
                 progress.step(f"{command}, {length:g} min at {RATE / 1e3:g} kHz")
                 seconds, processor, memory = measured(arguments_of(command, folder))
                 case = f"{length:g} min at {RATE / 1e3:g} kHz"
                 table.add("long records", case, command, "time_per_million_samples", "s", 1e6 * seconds / rows, n=rows)
                 table.add("long records", case, command, "processor_time_per_million_samples", "s", 1e6 * processor / rows, n=rows)
-                table.add("long records", case, command, "time", "s", seconds, n=rows)
+                table.add("long records", case, command, "time", "s", seconds, n=rows, limit=limit)
                 table.add("long records", case, command, "memory", "MiB", memory, n=rows)
                 found[command].append((length, processor, memory))
     for command, measurements in found.items():

@@ -25,13 +25,14 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.benchmarks import exported, limits
 from hyst_control.base import progress
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.processes.node_processes import Processes
 from hyst_control.processes.ros_domain import own_domain
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.reporting.tables import Table
+from hyst_control.reporting.tables import Limit, Table
 
 SECONDS = 6.0
 """Length of one measurement; diagnostics come once a second."""
@@ -48,6 +49,8 @@ STREAMED = 16
 MIB = 2.0**20
 STAGE, PRIORITY = "simulated_stage", 50
 """Node in place of the plant where the loop is measured with hardware, and its process' priority under SCHED_FIFO."""
+PROCESSES = 4
+"""Processes of the loop without a recorder: reference, feedforward, feedback and plant."""
 ACTUATORS = ("plant", STAGE)
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 
@@ -61,6 +64,7 @@ class Run:
     memory: list[float]  # Resident memory at every sample, MiB
     values: Mapping[str, dict[str, str]]  # Last diagnostics by node
     begin: Mapping[str, dict[str, str]]  # Those at the beginning
+    priority: int  # Of its processes under SCHED_FIFO, 0 for none
 
     def microseconds(self, entry: str) -> float:
         """Return an entry of the plant's diagnostics."""
@@ -85,16 +89,18 @@ class Watched(Enum):
 def run(table: Table, seconds: float = SECONDS) -> None:
     """Measure all cases: lockstep and wall clock, composed and as processes, plain and with the recorder."""
     streamed = measure("composed", "hyst", "lockstep", seconds, block=STREAMED)
-    _add(table, "lockstep", f"composed, reference streamed in {STREAMED} rows", "hyst", streamed)
+    rounds = {"composed": exported.rounds(), "processes": limits.ring(PROCESSES)}
+    _add(table, "lockstep", f"composed, reference streamed in {STREAMED} rows", "hyst", streamed, rounds["composed"])
     for schedule, case in product(TITLES, ("composed", "processes")):
         for subject in ("hyst", "plain rclpy"):
-            _add(table, schedule, case, subject, measure(case, subject, schedule, seconds))
+            _add(table, schedule, case, subject, measure(case, subject, schedule, seconds), rounds[case])
         if (schedule, case) == ("timer", "composed"):
             _add(table, schedule, f"{case}, backend: c", "hyst", measure(case, "hyst", schedule, seconds, backend="c"))
+        limit = rounds["composed"] if case == "composed" else limits.ring(PROCESSES + 1)
         for way in ("", " from outside") if case == "composed" else ("",):
             with tempfile.TemporaryDirectory() as folder:
                 bag, recorded = Path(folder) / "bag", f"{case}, recorded{way}"
-                _add(table, schedule, recorded, "hyst", measure(case, "hyst", schedule, seconds, bag, outside=bool(way)))
+                _add(table, schedule, recorded, "hyst", measure(case, "hyst", schedule, seconds, bag, outside=bool(way)), limit)
                 loss, count = message_loss(bag)
                 table.add(TITLES[schedule], recorded, "hyst", "loss", "%", loss, n=count)
     dashboard(table, seconds)
@@ -125,17 +131,19 @@ def _add_view(table: Table, case: str, measured: Run) -> None:
         table.add(TITLES["timer"], case, "hyst", f"poll_{label}", "us", value)
 
 
-def _add(table: Table, schedule: str, case: str, subject: str, measured: Run) -> None:
-    """Rate of a loop, under the timer with its periods, latencies and load."""
+def _add(table: Table, schedule: str, case: str, subject: str, measured: Run, rounds: Limit | None = None) -> None:
+    """Rate of a loop beside that of its limit, under the timer with its periods, latencies and load beside those of a bare timer."""
     name = TITLES[schedule]
     if schedule == "lockstep":
-        table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate)
+        table.add(name, case, subject, "rounds_rate", "rounds/s", measured.rate, limit=rounds)
         return
+    bare = limits.timer(TIMER_RATE, measured.priority)
     for quantity, entry in (("period", "period"), ("latency", "loop latency")):
         for label in ("p50", "p99", "p99.9"):
-            table.add(name, case, subject, f"{quantity}_{label}", "us", measured.microseconds(f"{entry} {label} [us]"))
+            value, limit = measured.microseconds(f"{entry} {label} [us]"), bare.get(f"{quantity}_{label}")
+            table.add(name, case, subject, f"{quantity}_{label}", "us", value, limit=limit)
     table.add(name, case, subject, "rate", "Hz", measured.rate)
-    table.add(name, case, subject, "cpu", "%", measured.cpu)
+    table.add(name, case, subject, "cpu", "%", measured.cpu, limit=bare["cpu"])
 
 
 def soak_lockstep(table: Table, minutes: float = 60.0) -> None:
@@ -216,7 +224,7 @@ def measure(
         processes.stop()
         processes.check()
     rate = (int(after["ticks"]) - int(before["ticks"])) / (float(after["stamp"]) - float(before["stamp"]))
-    return Run(rate, 100.0 * cpu, memory, values, begin)
+    return Run(rate, 100.0 * cpu, memory, values, begin, priority)
 
 
 def message_loss(bag: Path) -> tuple[float, int]:

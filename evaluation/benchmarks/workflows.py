@@ -21,9 +21,10 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import executor
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
+from hyst_control.model_file import simulate
 from hyst_control.records.excitation import excitation
 from hyst_control.records.record import Record, sampled_record
-from hyst_control.reporting.tables import Table
+from hyst_control.reporting.tables import Limit, Table
 from hyst_plant_sim.physics import load_plant
 
 P = ParamSpec("P")
@@ -46,9 +47,10 @@ SHORT = 0.4
 def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) -> None:
     """Measure identifications, and diagnoses with a new and with a cached threshold."""
     for family in IDENTIFIED:
-        elapsed, processor, memory, rows = _alone(identification, family, seconds)
+        elapsed, processor, memory, rows, once = _alone(identification, family, seconds)
         case = f"{seconds:g} s at {RATE / 1e3:g} kHz"
-        table.add("identification", case, family, "identify_time", "s", elapsed, n=rows)
+        limit = Limit(once, "one simulation of the record")
+        table.add("identification", case, family, "identify_time", "s", elapsed, n=rows, limit=limit)
         table.add("identification", case, family, "identify_processor_time", "s", processor, n=rows)
         table.add("identification", case, family, "identify_memory", "MiB", memory, n=rows)
     for plant in plants:
@@ -58,8 +60,8 @@ def run(table: Table, seconds: float = SECONDS, plants: Sequence[str] = PLANTS) 
         table.add("diagnosis", f"{case}, threshold cached", plant, "diagnose_time", "s", cached, n=rows)
 
 
-def identification(family: str, seconds: float) -> tuple[float, float, float, int]:
-    """Time and memory of one identification; a tenth of the record is identified first to compile the kernels."""
+def identification(family: str, seconds: float) -> tuple[float, float, float, int, float]:
+    """Time and memory of one identification, and time of one simulation; a tenth of the record is identified first, which compiles."""
     plant, axes, unit, noise, signal = IDENTIFIED[family]
     rows = signal(1.0 / RATE).reshape(-1, len(axes))
     once, count = len(rows), round(seconds * RATE)
@@ -68,9 +70,12 @@ def identification(family: str, seconds: float) -> tuple[float, float, float, in
     record = sampled_record("bench", rows, respond(truth, rows), 1.0 / RATE, axes, unit, start="settled")
     identify([record.rows(0, min(once, count))], family)
     begin, before = time.perf_counter(), processor_time()
-    identify([record], family)
+    model = identify([record], family).model
     elapsed, processor = time.perf_counter() - begin, processor_time() - before
-    return elapsed, processor, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0, count
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    begin = time.perf_counter()
+    simulate(model, rows)
+    return elapsed, processor, memory, count, time.perf_counter() - begin
 
 
 def diagnosis(plant: str) -> tuple[float, float, int, float]:

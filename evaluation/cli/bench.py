@@ -6,6 +6,8 @@ Kernels are compared with the same loops in C (needs gcc), exported controllers 
 running loop (rounds per second in lockstep; period, latency, loss and load at 1 kHz) with the same loop in plain rclpy. Workflows are
 the identification from one minute at 20 kHz and the diagnosis of a record. Coverage is the share of 200 simulated identifications whose
 90 % intervals hold the truth, round_trips the error of every identified family on a record of another session.
+Beside a figure stands its limit, where one is known: what the same work takes in the same run with nothing around it (`of` tells what), and
+the figure as a multiple of that.
 The figures hold for this machine at this moment; the table names the machine.
 
 examples:

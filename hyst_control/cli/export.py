@@ -12,6 +12,7 @@ examples:
   hyst export config/models/pea_hampi.yaml --output plant
   hyst export config/models/pea_hampi.yaml --kind hampi --causal --output feedforward
   hyst export tracking.yaml --reference-ahead --output controller
+  hyst export tracking.yaml --reference-ahead --ros2-control --output controller_package
   hyst export config/models/pea_hampi.yaml --fmu --output plant.fmu
 """
 
@@ -40,8 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder to write into, created where it is missing (default: the source's name and _c); of a bag, and with --fmu: file "
         "(default: its name with the form's ending)",
     )
-    parser.add_argument(
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument(
         "--fmu", action="store_true", help="write one .fmu file: co-simulation by FMI 2.0, with the C compiled for this machine"
+    )
+    form.add_argument(
+        "--ros2-control", action="store_true", help="of a controller: write a package with a chainable controller of ros2_control"
     )
     parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
     parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
@@ -75,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --kind: rating of the drive in V (default: the model's)",
     )
     parser.add_argument("--causal", action="store_true", help="with --kind: do not look ahead; the command is late")
-    parser.add_argument(
+    form.add_argument(
         "--plant", metavar="MODEL.yaml", help="of a controller: also a program that closes the loop against this model's simulator"
     )
     parser.add_argument(
@@ -92,6 +97,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.export import programs
     from hyst_control.export.fmu import write_fmu
     from hyst_control.export.folder import sizes, write_folder
+    from hyst_control.export.ros2_control import write_package
     from hyst_control.model_file import load_model
     from hyst_control.reporting.artifacts import Artifacts
 
@@ -137,11 +143,13 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         except InputError as error:
             raise InputError(f"{given.source}: {error}") from None
     if given.fmu:
-        if given.plant:
-            raise InputError("--plant: closes a loop in C: leave it out with --fmu, and export the plant as another unit")
         program = exported.program
         lines = [f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, tick {program.sample_time:g} s"]
         return Artifacts("export", [write_fmu(program, given.output)], lines=lines)
+    if given.ros2_control:
+        written = write_package(exported, given.output)
+        line = f"colcon build of {given.output} makes {exported.program.name}_controller/Controller"
+        return Artifacts("export", written, lines=[line])
     plant = None
     if given.plant:
         plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real)
@@ -172,9 +180,9 @@ def _bag(given: argparse.Namespace) -> CommandResult:
     from hyst_control.records.tables.exporting import export_record
     from hyst_control.reporting.artifacts import Artifacts
 
-    for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant", "fmu"):
+    for name in ("rate", "kind", "twin", "discrepancy", "causal", "limits", "plant", "fmu", "ros2_control"):
         if getattr(given, name):
-            raise InputError(f"--{name}: is of a model, not of a bag: leave it out")
+            raise InputError(f"--{name.replace('_', '-')}: is of a model, not of a bag: leave it out")
     if given.to != "mcap":
         check_writable(given.output)
     record = read_bag(given.source, given.namespace)

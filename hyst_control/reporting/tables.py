@@ -19,6 +19,14 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
+class Limit:
+    """The figure that the same work has on the same machine with nothing around it."""
+
+    value: float
+    of: str  # What does that work, such as "bare C loop"
+
+
+@dataclass(frozen=True)
 class Row:
     """One figure."""
 
@@ -31,6 +39,13 @@ class Row:
     published: float | None = None  # Published value to compare with
     n: int | None = None  # Number of repetitions
     ci95: tuple[float, float] | None = None  # 95 % confidence interval [lower, upper]
+    limit: Limit | None = None
+
+    @property
+    def ratio(self) -> float:
+        """The figure as a multiple of its limit: 1 at the limit, larger the further it is from it, rates and times alike."""
+        limit = self.limit.value if self.limit else math.nan
+        return limit / self.value if self.unit.endswith(("/s", "Hz")) else self.value / limit
 
 
 @dataclass
@@ -55,10 +70,11 @@ class Table:
         published: float | None = None,
         n: int | None = None,
         ci95: tuple[float, float] | None = None,
+        limit: Limit | None = None,
     ) -> None:
         """Append one `Row`; numpy numbers become Python ones.
 
-        Arguments as its fields: table, case, subject, quantity, unit, value, published, n, ci95.
+        Arguments as its fields: table, case, subject, quantity, unit, value, published, n, ci95, limit.
         """
         self.rows.append(
             Row(
@@ -71,6 +87,7 @@ class Table:
                 None if published is None else float(published),
                 None if n is None else int(n),
                 None if ci95 is None else (float(ci95[0]), float(ci95[1])),
+                limit,
             )
         )
 
@@ -86,7 +103,7 @@ class Table:
 
     def document(self) -> dict[str, Any]:
         """The table as plain JSON types; a value that is not a finite number becomes null."""
-        rows = [{key: _number(value) for key, value in asdict(row).items()} for row in self.rows]
+        rows = [{key: _number(value) for key, value in _named(row).items()} for row in self.rows]
         return {
             "schema": SCHEMA,
             "version": VERSION,
@@ -108,6 +125,9 @@ class Table:
                     ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows],
                 ),
                 ("n", ["" if row.n is None else str(row.n) for row in rows]),
+                ("limit", [_figure(row.limit.value) if row.limit else "" for row in rows]),
+                ("x limit", [_figure(row.ratio) if row.limit else "" for row in rows]),
+                ("of", [row.limit.of if row.limit else "" for row in rows]),
             ]
             columns = [
                 ("case", [row.case for row in rows]),
@@ -123,7 +143,7 @@ class Table:
                 + aligned(
                     [header for header, _ in columns],
                     list(zip(*(cells for _, cells in columns), strict=True)),
-                    right=("value", "published", "n"),
+                    right=("value", "published", "n", "limit", "x limit"),
                 )
             )
         return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
@@ -165,6 +185,13 @@ def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequen
 def machine() -> str:
     """Processor, cores and Python, for whoever reads a timing later."""
     return f"{platform.machine()} {platform.system()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def _named(row: Row) -> dict[str, Any]:
+    """The row by name; with its limit and the ratio only where there is a limit."""
+    named = asdict(row)
+    limit = named.pop("limit")
+    return named if limit is None else {**named, "limit": limit["value"], "limit_of": limit["of"], "ratio": row.ratio}
 
 
 def _number(value: object) -> object:
