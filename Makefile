@@ -21,7 +21,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONPATH
 
-.PHONY: demo test quick coverage test-again fuzz faults mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-readme check-labs sbom bench env clean
+.PHONY: demo test quick coverage coverage-safety test-again fuzz faults mutate lint docs figures check-browser check-compilers check-export check-wheel check-colcon check-deb check-readme check-labs sbom bench env clean
 demo: env
 	$(VENV)/bin/hyst demo $(ARGS)
 
@@ -41,6 +41,10 @@ coverage: $(CHECKS_READY) env
 QUICK ?= test/chain test/physics test/test_files.py test/test_model_file.py test/test_yaml_files.py
 quick: env
 	env -u PYTHONDONTWRITEBYTECODE $(VENV)/bin/python -m pytest -n 2 --dist loadfile -m "not long_file" $(QUICK) $(ARGS)
+
+# The safety path alone, every branch of which must be taken.
+coverage-safety: $(CHECKS_READY) env
+	$(VENV)/bin/python .ci/measure_coverage.py safety
 
 # What failed in the last run, alone: tells what a busy machine did from what the code does. Nothing to run is a failure too.
 test-again: env
@@ -76,6 +80,9 @@ check-wheel: $(CHECKS_READY)
 
 check-colcon: $(CHECKS_READY) env
 	.ci/colcon.sh
+
+check-deb: env
+	.ci/debian.sh
 
 check-readme: env
 	$(VENV)/bin/python .ci/readme.py
