@@ -34,6 +34,7 @@ from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.losses import losses
 from hyst_control.records.record import Record
 from hyst_control.records.tables.array_files import read_array
 from hyst_control.reporting.provenance import Origin, provenance
@@ -168,11 +169,12 @@ def diagnose_records(
 ) -> GapResult:
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
-    notes: list[str] = []
+    lost, notes = losses([*records, *baseline])
     if model is not None and (refused := invalid_report(records, model, notes)) is not None:
         return GapResult(*refused)
     document, diagnosis, better = diagnosed(records, model, baseline=baseline, **settings)
     document["notes"] = [*notes, *document["notes"]]
+    document["losses"] = lost
     if coming is not None:
         try:
             document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}

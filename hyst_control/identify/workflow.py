@@ -37,6 +37,7 @@ from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.losses import losses
 from hyst_control.records.record import TOPICS, Record
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
 from hyst_control.records.tables.units import refusal_of_unit
@@ -181,7 +182,7 @@ def identify_records(
     **options: object,
 ) -> Fit:
     """Identify a model from records, and judge what it explains of them; the parameters are those of `identify_bags`."""
-    notes: list[str] = []
+    lost, notes = losses(records)
     cut: list[Record] = []
     for record in records:
         record = aligned_by_reception(record, TOPICS)
@@ -211,9 +212,8 @@ def identify_records(
         *fit.report["notes"],
         *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 else []),
     ]
-    return with_delay(
-        replace(fit, report={**fit.report, "verdict": verdict, "explained": shares, "notes": notes}), late * begun[0].sample_time
-    )
+    report: Report = {**fit.report, "verdict": verdict, "explained": shares, "losses": lost, "notes": notes}
+    return with_delay(replace(fit, report=report), late * begun[0].sample_time)
 
 
 def identified(records: Sequence[Record], family: str | None = None, method: str = "joint", **options: object) -> Fit:

@@ -1,14 +1,15 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Account of a bag by topic: rows that are there, ticks that are missing, values that are no numbers, and the clock of its times."""
+"""Account of a bag by topic: rows that were sent, received and missed, values that are no numbers, and the clock of its times."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.record import Record, Signal, commonest_step
 from hyst_control.records.stream.foreign_rows import admissible
@@ -17,6 +18,8 @@ CLOCKS = {"layout": "control clock", "receive": "time of reception"}
 """Clocks by the timing of a signal."""
 BETWEEN = 1.5
 """Steps between two times of reception from which on a row is missing between them."""
+BLOCK = 1 << 20
+"""Rows that are looked at together."""
 
 
 @dataclass(frozen=True)
@@ -40,29 +43,60 @@ class TopicAccount:
         return bool(self.rows) and not self.missing and not self.invalid
 
 
+@dataclass(frozen=True)
+class _Gaps:
+    """Gaps of a topic; the fields are those of its account."""
+
+    step: float
+    missing: int
+    longest: int
+    irregular: float
+
+
+def losses(records: Sequence[Record]) -> tuple[list[dict[str, Any]], list[str]]:
+    """Rows sent, received and missed by record and topic, for a report, and a sentence on each topic that misses any."""
+    rows, notes = [], []
+    for record in records:
+        for topic, signal in sorted(record.signals.items()):
+            gaps, received = _gaps(topic, signal), len(signal.time)
+            sent = received + gaps.missing
+            rows.append({"record": record.source, "topic": topic, "sent": sent, "received": received, "missed": gaps.missing})
+            if gaps.missing:
+                notes.append(
+                    f"{record.source}: {topic}: {gaps.missing} of {sent} rows are missing, at most {gaps.longest} in a row"
+                )
+    return rows, notes
+
+
 def account(record: Record) -> list[TopicAccount]:
     """Account of every topic of a record, in the order of their names."""
     return [_of_topic(topic, signal) for topic, signal in sorted(record.signals.items())]
 
 
 def _of_topic(topic: str, signal: Signal) -> TopicAccount:
-    time, clock = signal.time, CLOCKS[signal.timing]
-    invalid = int(np.count_nonzero(~admissible(signal.values))) if len(time) else 0
-    if len(time) < 2:
-        ends = (float(time[0]), float(time[0])) if len(time) else (np.nan, np.nan)
-        return TopicAccount(topic, clock, len(time), np.nan, *ends, 0, 0, 0.0, invalid)
-    step = commonest_step(time)
-    steps = np.diff(time) / step if step > 0.0 else np.zeros(len(time) - 1)
-    # What is on the actuator is told only while it does not follow the command.
-    gaps = np.zeros(len(steps)) if topic == APPLIED else _missing(steps, signal.timing)
-    irregular = float(np.abs(steps - 1.0 - gaps).max()) if topic != APPLIED else 0.0
+    time, values, gaps = signal.time, signal.values, _gaps(topic, signal)
+    invalid = sum(int(np.count_nonzero(~admissible(values[begin : begin + BLOCK]))) for begin in range(0, len(time), BLOCK))
+    first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
     return TopicAccount(
-        topic, clock, len(time), step, float(time[0]), float(time[-1]), int(gaps.sum()), int(gaps.max()), irregular, invalid
+        topic, CLOCKS[signal.timing], len(time), gaps.step, first, last, gaps.missing, gaps.longest, gaps.irregular, invalid
     )
 
 
-def _missing(steps: Array, timing: str) -> Array:
-    """Rows missing between each row and the next."""
-    if timing == "layout":
-        return np.maximum(np.rint(steps) - 1.0, 0.0)
-    return np.where(steps > BETWEEN, np.rint(steps) - 1.0, 0.0)
+def _gaps(topic: str, signal: Signal) -> _Gaps:
+    """What is missing between the rows of a topic, block by block: a record may be longer than the memory."""
+    time = signal.time
+    if len(time) < 2:
+        return _Gaps(np.nan, 0, 0, 0.0)
+    step = commonest_step(time)
+    if topic == APPLIED or not step > 0.0:  # what is on the actuator is told only while it does not follow the command
+        return _Gaps(step, 0, 0, 0.0)
+    missing = longest = 0
+    irregular = 0.0
+    for begin in range(0, len(time) - 1, BLOCK):
+        steps = np.diff(time[begin : begin + BLOCK + 1]) / step
+        gaps = np.maximum(np.rint(steps) - 1.0, 0.0)
+        if signal.timing != "layout":
+            gaps[steps <= BETWEEN] = 0.0
+        missing, longest = missing + int(gaps.sum()), max(longest, int(gaps.max()))
+        irregular = max(irregular, float(np.abs(steps - 1.0 - gaps).max()))
+    return _Gaps(step, missing, longest, irregular)

@@ -13,6 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.cli import main
+from hyst_control.diagnose import workflow
+from hyst_control.model_file import load_model
+from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.losses import account
 from hyst_control.records.record import Record, Signal
@@ -90,3 +93,34 @@ def test_no_bag_is_one_line(tmp_path, capsys):
 def test_a_topic_of_next_to_nothing(count):
     [found] = account(Record({"measurement": Signal(np.zeros(count), np.zeros((count, 1)), ("x",), "um")}, "bag"))
     assert found.rows == count and found.whole == bool(count)
+
+
+def lossy(path):
+    """A bag of a lag of first order that lacks four rows of its measurement."""
+    random, command, answer = np.random.default_rng(1), [], [0.0]
+    for index in range(2000):
+        command.append(20.0 + 15.0 * np.sin(2 * np.pi * 7e-3 * index) + 3.0 * np.sin(2 * np.pi * 31e-3 * index))
+        answer.append(answer[-1] + 0.2 * (0.4 * command[-1] - answer[-1]))
+    with BagWriter(path) as writer:
+        for topic, label in LABELS.items():
+            encoder, values = Encoder(label), command if topic == "/command" else answer
+            for index in range(2000):
+                if topic == "/command" or index not in (700, 701, 702, 1100):
+                    row = [index * 1e-3, values[index] + 0.01 * random.standard_normal()]
+                    writer.write(topic, encoder.encode(np.array([row])), 10**9 + index * 10**6)
+    return path
+
+
+def test_identification_and_diagnosis_tell_what_their_records_lack(tmp_path, capsys, monkeypatch):
+    bag, model = lossy(tmp_path / "bag"), tmp_path / "model.yaml"
+    words = ["--model", "linear", "--order", "1", "--allow-gaps", "--output", str(model), "--json", str(tmp_path / "fit.json")]
+    assert main(["identify", str(bag), *words]) == 0
+    assert "measurement: 4 of 2000 rows are missing, at most 3 in a row" in capsys.readouterr().out
+    monkeypatch.setattr(workflow, "diagnosed", lambda *given, **settings: ({"notes": ["of the diagnosis"]}, None, None))
+    monkeypatch.setattr(workflow, "in_words", str)  # what takes half a minute has nothing to do with it
+    gap = workflow.diagnose_records([read_bag(bag)], load_model(model)).document
+    assert "measurement: 4 of 2000 rows are missing, at most 3 in a row" in gap["notes"][0]
+    for report in (json.loads((tmp_path / "fit.json").read_text()), gap):
+        lost = {row["topic"]: row for row in report["losses"]}
+        assert [lost["measurement"][key] for key in ("sent", "received", "missed")] == [2000, 1996, 4]
+        assert lost["command"]["missed"] == 0

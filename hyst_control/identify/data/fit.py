@@ -159,6 +159,7 @@ class Report(_Report, total=False):
     verdict: str
     # Shares of the measured power that the model explains, and a constant and a gain, a row an axis
     explained: list[Any]
+    losses: list[dict[str, Any]]  # Rows sent, received and missed, by record and topic
 
 
 @dataclass(frozen=True)
