@@ -123,6 +123,7 @@ $(CHECKS_READY): $(READY)
 $(INSTALLED): $(READY) setup.py setup.cfg evaluation/pyproject.toml examples/hysteretic_oscillators/pyproject.toml hyst_control/processes/node_list.py
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable . --editable evaluation --editable examples/hysteretic_oscillators
 	$(VENV)/bin/python -m compileall -q hyst_control hyst_plant_sim evaluation examples
+	$(VENV)/bin/python .ci/compile_kernels.py
 	touch $@
 
 clean:

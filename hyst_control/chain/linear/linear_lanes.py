@@ -40,14 +40,15 @@ def advance_rows(
     bias: Annotated[Array, "L n n"],
     state: Annotated[Array, "L n"],
     output: Annotated[Array, "L N"],
+    done: int,
 ) -> None:
-    """Run L systems of n states row by row."""
+    """Run L systems of n states row by row, from the row `done` on."""
     n = a.shape[1]
     following = np.empty(n)
     for lane in range(len(output)):
         matrix, x, b0, b1, b2, gain = a[lane], state[lane], b[lane, 0], b[lane, 1], b[lane, 2], c[lane]
         first = begin[lane]
-        for row in range(output.shape[1]):
+        for row in range(done, output.shape[1]):
             oldest, middle, newest = inputs[lane, first + row], inputs[lane, first + row + 1], inputs[lane, first + row + 2]
             for i in range(n):
                 value = 0.0
@@ -193,7 +194,7 @@ class LinearLanes:
         while count - done >= FEW:
             groups = min((count - done) // TOGETHER, GROUPS)
             done += self._groups(inputs, begin + done, output[:, done : done + groups * TOGETHER])
-        advance_rows(inputs, begin + done, self._a, self._b, self._c, self._d, self._bias, self._state, output[:, done:])
+        advance_rows(inputs, begin, self._a, self._b, self._c, self._d, self._bias, self._state, output, done)
         return output
 
     def _groups(self, inputs: Array, begin: Integers, output: Array) -> int:

@@ -212,7 +212,7 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
 def _inputs(command: Array, thresholds: Sequence[float]) -> Array:
     """Every command (N, A) about its first value, at which the filters are settled, and play operators of it; of deviation 1 (K, N)."""
     found = []
-    for values in command.T:
+    for values in np.ascontiguousarray(command.T):
         span = float(np.ptp(values))
         for each in (values, *(_play(values, share * span) for share in thresholds)):
             found.append((each - each[0]) / max(float(np.std(each)), 1e-300))
