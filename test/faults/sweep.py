@@ -22,9 +22,13 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 KINDS = {"write": 1, "open": 2, "rename": 3, "read": 4, "allocation": 5}
-LARGE = 1 << 16
-"""Bytes of an allocation from which on it fails: arrays, not the interpreter's own."""
+LARGE = 1 << 17
+"""Bytes of an allocation that fails: arrays, not the interpreter's own, nor numpy's 64 KiB for a cast, of which the lack is a crash."""
 ONCE, FOR_GOOD = 0, 1
+OF_NUMPY = "init_gelsd failed init"
+"""Line that numpy itself prints where it lacks memory for a least squares solution."""
+MARK = "<!-- written by make faults -->"
+"""In the page on safety before the table."""
 LIMIT = 5000
 """Faults of a kind after which a command that has not passed never will."""
 
@@ -47,7 +51,7 @@ CASES = {
     ),
     "report": Case(("plot", "in/record", "--output", "report.html"), ("report.html",), old=True),
     "import": Case(
-        ("import", "in/table.csv", "--columns", "command=u[V],measurement=y[um]", "--rate", "1000", "--output", "bag"), ("bag",)
+        ("import", "in/long.csv", "--columns", "command=u[V],measurement=y[um]", "--rate", "1000", "--output", "bag"), ("bag",)
     ),
     "export": Case(("export", "in/record", "--to", "csv", "--output", "out"), ("out",)),
     "export C": Case(("export", "in/model.yaml", "--output", "c"), ("c",)),
@@ -78,6 +82,7 @@ def make_inputs(folder: Path) -> None:
     os.chdir(folder)
     table = np.column_stack([time, command, 0.4 * command + 0.02 * rng.standard_normal(2000)])
     np.savetxt("in/table.csv", table, delimiter=",", header="t,u,y", comments="", fmt="%.6f")
+    np.savetxt("in/long.csv", np.tile(table, (10, 1)), delimiter=",", header="t,u,y", comments="", fmt="%.6f")
     for name in ("record", "second"):
         assert (
             main(
@@ -221,7 +226,7 @@ def faults_of(case: Case, status: int, said: str, before: dict[str, str], whole:
             found.append(f"old {name} is lost")
     if status not in (0, 1, 2, 3):
         found.append(f"exit status {status}")
-    lines = said.strip().splitlines()
+    lines = [line for line in said.strip().splitlines() if line != OF_NUMPY]
     if status and len(lines) != 1:
         found.append(f"{len(lines)} lines: {said.strip()[-300:]}")
     made = {name for name in after if name not in before and name != "flushed"}
@@ -303,14 +308,32 @@ def main(names: list[str], most: int = LIMIT) -> int:
         sys.stdout.flush()
         os.dup2(out, 1)
         print(f"{'command':10} {'fault':12} {'lasting':8} {'tried':>6} {'lost':>5}")
+        counted: dict[str, list[str]] = {}
         for name in names or CASES:
             for kind in KINDS:
                 for persistence in (ONCE, FOR_GOOD):
                     tried, found = sweep(name, kind, persistence, inputs, most)
                     print(f"{name:10} {kind:12} {'yes' if persistence else 'no':8} {tried:6d} {len(found):5d}", flush=True)
                     lost += found
+                    counted.setdefault(name, []).append(f"{tried}{f', {len(found)} lost' if found else ''}")
     print(*lost, f"lost: {len(lost)}", sep="\n")
+    if most == LIMIT:
+        write_table(counted)
     return bool(lost)
+
+
+def write_table(counted: dict[str, list[str]]) -> None:
+    """Write the numbers of faults of these commands, once and lasting, into the page on safety, where others keep theirs."""
+    page = ROOT / "docs" / "safety.md"
+    before, mark, rest = page.read_text(encoding="utf-8").partition(MARK)
+    old, end = rest[: rest.index("\n\n", 2)], rest[rest.index("\n\n", 2) :]
+    rows = {line.split(" | ")[0].lstrip("| "): line for line in old.splitlines()[4:]}
+    for name, numbers in counted.items():
+        cells = [f"{once}; {lasting}" for once, lasting in zip(numbers[::2], numbers[1::2], strict=True)]
+        rows[name] = f"| {name} | {' | '.join(cells)} |"
+    head = [f"| command | {' | '.join(KINDS)} |", "|---" * (len(KINDS) + 1) + "|"]
+    lines = "\n".join(head + [rows[name] for name in CASES if name in rows])
+    page.write_text(f"{before}{mark}\n\n{lines}{end}", encoding="utf-8")
 
 
 def preload() -> None:
