@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from hyst_control.records.excitation.parameters import COMMON
 from hyst_control.reporting.result import CommandResult
 
 NAME = "excite"
@@ -111,6 +110,7 @@ class Kinds:
         import inspect
 
         from hyst_control.records.excitation.excitation import KINDS
+        from hyst_control.records.excitation.parameters import COMMON
 
         kinds = {}
         for name in sorted(KINDS):
@@ -125,10 +125,11 @@ class Kinds:
     def text(self) -> str:
         """Text for people: two lines per kind."""
         lines = []
-        for name, kind in self.document()["kinds"].items():
+        listed = self.document()
+        for name, kind in listed["kinds"].items():
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
             lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
-        lower, upper, slew_limit, *others = COMMON
+        lower, upper, slew_limit, *others = listed["common_parameters"]
         return "\n".join(
             [
                 *lines,
