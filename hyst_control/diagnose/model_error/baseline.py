@@ -29,6 +29,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.model_error.other_commands import (
+    error_between_periods,
     learned_mean,
     lowest_frequency,
     on_new_ground,
@@ -41,6 +42,7 @@ from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_l
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LearnedError, SessionZero
+from hyst_control.diagnose.problem.periodic_error import PeriodicError
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_units
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
@@ -48,7 +50,11 @@ from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, sp
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
+from hyst_control.records.repeated_periods import period_of
 from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
+
+MIN_PERIODS = 3
+"""Whole periods beside which a discrepancy comes back: the first one still fills the memory, and two are compared."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +143,25 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: 
     return replace(found, problem=replace(found.problem, own_spectrum=spectrum), floor=np.zeros_like(found.floor))
 
 
+def by_periods(baseline: Baseline, settings: BaselineSettings) -> Baseline | None:
+    """The same baseline with a discrepancy that comes back with every period; None where no command is periodic."""
+    problem = baseline.problem
+    periods = tuple(_period(piece, settings.same_command) for piece in problem.pieces)
+    if not any(periods) or problem.own_error is None or len(problem.model.axes) > 1:
+        return None
+    *stages, zero = problem.model.chain.stages
+    error = PeriodicError(periods, problem.weight, problem.own_error)
+    model = problem.model.with_stages((*stages, *error_between_periods(problem, error), zero))
+    return replace(baseline, problem=replace(problem, model=model, own_spectrum=error), floor=np.zeros_like(baseline.floor))
+
+
+def _period(piece: Piece, same: float) -> int | None:
+    """Rows of a period of a record whose rows that count are one stretch of `MIN_PERIODS` or more."""
+    rows, command = piece.counted(np.arange(len(piece.command))), piece.counted(piece.command)
+    period = period_of(command, same) if rows[-1] - rows[0] < len(rows) else None
+    return period if period is not None and len(command) >= MIN_PERIODS * period else None
+
+
 def _beside_own_error(
     problem: Problem,
     stated: Mapping[str, Any],
@@ -211,6 +236,7 @@ def _carried(
     differences: list[Array] = []
     run_to_run: list[Array] = []
     zeros: list[Array] = []
+    noises: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
@@ -234,7 +260,9 @@ def _carried(
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
-        series.append(without_noise(mean, np.fmin(repeating, differing)))
+        quiet, left = without_noise(mean, np.fmin(repeating, differing))
+        series.append(quiet)
+        noises.append(left)
         differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
@@ -246,9 +274,10 @@ def _carried(
             run_to_run += about_mean
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
-    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
+    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has what is left of it.
     both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
     alone = repeatability / both
+    noise = np.hypot(alone, np.max(noises, axis=0)) if differences else alone
     longest = max(len(piece.counted(piece.command)) for piece in pieces)
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
@@ -257,7 +286,7 @@ def _carried(
     if not differences:  # one record tells nothing of the next one
         motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
         floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
-    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
+    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": noise.tolist()})
     beside = replace(
         problem,
         model=model,

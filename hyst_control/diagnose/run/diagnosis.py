@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.likelihood.core import by_likelihood
-from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.model_error.baseline import Baseline, by_periods, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
@@ -31,10 +31,13 @@ from hyst_control.diagnose.run.prepare import is_used, nominal_residuals, prepar
 from hyst_control.diagnose.run.settle import ContenderTests, settled
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Decision, Verdict
+from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
+from hyst_control.effects.time_dependent import TimedStage
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
@@ -137,7 +140,8 @@ def diagnose(
                 # Only a line by itself would be taken from it.
                 singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
                 again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
-                found = again if _is_a_line(again) else found
+                found = again if _is_one_of(again, _line_effects()) else found
+        found = _between_periods(found, part, bare, seed, without, cache, progress, configuration)
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
@@ -308,10 +312,38 @@ def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration
     )
 
 
-def _is_a_line(found: AxisDiagnosis) -> bool:
-    """True where effects that have lines are the sure explanation. Of others a spectrum from other records tells too little."""
-    names = frozenset() if found.chosen.candidate is None else frozenset(found.chosen.candidate.names)
-    return found.decision.verdict is Verdict.EFFECT and bool(names) and names <= _line_effects()
+def _between_periods(
+    found: AxisDiagnosis,
+    part: Problem,
+    bare: bool,
+    seed: int,
+    without: Sequence[str],
+    cache: bool,
+    progress: Callable[[str], None],
+    configuration: Configuration,
+) -> AxisDiagnosis:
+    """The diagnosis, or that of what periods of the command differ by, where the stated error hides an effect that comes with time."""
+    baseline = found.baseline
+    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
+        return found
+    beside = by_periods(baseline, configuration.baseline)
+    if beside is None:
+        return found
+    timed = _timed_effects(part)
+    again = _axis(part, beside, bare, found.axes, seed, [*without, *(set(EFFECTS) - timed)], cache, progress, configuration)
+    return again if _is_one_of(again, timed) else found
+
+
+def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:
+    """True where such effects are the sure explanation. Of lines alone a spectrum from other records tells enough."""
+    names = () if found.chosen.candidate is None else found.chosen.candidate.names
+    return found.decision.verdict is Verdict.EFFECT and bool(names) and set(names) <= set(effects)
+
+
+def _timed_effects(problem: Problem) -> frozenset[str]:
+    """Effects that do not come back with a period of the command: lines, and stages of the time since the record's start."""
+    stages = {one.name: one.stage(one.starts()[0]) for one in catalogue(problem, {}) if not one.is_extra}
+    return _line_effects() | {name for name, stage in stages.items() if isinstance(stage, TimedStage)}
 
 
 def _line_effects() -> frozenset[str]:
