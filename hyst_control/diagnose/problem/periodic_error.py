@@ -28,7 +28,7 @@ class PeriodicError:
     def whitened(self, index: int, rows: Annotated[Array, "N A"], inverse: bool = False) -> Annotated[Array, "N A"]:
         """Rows of a record with what comes back reduced to units of the discrepancy; inverse: back to units of the noise."""
         factor = self.weight ** (-0.5 if inverse else 0.5)
-        return factor * rows + (1.0 - factor) * self.between(index, rows)
+        return np.asarray(factor * rows + (1.0 - factor) * self.between(index, rows), dtype=np.float64)
 
     def between(self, index: int, rows: Annotated[Array, "N A"]) -> Annotated[Array, "N A"]:
         """Differences of the last whole periods of a record from their mean; 0 before, where the first one fills the memory."""
@@ -41,7 +41,7 @@ class PeriodicError:
 
     def rms(self, sigma: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
         """Size of model discrepancy and noise together."""
-        return np.hypot(self.own_error, sigma)
+        return np.asarray(np.hypot(self.own_error, sigma), dtype=np.float64)
 
     def digest(self) -> str:
         """SHA-256, by which caches tell errors apart."""
