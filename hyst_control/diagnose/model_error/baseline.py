@@ -157,7 +157,7 @@ def by_periods(baseline: Baseline, settings: BaselineSettings) -> Baseline | Non
 
 def _period(piece: Piece, same: float) -> int | None:
     """Rows of a period of a record whose rows that count are one stretch of `MIN_PERIODS` or more."""
-    rows, command = piece.counted(np.arange(len(piece.command))), piece.counted(piece.command)
+    rows, command = piece.counted(np.arange(len(piece.command), dtype=np.float64)), piece.counted(piece.command)
     period = period_of(command, same) if rows[-1] - rows[0] < len(rows) else None
     return period if period is not None and len(command) >= MIN_PERIODS * period else None
 
