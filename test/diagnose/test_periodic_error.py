@@ -4,15 +4,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.problem.periodic_error import PeriodicError
+from hyst_control.diagnose.run.diagnosis import with_clean
+from hyst_control.diagnose.run.prepare import prepare
+from hyst_control.diagnose.search.fit import fit
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.repeated_periods import period_of
 from test.diagnose.conftest import all_but
 
 STEP, PERIOD, PERIODS, NOISE = 1e-3, 250, 8, 0.01
@@ -22,16 +30,32 @@ ERROR = 0.3 * (COMMAND / 10.0) ** 3 - 0.2 * np.cos(6 * np.pi * TIME / (PERIOD * 
 """What the model leaves on the healthy machine, 20 times the noise."""
 
 
+STATED = {"rms": [float(np.std(ERROR))], "correlation": 0.2}
+MODEL = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((Gain(1.0),)), "foh", discrepancy=STATED)
+
+
+def record(added: np.ndarray, seed: int, command: np.ndarray = COMMAND, error: np.ndarray = ERROR) -> Record:
+    measured = command + error + added + NOISE * np.random.default_rng(seed).standard_normal(len(TIME))
+    return Record(
+        {
+            "command": Signal(TIME, command[:, None], ("x",), "V"),
+            "measurement": Signal(TIME, measured[:, None], ("x",), "um"),
+        },
+        "new",
+    )
+
+
 def verdict(added: np.ndarray, seed: int) -> tuple[str, list[dict]]:
-    stated = {"rms": [float(np.std(ERROR))], "correlation": 0.2}
-    model = Model("m", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((Gain(1.0),)), "foh", discrepancy=stated)
-    measured = COMMAND + ERROR + added + NOISE * np.random.default_rng(seed).standard_normal(len(TIME))
-    signals = {
-        "command": Signal(TIME, COMMAND[:, None], ("x",), "V"),
-        "measurement": Signal(TIME, measured[:, None], ("x",), "um"),
-    }
-    document, _, _ = diagnosed([Record(signals, "new")], model, without=all_but("gain", "gain_drift", "delay"), cache=False)
+    document, _, _ = diagnosed([record(added, seed)], MODEL, without=all_but("gain", "gain_drift", "delay"), cache=False)
     return document["verdict"], document["effects"]
+
+
+def nats_of_a_drift(new: Record) -> float:
+    _, _, _, [(part, known, _)] = with_clean([new], MODEL, 0.0, CONFIGURATION, ())
+    prepared = prepare(part, known, (), CONFIGURATION)
+    beside = by_periods(known, prepared.problem)
+    assert beside is not None
+    return gain_over_time(beside, prepared.linearized, fit(prepared.linearized))
 
 
 @pytest.mark.parametrize("change", [0.01, -0.02])
@@ -48,6 +72,25 @@ def test_the_discrepancy_itself_is_no_gap(seed):
 
 def test_a_gain_below_the_discrepancy_stays_one_with_it():
     assert verdict(0.02 * COMMAND, 5)[0] == "no_gap"
+
+
+def test_the_closed_form_says_when_to_look_again():
+    """Without a drift it is half a chi-square of three degrees; with one it is what weighted least squares take off (here by numpy)."""
+    clean = [nats_of_a_drift(record(np.zeros(len(TIME)), seed)) for seed in range(10)]
+    assert 0.5 < np.mean(clean) < 3.0 and np.max(clean) < 8.0
+    found = nats_of_a_drift(record(0.002 * TIME / TIME[-1] * COMMAND, 1))
+    later = TIME >= PERIOD * STEP
+    drift = COMMAND[later] * (TIME[later] - TIME[later].mean()) * 0.002 / TIME[-1]
+    assert found == pytest.approx(0.5 * np.sum(drift**2) / NOISE**2, rel=0.15)
+
+
+def test_a_command_that_comes_back_between_two_rows_is_not_periodic():
+    """Its discrepancy comes back as much off, which adds up to many noises: 0.05 rows every 235, within the usual tolerance."""
+    phase = 2 * np.pi * np.arange(len(TIME)) / 234.95
+    command, error = 10.0 * np.sin(phase), 0.3 * np.sin(phase) ** 3 - 0.2 * np.cos(3 * phase)
+    assert period_of(command[:, None]) == 235
+    _, _, _, [(_, known, _)] = with_clean([record(np.zeros(len(TIME)), 1, command, error)], MODEL, 0.0, CONFIGURATION, ())
+    assert by_periods(known, replace(known.problem, sigma=np.array([0.1 * NOISE]))) is None
 
 
 def test_what_comes_back_and_noise_are_white_together():

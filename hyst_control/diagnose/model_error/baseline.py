@@ -29,7 +29,6 @@ from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.model_error.other_commands import (
-    error_between_periods,
     learned_mean,
     lowest_frequency,
     on_new_ground,
@@ -42,7 +41,6 @@ from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_l
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LearnedError, SessionZero
-from hyst_control.diagnose.problem.periodic_error import PeriodicError
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_units
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
@@ -50,11 +48,7 @@ from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, sp
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
-from hyst_control.records.repeated_periods import period_of
 from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
-
-MIN_PERIODS = 3
-"""Whole periods beside which a discrepancy comes back: the first one still fills the memory, and two are compared."""
 
 
 @dataclass(frozen=True)
@@ -141,25 +135,6 @@ def with_discrepancy(problem: Problem, settings: BaselineSettings, by_spectrum: 
     error, with_learned = found.repeatability, found.learned is not None
     spectrum = _stated_spectrum(problem, problem.model.discrepancy["spectrum"], error, with_learned, settings)
     return replace(found, problem=replace(found.problem, own_spectrum=spectrum), floor=np.zeros_like(found.floor))
-
-
-def by_periods(baseline: Baseline, settings: BaselineSettings) -> Baseline | None:
-    """The same baseline with a discrepancy that comes back with every period; None where no command is periodic."""
-    problem = baseline.problem
-    periods = tuple(_period(piece, settings.same_command) for piece in problem.pieces)
-    if not any(periods) or problem.own_error is None or len(problem.model.axes) > 1:
-        return None
-    *stages, zero = problem.model.chain.stages
-    error = PeriodicError(periods, problem.weight, problem.own_error)
-    model = problem.model.with_stages((*stages, *error_between_periods(problem, error), zero))
-    return replace(baseline, problem=replace(problem, model=model, own_spectrum=error), floor=np.zeros_like(baseline.floor))
-
-
-def _period(piece: Piece, same: float) -> int | None:
-    """Rows of a period of a record whose rows that count are one stretch of `MIN_PERIODS` or more."""
-    rows, command = piece.counted(np.arange(len(piece.command), dtype=np.float64)), piece.counted(piece.command)
-    period = period_of(command, same) if rows[-1] - rows[0] < len(rows) else None
-    return period if period is not None and len(command) >= MIN_PERIODS * period else None
 
 
 def _beside_own_error(

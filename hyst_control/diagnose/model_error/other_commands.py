@@ -11,10 +11,8 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain.command_features import CommandFeatures
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
-from hyst_control.diagnose.problem.periodic_error import PeriodicError
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.data.excited_band import lowest_frequency as frequency_of
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
@@ -83,21 +81,6 @@ def predicted_error(problem: Problem, learned: LearnedDiscrepancy) -> tuple[Lear
     if not kept.shape[1]:
         return ()
     return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(design @ factor @ kept for design in rows))),)
-
-
-def error_between_periods(problem: Problem, error: PeriodicError) -> tuple[LearnedError, ...]:
-    """Make the stage of what periods of one axis may differ by: features that settle, each as large as the error at most."""
-    size, found = float(error.own_error[0]), []
-    features = CommandFeatures.of([piece.command[:, 0] for piece in problem.pieces], problem.sample_time)
-    for index, piece in enumerate(problem.pieces):
-        rows = features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time)
-        counted = slice(None) if piece.keep is None else piece.keep
-        settling = np.zeros_like(rows)
-        settling[counted] = size / np.maximum(np.std(rows, axis=0), 1e-9) * error.between(index, rows[counted])
-        found.append(settling)
-    _, sizes, directions = np.linalg.svd(np.concatenate(found), full_matrices=False)
-    kept = directions[sizes > MIN_DIRECTION * problem.sigma[0] * np.sqrt(sum(map(len, found)))].T
-    return (LearnedError(np.zeros(kept.shape[1]), ErrorBasis(tuple(rows @ kept for rows in found))),) if kept.shape[1] else ()
 
 
 def simulated_rows(problem: Problem, index: int, piece: Piece) -> Annotated[Array, "N A"]:

@@ -19,7 +19,8 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.likelihood.core import by_likelihood
-from hyst_control.diagnose.model_error.baseline import Baseline, by_periods, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
@@ -31,13 +32,12 @@ from hyst_control.diagnose.run.prepare import is_used, nominal_residuals, prepar
 from hyst_control.diagnose.run.settle import ContenderTests, settled
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
 from hyst_control.diagnose.search.candidate import Candidate
-from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
-from hyst_control.effects.time_dependent import TimedStage
+from hyst_control.effects.gain_drift import EFFECT as GAIN_DRIFT
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
@@ -134,14 +134,14 @@ def diagnose(
             axis += len(axes)
             continue
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
+        # Only one effect by itself would be taken from a second look.
+        singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             if _exceeds_own_error(by_spectrum, without, configuration):
-                # Only a line by itself would be taken from it.
-                singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
                 again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
                 found = again if _is_one_of(again, _line_effects()) else found
-        found = _between_periods(found, part, bare, seed, without, cache, progress, configuration)
+        found = _between_periods(found, bare, seed, without, cache, progress, singles)
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
@@ -314,7 +314,6 @@ def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration
 
 def _between_periods(
     found: AxisDiagnosis,
-    part: Problem,
     bare: bool,
     seed: int,
     without: Sequence[str],
@@ -322,28 +321,23 @@ def _between_periods(
     progress: Callable[[str], None],
     configuration: Configuration,
 ) -> AxisDiagnosis:
-    """The diagnosis, or that of what periods of the command differ by, where the stated error hides an effect that comes with time."""
-    baseline = found.baseline
-    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
+    """The diagnosis, or that of what periods of the command differ by, where the stated error hides a gain that drifts."""
+    baseline, evidence, drift = found.baseline, found.evidence, GAIN_DRIFT.name
+    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None or drift in without:
         return found
-    beside = by_periods(baseline, configuration.baseline)
-    if beside is None:
+    beside = by_periods(baseline, found.problem)
+    least = evidence.null + configuration.policy.margin
+    if beside is None or gain_over_time(beside, found.linearized, found.found.none.solution) < least:
         return found
-    timed = _timed_effects(part)
-    again = _axis(part, beside, bare, found.axes, seed, [*without, *(set(EFFECTS) - timed)], cache, progress, configuration)
-    return again if _is_one_of(again, timed) else found
+    only = sorted(set(EFFECTS) - {drift})
+    again = _axis(beside.problem, beside, bare, found.axes, seed, only, cache, progress, configuration)
+    return again if _is_one_of(again, {drift}) else found
 
 
 def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:
     """True where such effects are the sure explanation. Of lines alone a spectrum from other records tells enough."""
     names = () if found.chosen.candidate is None else found.chosen.candidate.names
     return found.decision.verdict is Verdict.EFFECT and bool(names) and set(names) <= set(effects)
-
-
-def _timed_effects(problem: Problem) -> frozenset[str]:
-    """Effects that do not come back with a period of the command: lines, and stages of the time since the record's start."""
-    stages = {one.name: one.stage(one.starts()[0]) for one in catalogue(problem, {}) if not one.is_extra}
-    return _line_effects() | {name for name, stage in stages.items() if isinstance(stage, TimedStage)}
 
 
 def _line_effects() -> frozenset[str]:
