@@ -51,7 +51,7 @@ def conditioned(baseline: Baseline, settings: BaselineSettings) -> Baseline:
         return ErrorSpectrum.of(series, problem.sample_time, longest, slowest).power
 
     repeating = spectrum([without_zero(piece.counted(rows))[0] for piece, rows in zip(problem.pieces, carried.series, strict=True)])
-    if problem.own_spectrum is not None:
+    if isinstance(problem.own_spectrum, ErrorSpectrum):
         between = problem.own_spectrum.power / (1.0 + 1.0 / count)
     else:  # a single record of a command without periods: only a usual share of the motion is known
         between = settings.usual_repeatability**2 * spectrum([_motion(piece) for piece in problem.pieces])

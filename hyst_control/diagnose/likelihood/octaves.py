@@ -22,6 +22,7 @@ from scipy.special import gammaln
 
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 
 FIRST = 4
 """Cosine coefficients of the slowest octave."""
@@ -109,7 +110,7 @@ def _own_shares(problem: Problem, count: int) -> Array:
     """Share (N, A) of the model's discrepancy in the variance of whitened coefficients, and of rounding, which follows the signal too."""
     steps = np.array(problem.steps) if problem.steps else np.zeros(len(problem.model.axes))
     rounding = np.minimum(steps**2 / 12.0 / problem.sigma**2, 1.0)
-    if problem.own_spectrum is None:
+    if not isinstance(problem.own_spectrum, ErrorSpectrum):
         return np.tile(rounding, (count, 1))
     gain = problem.own_spectrum.gain(count, problem.sigma, problem.sample_time)
     noise = np.maximum(problem.sigma, problem.own_spectrum.noise) / problem.sigma

@@ -211,6 +211,7 @@ def _carried(
     differences: list[Array] = []
     run_to_run: list[Array] = []
     zeros: list[Array] = []
+    noises: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
@@ -234,7 +235,9 @@ def _carried(
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
-        series.append(without_noise(mean, np.fmin(repeating, differing)))
+        quiet, left = without_noise(mean, np.fmin(repeating, differing))
+        series.append(quiet)
+        noises.append(left)
         differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
@@ -246,9 +249,10 @@ def _carried(
             run_to_run += about_mean
     repeatability = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if differences else np.zeros(len(spans))
     usual = np.fmin(np.max(zeros, axis=0), np.array(settings.usual_share) * spans[:, None])
-    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has none.
+    # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has what is left of it.
     both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
     alone = repeatability / both
+    noise = np.hypot(alone, np.max(noises, axis=0)) if differences else alone
     longest = max(len(piece.counted(piece.command)) for piece in pieces)
     memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
@@ -257,7 +261,7 @@ def _carried(
     if not differences:  # one record tells nothing of the next one
         motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
         floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
-    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": alone.tolist()})
+    model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": noise.tolist()})
     beside = replace(
         problem,
         model=model,

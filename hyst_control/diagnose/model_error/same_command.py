@@ -15,7 +15,7 @@ from hyst_control.base.signals import correlated
 from hyst_control.diagnose.configuration import BaselineSettings
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.records.repeated_periods import is_same, period_of
-from hyst_control.records.session_zero import without_zero
+from hyst_control.records.session_zero import SHAPES, without_zero
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,11 @@ def period_differences(
     whole = _whole_periods(command, error, before, settings)
     if not len(whole):
         return [], []
+    # Zero, drift and curvature take a good deal off a short period.
+    longer = np.sqrt(whole.shape[1] / max(whole.shape[1] - len(SHAPES), 1))
     about_mean = (whole - whole.mean(axis=0)) / np.sqrt(1.0 - 1.0 / len(whole))
     return (
-        [without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)],
+        [longer * without_zero(later - earlier)[0] for earlier, later in zip(whole[:-1], whole[1:], strict=True)],
         [without_zero(about_mean.reshape(-1, error.shape[1]))[0]],
     )
 

@@ -15,8 +15,8 @@ NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
 
 
-def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> Annotated[Array, "N A"]:
-    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
+def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> tuple[Array, Array]:
+    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter); noise (A,) that is left.
 
     The noise of the clean records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
     """
@@ -26,7 +26,10 @@ def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) 
     spectrum, smooth, floor = _floor_of(rest)
     floor = np.minimum(floor, 2 * len(rest) * most**2)
     kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
-    return np.asarray(error - rest + np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
+    smoothed = np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)]
+    # Near the lines of a periodic command all of it is left.
+    left = np.sqrt(np.mean(kept**2, axis=0) * floor / (2 * len(rest)))
+    return np.asarray(error - rest + smoothed, dtype=np.float64), left
 
 
 def white_noise(rows: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:

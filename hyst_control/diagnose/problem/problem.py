@@ -17,6 +17,7 @@ from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear.linear_stages import LinearStage
 from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.problem.per_record_stages import CarriedError
+from hyst_control.diagnose.problem.periodic_error import PeriodicError
 from hyst_control.diagnose.problem.simulation_cache import MAX_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
@@ -67,8 +68,8 @@ class Problem:
     """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
     own_correlation: float = 1.0
     """Samples of that error per independent one."""
-    own_spectrum: ErrorSpectrum | None = None
-    """Spectrum of that error, by which flat vectors are whitened; None: its size and its correlation alone are known."""
+    own_spectrum: ErrorSpectrum | PeriodicError | None = None
+    """Spectrum of that error, or how it comes back, by which flat vectors are whitened; None: only its size and correlation are known."""
     roughness: tuple[RoughnessEvidence | None, ...] = ()
     """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
     steps: tuple[float, ...] = ()
@@ -132,14 +133,21 @@ class Problem:
         """Make the model discrepancy and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
-        return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(self.by_piece(flat), self._gains, strict=True)])
+        return self._filtered(flat)
 
     def in_noise(self, flat: Array) -> Array:
         """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
-        parts = zip(self.by_piece(flat), self._gains, strict=True)
-        return np.concatenate([filtered(one, 1.0 / gain).reshape(-1) for one, gain in parts])
+        return self._filtered(flat, inverse=True)
+
+    def _filtered(self, flat: Array, inverse: bool = False) -> Array:
+        parts = self.by_piece(flat)
+        if isinstance(self.own_spectrum, ErrorSpectrum):
+            gains = [1.0 / gain for gain in self._gains] if inverse else self._gains
+            return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(parts, gains, strict=True)])
+        assert self.own_spectrum is not None
+        return np.concatenate([self.own_spectrum.whitened(i, one, inverse).reshape(-1) for i, one in enumerate(parts)])
 
     def by_piece(self, flat: Array) -> list[Array]:
         """Cut a flat vector (M,) into the rows (N, A) of each record."""
@@ -162,7 +170,7 @@ class Problem:
 
     @cached_property
     def _gains(self) -> list[Array]:
-        assert self.own_spectrum is not None
+        assert isinstance(self.own_spectrum, ErrorSpectrum)
         return [self.own_spectrum.gain(count, self.sigma, self.sample_time) for count in self.counts]
 
     @cached_property

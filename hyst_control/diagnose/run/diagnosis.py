@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -20,6 +20,7 @@ from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.likelihood.core import by_likelihood
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
+from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
@@ -34,7 +35,9 @@ from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Decision, Verdict
+from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
+from hyst_control.effects.gain_drift import EFFECT as GAIN_DRIFT
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
@@ -131,13 +134,14 @@ def diagnose(
             axis += len(axes)
             continue
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
+        # Only one effect by itself would be taken from a second look.
+        singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             if _exceeds_own_error(by_spectrum, without, configuration):
-                # Only a line by itself would be taken from it.
-                singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
                 again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
-                found = again if _is_a_line(again) else found
+                found = again if _is_one_of(again, _line_effects()) else found
+        found = _between_periods(found, bare, seed, without, cache, progress, singles)
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
@@ -308,10 +312,32 @@ def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration
     )
 
 
-def _is_a_line(found: AxisDiagnosis) -> bool:
-    """True where effects that have lines are the sure explanation. Of others a spectrum from other records tells too little."""
-    names = frozenset() if found.chosen.candidate is None else frozenset(found.chosen.candidate.names)
-    return found.decision.verdict is Verdict.EFFECT and bool(names) and names <= _line_effects()
+def _between_periods(
+    found: AxisDiagnosis,
+    bare: bool,
+    seed: int,
+    without: Sequence[str],
+    cache: bool,
+    progress: Callable[[str], None],
+    configuration: Configuration,
+) -> AxisDiagnosis:
+    """The diagnosis, or that of what periods of the command differ by, where the stated error hides a gain that drifts."""
+    baseline, evidence, drift = found.baseline, found.evidence, GAIN_DRIFT.name
+    if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None or drift in without:
+        return found
+    beside = by_periods(baseline, found.problem)
+    least = evidence.null + configuration.policy.margin
+    if beside is None or gain_over_time(beside, found.linearized, found.found.none.solution) < least:
+        return found
+    only = sorted(set(EFFECTS) - {drift})
+    again = _axis(beside.problem, beside, bare, found.axes, seed, only, cache, progress, configuration)
+    return again if _is_one_of(again, {drift}) else found
+
+
+def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:
+    """True where such effects are the sure explanation. Of lines alone a spectrum from other records tells enough."""
+    names = () if found.chosen.candidate is None else found.chosen.candidate.names
+    return found.decision.verdict is Verdict.EFFECT and bool(names) and set(names) <= set(effects)
 
 
 def _line_effects() -> frozenset[str]:

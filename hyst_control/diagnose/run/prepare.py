@@ -33,6 +33,7 @@ from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 
 
 def nominal_residuals(problem: Problem) -> Annotated[Array, "M A"]:
@@ -123,7 +124,7 @@ def prepare(
 
 def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:
     """The baseline records' rows on which the model discrepancy was measured, with its spectrum."""
-    if baseline.error_rows is None or problem.own_spectrum is None:
+    if baseline.error_rows is None or not isinstance(problem.own_spectrum, ErrorSpectrum):
         return None
     return replace(baseline.error_rows, own_spectrum=problem.own_spectrum, sigma=problem.own_spectrum.noise)
 
