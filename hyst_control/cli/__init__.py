@@ -19,6 +19,7 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib import import_module
@@ -98,6 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     if argv is None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that was started, as Ctrl-C does
+        sys.unraisablehook = _interrupt_again
     try:
         _interrupted_by(signal.default_int_handler, argv)
         return run(arguments)
@@ -125,6 +127,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     finally:
         _interrupted_by(signal.SIG_DFL, argv)  # while the interpreter ends
+
+
+def _interrupt_again(dropped: sys.UnraisableHookArgs) -> None:
+    """Send once more an interrupt that came where Python can raise nothing, as in a destructor or a callback of its import lock."""
+    if not issubclass(dropped.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(dropped)
+        return
+    threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()  # here it would be dropped again
 
 
 def _interrupted_by(handler: signal.Handlers | Callable[[int, FrameType | None], object], argv: Sequence[str] | None) -> None:

@@ -63,3 +63,24 @@ def test_a_command_that_ignores_interrupts_goes_on_ignoring_them(tmp_path):
     process.send_signal(signal.SIGINT)
     out, told = process.communicate(timeout=100)
     assert process.returncode == 0 and "ki" in out and not told
+
+
+def test_an_interrupt_that_python_drops_comes_again():
+    """One that arrives in a destructor ends the command all the same, without a traceback."""
+    script = """
+import signal, time
+import hyst_control.cli as cli
+
+class Late:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def slow(arguments):
+    Late()
+    time.sleep(30)
+
+cli.run = slow
+raise SystemExit(cli.main())
+"""
+    ended = subprocess.run([sys.executable, "-c", script, "doctor"], capture_output=True, text=True, timeout=25)
+    assert (ended.returncode, ended.stderr) == (130, "hyst doctor: interrupted\n")
