@@ -23,7 +23,7 @@ LONGEST = 30
 BUDGET = {
     "README.md": 5,
     "docs/hardware.md": 15,
-    "docs/identification.md": 40,
+    "docs/identification.md": 3,
     "docs/safety.md": 15,
     "evaluation": 5,
 }
