@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain
@@ -19,7 +18,6 @@ from hyst_control.chain.stage import Stage, frozen
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record
 
 ORDER = 46
 """States of the mirror's linear models."""
@@ -51,13 +49,6 @@ def stated_model(found: Candidate, level: mirror.Level, realization: int, name: 
     return replace(model, discrepancy=own)
 
 
-def record_of(level: mirror.Level, realization: int) -> Record:
-    """Join both periods of a realization; the first brings the simulation into its steady state."""
-    command, measurement = (
-        part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
-    )
-    return plain_record(command, measurement, mirror.SAMPLE_TIME, mirror.AXES, f"{level.name}, realization {realization + 1}")
-
 
 def models_without_elements(model: Model, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
     """Remove one element of a model after the other."""
@@ -72,10 +63,11 @@ def models_without_elements(model: Model, level: mirror.Level, floor: float) -> 
         ("gain", "hysteresis_width"),
         with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
     )
-    simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
+    command = level.command[:, :, [mirror.TEST[0]]].mean(axis=3)
+    simulated = mirror.steady_state(model, command)
     for block, frequency in oscillating(whole):
         crippled = with_stages(model, *before, without_states(whole, block))
-        lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
+        lost = mirror.steady_state(crippled, command) - simulated
         if np.mean(lost**2) > MIN_SHARE * floor**2:
             yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
 

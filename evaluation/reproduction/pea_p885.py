@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from evaluation.reproduction.figures import write_page
-from evaluation.reproduction.measured_data import data_folder
+from evaluation.reproduction.measured_data import data_folder, read
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
@@ -83,10 +83,7 @@ def load() -> tuple[Record, Record]:
     folder = data_folder("pea_p885")
     records = []
     for name, columns in (("Model_Vi_Do.dat", 7), ("Test_Vi_Do_Di.dat", 11)):
-        try:
-            values = np.loadtxt(folder / name)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{folder / name}: cannot be read ({error}): fetch the file again") from None
+        values = read(folder / name, np.loadtxt)
         if values.ndim != 2 or values.shape[1] != columns or len(values) < 8000:
             raise InputError(f"{folder / name}: shape {values.shape}, {columns} columns are due: fetch the file again")
         command, measurement = values[:, [0]].copy(), values[:, [4]].copy()
