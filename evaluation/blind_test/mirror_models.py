@@ -43,7 +43,7 @@ def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array
 
 def stated_model(found: Candidate, level: mirror.Level, realization: int, name: str) -> Model:
     """Convert a fit to a model that states its error on a realization that it was not fitted on, as `hyst identify` does."""
-    model = mirror.model_of(found.model, name, float(np.abs(level.command).max()))
+    model = mirror.model_of(found.model, name, level.largest)
     commands, measurements = (list(rows[:, :, realization].transpose(2, 0, 1)) for rows in (level.command, level.measurement))
     own = discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
     return replace(model, discrepancy=own)

@@ -12,6 +12,7 @@ import numpy as np
 
 from evaluation.reproduction.measured_data import data_folder, read_array
 from evaluation.reproduction.periodic_fit import refined
+from evaluation.reproduction.softening_modes import Level as Periods
 from evaluation.reproduction.softening_modes import spectra
 from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Chain
@@ -40,10 +41,19 @@ class Level:
     command: Array
     measurement: Array
 
+    @property
+    def largest(self) -> float:
+        """Largest command, V."""
+        return float(np.abs(self.command).max())
+
+    def periods(self, realisations: Sequence[int]) -> Periods:
+        """Both periods averaged."""
+        return Periods(self.command[:, :, realisations].mean(axis=3), self.measurement[:, :, realisations].mean(axis=3))
+
     def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
         """Compute the spectra at the excited lines, both periods averaged."""
-        command, measurement = (rows[:, :, realisations].mean(axis=3) for rows in (self.command, self.measurement))
-        return spectra(command, measurement, weight)
+        periods = self.periods(realisations)
+        return spectra(periods.command, periods.measurement, weight)
 
     def record(self, realization: int, last: int = 1) -> Record:
         """Join both periods of a realization; the first brings a simulation into its steady state, and the `last` may be either."""
