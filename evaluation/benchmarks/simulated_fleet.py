@@ -30,7 +30,6 @@ from hyst_control.records.excitation.excitation import build
 from hyst_control.records.record import sampled_record
 from hyst_control.records.tables.importing import write_bag
 
-
 PLANT = "pea_published"
 NOISE = 5e-4
 """Noise of the sensor, rms / stroke."""

@@ -99,7 +99,6 @@ class Made:
         return replace(case, label=self.label, effects=self.effects)
 
 
-
 def as_document(case: Case) -> dict[str, Any]:
     """Convert a case with its label to JSON types, its numbers rounded; what its label does not say is left out."""
     document = asdict(case)

@@ -42,7 +42,6 @@ SCORING = 1000
 """First seed that is drawn from the records set apart for scoring."""
 
 
-
 @dataclass(frozen=True)
 class Machine:
     """Measured machine: its records for models and cases."""
@@ -91,7 +90,6 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
     """Construct the mirror at one of its levels."""
     data = mirror.load_levels()[level]
     case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])
-
 
     def model() -> Model:
         return stated_model(mirror.fit_level(data, ORDER, DELAYS[-1]), data, other, data.name)

@@ -12,9 +12,8 @@ from scipy.linalg import block_diag
 
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from hyst_control.base.arrays import Array
-from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
-from hyst_control.chain.stage import Stage, frozen
+from hyst_control.chain.stage import frozen
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
@@ -49,32 +48,22 @@ def stated_model(found: Candidate, level: mirror.Level, realization: int, name: 
     return replace(model, discrepancy=own)
 
 
-
 def models_without_elements(model: Model, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
     """Remove one element of a model after the other."""
     *before, whole = model.chain.stages
     assert isinstance(whole, StateSpace)
     if any(isinstance(stage, Delay) for stage in before):
-        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), with_stages(model, whole)
-    yield "coupling", ("cross_coupling",), with_stages(model, *before, uncoupled(whole))
-    kept = 1.0 - LOST_GAIN
-    yield (
-        f"{100 * LOST_GAIN:g} % of its gain",
-        ("gain", "hysteresis_width"),
-        with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
-    )
+        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), model.with_stages([whole])
+    yield "coupling", ("cross_coupling",), model.with_stages([*before, uncoupled(whole)])
+    weaker = replace(whole, **{part: frozen((1.0 - LOST_GAIN) * np.array(getattr(whole, part))) for part in "CD"})
+    yield f"{100 * LOST_GAIN:g} % of its gain", ("gain", "hysteresis_width"), model.with_stages([*before, weaker])
     command = level.command[:, :, [mirror.TEST[0]]].mean(axis=3)
     simulated = mirror.steady_state(model, command)
     for block, frequency in oscillating(whole):
-        crippled = with_stages(model, *before, without_states(whole, block))
+        crippled = model.with_stages([*before, without_states(whole, block)])
         lost = mirror.steady_state(crippled, command) - simulated
         if np.mean(lost**2) > MIN_SHARE * floor**2:
             yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
-
-
-def with_stages(model: Model, *stages: Stage) -> Model:
-    """Replace the stages of a model."""
-    return replace(model, chain=Chain(tuple(stages)))
 
 
 def uncoupled(whole: StateSpace) -> StateSpace:

@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from evaluation.blind_test.case import Case, Label, Made
-from evaluation.blind_test.mirror_models import DELAYS, ORDER, models_without_elements, rms_error, stated_model, with_stages
+from evaluation.blind_test.mirror_models import DELAYS, ORDER, models_without_elements, rms_error, stated_model
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
 from hyst_control.base.parallel import map_forked
@@ -120,4 +120,4 @@ def _stack() -> dict[str, Made]:
 def _without_memory(model: Model, cycle: Record) -> Model:
     """Replace the operators by a static gain: the slope of the cycle's chord."""
     slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
-    return replace(with_stages(model, TransferFunction((slope,), (1.0,))), uncertainty={})  # that was of the operators
+    return replace(model.with_stages([TransferFunction((slope,), (1.0,))]), uncertainty={})  # that was of the operators

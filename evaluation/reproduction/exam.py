@@ -216,7 +216,6 @@ def _modal(command: Array, measurement: Array, sample_time: float, states: int, 
     return Chain(tuple(stages_of(fit.model, sample_time)))
 
 
-
 def _with_discrepancy(model: Model, record: Record) -> Model:
     """The model with what it leaves of its own level, which begins amid a motion."""
     return replace(model, discrepancy=discrepancy(model, gapless_records(record, model.hold, "unknown")))

@@ -142,7 +142,7 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
         for present in range(1 << len(names)):
             off = [EFFECTS[name] for bit, name in enumerate(names) if not present >> bit & 1]
             changed = replace(stage, **{key: value for effect in off for key, value in effect.items()})
-            left[present] = mirror.simulation_error(replace(model, chain=Chain((changed,))), level, TEST)[0] ** 2
+            left[present] = mirror.simulation_error(model.with_stages([changed]), level, TEST)[0] ** 2
         values = level.measurement[:, :, TEST]
         noise = 1e4 * float(np.mean((values[..., 0] - values[..., 1]) ** 2) / 2.0 / np.mean(values**2))
         shares = {}
@@ -202,7 +202,9 @@ def run(figures: str | None = None) -> Table:
             last = replace(found, seconds=last.seconds + found.seconds)
             forced.append(last)
         linear = pending.result()
-    models = [mirror.model_of(found[0].model, f"fsm_{level.name}", level.largest) for found, level in zip(fits, levels, strict=True)]
+    models = [
+        mirror.model_of(found[0].model, f"fsm_{level.name}", level.largest) for found, level in zip(fits, levels, strict=True)
+    ]
     report_linear(table, levels, fits, models)
     report_nonparametric(table, levels)
     of_all = mirror.model_of(linear.model, "fsm_linear", max(level.largest for level in levels))

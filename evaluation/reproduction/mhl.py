@@ -88,7 +88,6 @@ AS_PUBLISHED = (mhl_tables.TRADITIONAL, mhl_tables.PUBLISHED)
 """The composites that run with the paper's PI too, which has no roll-off."""
 
 
-
 def run(figures: str | None = None) -> Table:
     """Record, identify, tune, track and score, and return the table."""
     table, learning = Table("reproduce mhl"), Table("reproduce mhl")

@@ -260,7 +260,6 @@ def response(signals: Mapping[str, Array], part: Part, sample_time: float, perio
     return line / period, y[line] / r[line]
 
 
-
 def bandwidth(frequency: Annotated[Array, "F"], value: Complex) -> float:
     """Find the first frequency at which the gain, as a mean of three neighboring lines, falls below -3 dB."""
     size = np.sqrt(np.convolve(np.abs(value) ** 2, np.ones(3) / 3.0, "valid"))

@@ -69,7 +69,6 @@ CHANGES = {
 """Other signs, offsets and beginnings of the same measurements; their first third is cut off besides."""
 
 
-
 def load() -> tuple[Record, Record]:
     """Load the two files: full loops and nested loops."""
     folder = data_folder("pea_p885")
@@ -100,7 +99,6 @@ def score(nested: Record, rows: slice, predicted: Annotated[Array, "N"]) -> floa
 def predict(model: Model, record: Record) -> Annotated[Array, "N"]:
     """Predict a record from its command."""
     return simulate(model, record.command)[:, 0]
-
 
 
 def run(figures: str | None = None) -> Table:

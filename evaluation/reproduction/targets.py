@@ -8,18 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evaluation.reproduction import mhl_learning
-from evaluation.reproduction.mhl_tables import (
-    AHEAD,
-    COMPOSITES,
-    MOVED,
-    OWN_LOOP,
-    PUBLISHED,
-    SLOWER,
-    TRADITIONAL,
-    WITHOUT,
-    against_traditional,
-)
+from evaluation.reproduction import mhl_learning, mhl_tables
+from evaluation.reproduction.mhl_tables import AHEAD, COMPOSITES, MOVED, OWN_LOOP, PUBLISHED, SLOWER, TRADITIONAL, WITHOUT
 from evaluation.reproduction.papers import HAMPI, MHL
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Row
@@ -78,7 +68,7 @@ class Rows:
     def lower(self, table: str, case: str, quantity: str) -> dict[str, float]:
         """How much lower a quantity is with each composite than with the traditional one, %."""
         names = (*STATED, OWN_LOOP)
-        return {name: self.value(table, case, against_traditional(name), f"{quantity} lower by") for name in names}
+        return {name: self.value(table, case, mhl_tables.against_traditional(name), f"{quantity} lower by") for name in names}
 
     def add_margins(self, table: str) -> None:
         """Add the least margins of the tuned feedback on the reference simulation, over gain ±10 % and first mode ±20 %."""
