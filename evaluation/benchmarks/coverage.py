@@ -8,7 +8,7 @@ A case is a plant of the fitted family with parameters drawn anew for every run,
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -86,9 +86,8 @@ def run(table: Table, runs: int = RUNS) -> None:
         table.add("coverage of the 90 % intervals", case.name, case.family, "coverage", "%", _percent(inside[-1]), n=each)
         for name, values in hits.items():
             table.add("coverage by number", case.name, name, "coverage", "%", _percent(values), n=each)
-    table.add(
-        "coverage of the 90 % intervals", "all", "all", "coverage", "%", _percent(np.concatenate(inside)), n=each * len(CASES)
-    )
+    share = _percent(np.concatenate(inside))
+    table.add("coverage of the 90 % intervals", "all", "all", "coverage", "%", share, n=each * len(CASES))
 
 
 def _percent(hits: Array) -> float:
@@ -130,10 +129,8 @@ def cramer_rao(truth: Model, command: Array, names: Sequence[str]) -> Annotated[
     for name in names:
         value = chain_coordinates(stages, truth.axes)[name].value
         step = 1e-4 * abs(value)
-        ends = [
-            simulate(replace(truth, chain=Chain(with_coordinates(stages, {name: value + side * step}, truth.axes))), command)
-            for side in (-1.0, 1.0)
-        ]
+        moved = [with_coordinates(stages, {name: value + side * step}, truth.axes) for side in (-1.0, 1.0)]
+        ends = [simulate(truth.with_stages(each), command) for each in moved]
         columns.append((ends[1] - ends[0]).ravel() / (2.0 * step))
     slopes = np.array(columns)
     return SIGMA * np.sqrt(np.diag(np.linalg.inv(slopes @ slopes.T)))

@@ -5,20 +5,16 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.benchmarks import limits
 from hyst_control.base.arrays import Array
-from hyst_control.base.errors import InputError
 from hyst_control.chain import Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung, madelung_branches
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, dynamic_prandtl_ishlinskii
@@ -41,33 +37,20 @@ class Pair:
 
 def run(table: Table) -> None:
     """Add rates of every kernel and of its C counterpart, the best of several runs that alternate, so that a drift of speed meets both."""
-    with tempfile.TemporaryDirectory() as folder:
-        library = compiled_library(Path(folder))
-        for pair in (prandtl_ishlinskii(library), linear(library), madelung(library)):
-            if not np.allclose(pair.own(), pair.other(), rtol=1e-9, atol=1e-12):
-                raise AssertionError(f"{pair.case}: the two kernels do not compute the same")
-            times: tuple[list[float], list[float]] = ([], [])
-            for _ in range(REPEATS):
-                for seconds, call in zip(times, (pair.own, pair.other), strict=True):
-                    begin = time.perf_counter()
-                    call()
-                    seconds.append(time.perf_counter() - begin)
-            own, other = (ROWS / min(seconds) for seconds in times)
-            limit = Limit(other, "the same loop in C")
-            table.add("kernels", pair.case, "hyst", "kernel_rate", "samples/s", own, n=REPEATS, limit=limit)
-            table.add("kernels", pair.case, "c", "kernel_rate", "samples/s", other, n=REPEATS)
-
-
-def compiled_library(folder: Path) -> ctypes.CDLL:
-    """Compile the C loops with gcc -O3 and load them."""
-    if shutil.which("gcc") is None:
-        raise InputError("bench: gcc is not installed, and the kernels are timed beside C: install gcc or choose other benchmarks")
-    target = folder / "kernels.so"
-    source = Path(__file__).with_name("kernels.c")
-    subprocess.run(["gcc", "-O3", "-shared", "-fPIC", "-o", str(target), str(source)], check=True)
-    library = ctypes.CDLL(str(target))
-    library.advance_single.restype = ctypes.c_long
-    return library
+    library = limits.compiled("kernels.c", "-O3")
+    for pair in (prandtl_ishlinskii(library), linear(library), madelung(library)):
+        if not np.allclose(pair.own(), pair.other(), rtol=1e-9, atol=1e-12):
+            raise AssertionError(f"{pair.case}: the two kernels do not compute the same")
+        times: tuple[list[float], list[float]] = ([], [])
+        for _ in range(REPEATS):
+            for seconds, call in zip(times, (pair.own, pair.other), strict=True):
+                begin = time.perf_counter()
+                call()
+                seconds.append(time.perf_counter() - begin)
+        own, other = (ROWS / min(seconds) for seconds in times)
+        limit = Limit(other, "the same loop in C")
+        table.add("kernels", pair.case, "hyst", "kernel_rate", "samples/s", own, n=REPEATS, limit=limit)
+        table.add("kernels", pair.case, "c", "kernel_rate", "samples/s", other, n=REPEATS)
 
 
 def prandtl_ishlinskii(library: ctypes.CDLL) -> Pair:
@@ -99,17 +82,8 @@ def linear(library: ctypes.CDLL) -> Pair:
     running = TransferFunction([-340.5, 4.249e6, 3.461e7], [1.0, 8610.0, 5.989e7, 4.751e8]).filter(Sampling(5e-5, 1))
     block = np.ascontiguousarray(np.sin(0.01 * np.arange(ROWS))).reshape(-1, 1)
     output = np.empty_like(block)
-    arrays = (
-        running.a,
-        running.b,
-        running.c,
-        running.d,
-        running.bias,
-        running.whole,
-        running.state,
-        running.scratch,
-        running.history,
-    )
+    system = running.a, running.b, running.c, running.d, running.bias
+    arrays = (*system, running.whole, running.state, running.scratch, running.history)
 
     def own() -> Array:
         running.settle(block[0])

@@ -21,7 +21,7 @@ from hyst_control.reporting.tables import Limit
 
 FREE = ("-fassociative-math", "-freciprocal-math", "-ffinite-math-only", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
 """What -ffast-math allows, without the start code that takes subnormal numbers for 0 in the whole process."""
-FAST = ("-O3", "-march=native", *FREE, "-shared", "-fPIC")
+FAST = ("-O3", "-march=native", *FREE)
 REPEATS, ROUNDS = 30, 20_000
 SECONDS = 3.0
 """Time for which the bare timer runs."""
@@ -90,14 +90,18 @@ def hampi_step(controller: Controller, rows: Array) -> tuple[Limit, Array]:
     return Limit(1e6 * min(spent) / len(rows), "C written for this case alone"), command
 
 
+def compiled(source: str, *flags: str) -> ctypes.CDLL:
+    """A library from a C file beside this one."""
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "library.so"
+        subprocess.run([c_compiler(), *flags, "-shared", "-fPIC", "-o", target, Path(__file__).with_name(source)], check=True)
+        return ctypes.CDLL(str(target))
+
+
 @cache
 def _library(order: int = 1, plays: int = 1, turns: int = 1) -> ctypes.CDLL:
     """The compiled `limits.c`, for the sizes of a controller."""
-    sizes = [f"-DORDER={order}", f"-DPLAYS={plays}", f"-DTURNS={turns}"]
-    with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "limits.so"
-        subprocess.run([c_compiler(), *FAST, *sizes, "-o", target, Path(__file__).with_name("limits.c")], check=True)
-        library = ctypes.CDLL(str(target))
+    library = compiled("limits.c", *FAST, f"-DORDER={order}", f"-DPLAYS={plays}", f"-DTURNS={turns}")
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
     library.ring.restype = library.timer.restype = ctypes.c_double
     library.timer.argtypes = [ctypes.c_double, ctypes.c_int, ctypes.c_int, array, ctypes.c_void_p]

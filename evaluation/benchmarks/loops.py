@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
@@ -52,6 +53,8 @@ STAGE, PRIORITY = "simulated_stage", 50
 PROCESSES = 4
 """Processes of the loop without a recorder: reference, feedforward, feedback and plant."""
 ACTUATORS = ("plant", STAGE)
+SINE = {"signal": "sine", "frequency": 20.0, "amplitude": 0.5, "offset": 0.8}
+GAINS = {"kp": 2.0, "ki": 5000.0}
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 
 
@@ -68,9 +71,8 @@ class Run:
 
     def microseconds(self, entry: str) -> float:
         """Return an entry of the plant's diagnostics."""
-        return float(
-            next((found[entry] for name, found in self.values.items() if name.endswith(ACTUATORS) and entry in found), "nan")
-        )
+        found = (values[entry] for name, values in self.values.items() if name.endswith(ACTUATORS) and entry in values)
+        return float(next(found, "nan"))
 
     def count(self, node: str, entry: str) -> int:
         """Return how far a counter of a node's diagnostics has gone on in the run; what belongs to its start is not counted."""
@@ -101,8 +103,8 @@ def run(table: Table, seconds: float = SECONDS) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 bag, recorded = Path(folder) / "bag", f"{case}, recorded{way}"
                 _add(table, schedule, recorded, "hyst", measure(case, "hyst", schedule, seconds, bag, outside=bool(way)), limit)
-                loss, count = message_loss(bag)
-                table.add(TITLES[schedule], recorded, "hyst", "loss", "%", loss, n=count)
+                lost, count = missing_rows(bag)
+                table.add(TITLES[schedule], recorded, "hyst", "loss", "%", 100.0 * sum(lost.values()) / count, n=count)
     dashboard(table, seconds)
 
 
@@ -160,24 +162,22 @@ def _soak(table: Table, schedule: str, name: str, minutes: float, stage: str) ->
     with tempfile.TemporaryDirectory() as folder:
         measured = measure("composed", "hyst", schedule, 60.0 * minutes, Path(folder) / "bag", stage=stage)
         case = f"{minutes:g} min, composed, recorded"
-        quarter = max(len(measured.memory) // 4, 1)
+        add, quarter = partial(table.add, name, case, "hyst"), max(len(measured.memory) // 4, 1)
         begin, end = float(np.mean(measured.memory[:quarter])), float(np.mean(measured.memory[-quarter:]))
-        table.add(name, case, "hyst", "rounds_rate", "rounds/s", measured.rate)
-        table.add(name, case, "hyst", "cpu", "%", measured.cpu)
-        table.add(name, case, "hyst", "memory", "MiB", end)
-        table.add(name, case, "hyst", "memory_growth", "MiB", end - begin, n=len(measured.memory))
+        add("rounds_rate", "rounds/s", measured.rate)
+        add("cpu", "%", measured.cpu)
+        add("memory", "MiB", end)
+        add("memory_growth", "MiB", end - begin, n=len(measured.memory))
         if schedule == "timer":
             for label in ("p50", "p99", "p99.9"):
-                table.add(name, case, "hyst", f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
-            table.add(name, case, "hyst", "missed_ticks", "", measured.count(stage, "missed ticks"))
-            table.add(name, case, "hyst", "faults", "", measured.count("pi_feedback", "faults"))
+                add(f"period_{label}", "us", measured.microseconds(f"period {label} [us]"))
+            add("missed_ticks", "", measured.count(stage, "missed ticks"))
+            add("faults", "", measured.count("pi_feedback", "faults"))
         else:
-            repeated = sum(measured.count("recorder", f"/{topic}: duplicate") for topic in SIGNALS)
-            table.add(name, case, "hyst", "repeated_messages", "", repeated)
-        loss, count = message_loss(Path(folder) / "bag")
-        table.add(name, case, "hyst", "loss", "%", loss, n=count)
-        lost = missing_rows(Path(folder) / "bag")
-        table.add(name, case, "hyst", "lost_rows", "", sum(lost.values()), n=count)
+            add("repeated_messages", "", sum(measured.count("recorder", f"/{topic}: duplicate") for topic in SIGNALS))
+        lost, count = missing_rows(Path(folder) / "bag")
+        add("loss", "%", 100.0 * sum(lost.values()) / count, n=count)
+        add("lost_rows", "", sum(lost.values()), n=count)
         for topic, missing in lost.items():
             table.add(name, f"{case}, {topic}", "hyst", "missing_rows", "", missing)
 
@@ -227,24 +227,16 @@ def measure(
     return Run(rate, 100.0 * cpu, memory, values, begin, priority)
 
 
-def message_loss(bag: Path) -> tuple[float, int]:
-    """Count the rows that are missing within the topics of a bag."""
-    missing = sum(missing_rows(bag).values())
-    expected = missing + sum(len(signal.time) for signal in read_bag(bag, topics=SIGNALS).signals.values())
-    return 100.0 * missing / expected, expected
-
-
-def missing_rows(bag: Path) -> dict[str, int]:
-    """Count the rows that are missing between the first and the last one of each topic of a bag.
+def missing_rows(bag: Path) -> tuple[dict[str, int], int]:
+    """Count the rows that are missing between the first and the last one of each topic of a bag, and all that are due.
 
     Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
     publishes the command that it held.
     """
-    missing = {}
-    for topic, signal in read_bag(bag, topics=SIGNALS).signals.items():
-        step = float(np.median(np.diff(signal.time)))
-        missing[topic] = round((signal.time[-1] - signal.time[0]) / step) + 1 - len(signal.time)
-    return missing
+    signals = read_bag(bag, topics=SIGNALS).signals
+    steps = {topic: float(np.median(np.diff(signal.time))) for topic, signal in signals.items()}
+    due = {topic: round((signal.time[-1] - signal.time[0]) / steps[topic]) + 1 for topic, signal in signals.items()}
+    return {topic: due[topic] - len(signal.time) for topic, signal in signals.items()}, sum(due.values())
 
 
 def settings(
@@ -255,19 +247,9 @@ def settings(
     common = {"schedule": schedule, "rate_hz": rate, "axes": ["x", "y"], "unit": "mrad", "timeout": 1.0}
     model = str(config_path("models/fsm_mhl.yaml"))
     each: dict[str, dict[str, Any]] = {
-        "reference_generator": {
-            "signal": "sine",
-            "frequency": 20.0,
-            "amplitude": 0.5,
-            "offset": 0.8,
-            "phase": -np.pi / 2,
-            "duration": 0.05,
-            "repeat": True,
-            "block": block,
-            "lead": block + 3,
-        },
+        "reference_generator": {**SINE, "phase": -np.pi / 2, "duration": 0.05, "repeat": True, "block": block, "lead": block + 3},
         "mhl_feedforward": {"model": model, "limits": [0.0, 100.0], "backend": backend},
-        "pi_feedback": {"kp": 2.0, "ki": 5000.0, "upper": 100.0, "backend": backend},
+        "pi_feedback": {**GAINS, "upper": 100.0, "backend": backend},
         "plant": {"model": model, "wait_for_recorder": bag is not None},
     }
     if stage != "plant":
@@ -295,17 +277,9 @@ def _running(
                     processes.start(name, own)
             yield processes, stage
             return
-        plain = {
-            "schedule": each["plant"]["schedule"],
-            "rate_hz": each["plant"]["rate_hz"],
-            "model": each["plant"]["model"],
-            "kp": 2.0,
-            "ki": 5000.0,
-            "range": [0.3, 1.3],
-            "frequency": 20.0,
-        }
+        plain = {name: each["plant"][name] for name in ("schedule", "rate_hz", "model")}
         file = Path(folder) / "plain.json"
-        file.write_text(json.dumps(plain), encoding="utf-8")
+        file.write_text(json.dumps({**plain, **GAINS, **SINE}), encoding="utf-8")
         names = ("reference", "feedforward", "feedback", "plant")
         for group in [names] if case == "composed" else [(name,) for name in names]:
             processes.run("-".join(group), "evaluation.benchmarks.plain_loop", *group, str(file))

@@ -81,8 +81,8 @@ class PlainReference(PlainNode):
 
     def send(self, tick: int) -> None:
         """Publish the reference of a tick."""
-        low, high = self.settings["range"]
-        value = 0.5 * (low + high) - 0.5 * (high - low) * math.cos(2 * math.pi * self.settings["frequency"] * tick * self.period)
+        turn = 2 * math.pi * self.settings["frequency"] * tick * self.period
+        value = self.settings["offset"] - self.settings["amplitude"] * math.cos(turn)
         self.publish_row(self.publisher, tick, np.full(self.axes, value))
 
     def tick(self) -> None:
@@ -183,16 +183,10 @@ class PlainPlant(PlainNode):
 
     def publish_diagnostics(self) -> None:
         """Publish the diagnostics."""
-        values = {
-            "ticks": self.count if self.timed else self.rounds,
-            "commands": self.rounds,
-            **self.latency.entries("loop latency"),
-            **self.intervals.entries("period"),
-        }
-        status = DiagnosticStatus(
-            name="plain_plant: loop", values=[KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        )
-        message = DiagnosticArray(status=[status])
+        values = {"ticks": self.count if self.timed else self.rounds, "commands": self.rounds}
+        values |= {**self.latency.entries("loop latency"), **self.intervals.entries("period")}
+        entries = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        message = DiagnosticArray(status=[DiagnosticStatus(name="plain_plant: loop", values=entries)])
         message.header.stamp = self.get_clock().now().to_msg()
         self.diagnostics.publish(message)
 
@@ -206,9 +200,8 @@ def main() -> None:
     settings = json.loads(Path(path).read_text(encoding="utf-8"))
     environment.prepare()
     interrupts: list[int] = []
-    signal.signal(
-        signal.SIGINT, lambda number, frame: interrupts.append(number)
-    )  # an exception within a call of rclpy would break that call
+    # An exception within a call of rclpy would break that call.
+    signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else a Ctrl-C would destroy the context during a callback
     executor = SingleThreadedExecutor()
     for name in names or NODES:

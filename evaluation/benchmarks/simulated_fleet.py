@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.case_records import respond
+from evaluation.blind_test.case_records import respond, truth
 from evaluation.blind_test.effect_sizes import SEVERITIES, draw_effect
 from evaluation.blind_test.nominal_models import nominal
 from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
@@ -27,9 +27,8 @@ from hyst_control.base.files import write_json, write_text
 from hyst_control.base.parallel import map_spawned
 from hyst_control.model_file import save_model
 from hyst_control.records.excitation.excitation import build
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import sampled_record
 from hyst_control.records.tables.importing import write_bag
-from hyst_plant_sim.physics import load_plant
 
 PLANT = "pea_published"
 NOISE = 5e-4
@@ -51,13 +50,7 @@ TIMES_SCATTER = (3.0, 10.0)
 """Range of an effect's gap, in unit-to-unit scatters of the measurement."""
 SIZED_BY = {"resonance": "gain"}
 """Parameter that sizes an effect, where it is not the first of its severities."""
-EXCITATION: Mapping[str, Any] = {
-    "signal": "multisine",
-    "period": 0.1,
-    "lower_frequency": 10.0,
-    "upper_frequency": 600.0,
-    "periods": 3,
-}
+EXCITATION = {"signal": "multisine", "period": 0.1, "lower_frequency": 10.0, "upper_frequency": 600.0, "periods": 3}
 
 
 @dataclass(frozen=True)
@@ -89,18 +82,11 @@ def make_fleet(
     for done, _ in enumerate(map_spawned(_record_unit, jobs), 1):
         note(f"{done}/{units} units recorded")
     _write_manifest(folder, drawn, temperatures)
-    labels = folder / "labels.json"
+    labels, units_drawn = folder / "labels.json", [asdict(unit) for unit in drawn]
     shared = next((unit for unit in drawn if unit.effect.get("shared")), None)
-    write_json(
-        labels,
-        {
-            "seed": seed,
-            "nights": nights,
-            "scatter_rms": unit_scatter(),
-            "units": [asdict(unit) for unit in drawn],
-            "driver": None if shared is None else {"driver": shared.driver, "effect": SHARED, "begins": shared.begins},
-        },
-    )
+    driver = None if shared is None else {"driver": shared.driver, "effect": SHARED, "begins": shared.begins}
+    head = {"seed": seed, "nights": nights, "scatter_rms": unit_scatter()}
+    write_json(labels, {**head, "units": units_drawn, "driver": driver})
     return labels
 
 
@@ -164,16 +150,8 @@ def _gap(effect: Mapping[str, Any]) -> float:
 
 def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: int, noise: float) -> Array:
     """Measurement (N,) of a run."""
-    setup, rows = SETUPS[PLANT], command()
     own = {name: value for name, value in effect.items() if name != "shared"}
-    document = {
-        "plant": PLANT,
-        "rating": list(setup.command),
-        "stroke": [0.0, setup.stroke],
-        "effects": [own] if own else [],
-    }
-    changes = {**coefficients, "noise": noise * setup.stroke}
-    return respond(load_plant(document, seed=seed, sample_time=setup.sample_time, **changes), rows)[:, 0]
+    return respond(truth(PLANT, [own] if own else [], coefficients, seed, noise), command())[:, 0]
 
 
 def _moved(value: Any, random: np.random.Generator) -> Any:
@@ -185,8 +163,6 @@ def _moved(value: Any, random: np.random.Generator) -> Any:
 def _record_unit(job: tuple[Unit, Array, str]) -> str:
     """Record all runs of a unit."""
     unit, temperatures, folder = job
-    rows, setup = command(), SETUPS[PLANT]
-    time = np.arange(len(rows), dtype=np.float64) * setup.sample_time
     coefficients = scatter(PLANT, unit.seed, SCATTER)
     for night, temperature in enumerate(temperatures):
         random = np.random.default_rng([unit.seed, night])
@@ -194,11 +170,8 @@ def _record_unit(job: tuple[Unit, Array, str]) -> str:
         effect = unit.effect if night >= unit.begins else {}
         measured = _measured(effect, tonight, int(random.integers(1 << 31)), NOISE)
         measured = measured * (1.0 + EXPANSION * (temperature - 20.0))
-        signals = {
-            "command": Signal(time, rows, ("x",), "V"),
-            "measurement": Signal(time, measured[:, None], ("x",), "um"),
-        }
-        write_bag(Path(folder) / f"{unit.name}_{night:03d}", Record(signals, unit.name))
+        record = sampled_record(unit.name, command(), measured[:, None], SETUPS[PLANT].sample_time, ("x",), "um")
+        write_bag(Path(folder) / f"{unit.name}_{night:03d}", record)
     return unit.name
 
 

@@ -8,12 +8,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from evaluation.data_files import frozen
 from hyst_control.base.arrays import Array
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import Record
 
 EXCITATIONS = ("rich", "multisine", "sine", "closed_loop")
 
@@ -99,14 +97,6 @@ class Made:
     def of(self, case: Case) -> Case:
         """The case with its answer."""
         return replace(case, label=self.label, effects=self.effects)
-
-
-def plain_record(
-    command: Array, measurement: Array, sample_time: float, axes: tuple[str, ...], name: str, unit: str = "um"
-) -> Record:
-    """Make a record of a command (V) and a measurement."""
-    time = sample_time * np.arange(len(command), dtype=np.float64)
-    return Record({"command": Signal(time, command, axes, "V"), "measurement": Signal(time, measurement, axes, unit)}, name)
 
 
 def as_document(case: Case) -> dict[str, Any]:

@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 
 from evaluation.blind_test.case import Case
-from evaluation.blind_test.plant_setups import SCATTER, SETUPS, scatter
+from evaluation.blind_test.plant_setups import FILE, SCATTER, SETUPS, scatter
 from hyst_control.base.arrays import Array
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
@@ -25,38 +25,15 @@ def commands(case: Case) -> Annotated[Array, "N A"]:
     axes = 2 if case.plant.startswith("fsm") else 1
     low, high = setup.command
     span, center, random = high - low, 0.5 * (high + low), np.random.default_rng([case.seed, 1])
+    spec: dict[str, Any] = dict(FILE["excitations"][case.excitation])
     if case.excitation == "rich":
-        spec: dict[str, Any] = {"signal": "diagnostic", "lowest": low, "highest": high, "seed": int(random.integers(3))}
-        spec["duration"] = case.duration
+        spec |= {"lowest": low, "highest": high, "seed": int(random.integers(3)), "duration": case.duration}
     elif case.excitation == "multisine":
-        spec = {
-            "signal": "multisine",
-            "period": 0.25,
-            "lower_frequency": 4.0,
-            "upper_frequency": 600.0,
-            "rms": 0.13 * span,
-            "offset": center,
-            "periods": 6,
-            "detection": 4,
-            "avoid_mains": True,
-            "seed": int(random.integers(3)),
-        }
+        spec |= {"rms": 0.13 * span, "offset": center, "seed": int(random.integers(3))}
     elif case.excitation == "sine":
-        spec = {
-            "signal": "sine",
-            "frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])),
-            "amplitude": 0.42 * span,
-            "offset": center,
-            "duration": 1.5,
-        }
+        spec |= {"frequency": float(random.choice([5.0, 12.0, 35.0, 90.0])), "amplitude": 0.42 * span, "offset": center}
     else:
-        spec = {
-            "signal": "multi_frequency",
-            "frequencies": [3.0, 17.0, 41.0],
-            "offset": 0.5 * setup.stroke,
-            "duration": 1.5,
-            "amplitudes": [0.2 * setup.stroke, 0.08 * setup.stroke, 0.08 * setup.stroke],
-        }
+        spec |= {"offset": 0.5 * setup.stroke, "amplitudes": [share * setup.stroke for share in (0.2, 0.08, 0.08)]}
     rows = build(spec, setup.sample_time, axes)
     if case.excitation != "closed_loop":
         return np.clip(rows, low, high)
@@ -84,23 +61,22 @@ def run_case(case: Case, **included: bool) -> dict[str, Array]:
 def plant_of(case: Case, effects: bool = True, noisy: bool = True, scattered: bool = True, later: bool = False) -> Plant:
     """Construct the reference simulation of a case, rated for the range in which it is driven."""
     # later: another session of the same plant: noise, lost samples, and the phases of the mains and of vibrations are others
-    setup = SETUPS[case.plant]
     changes = scatter(case.plant, case.seed, SCATTER * case.off if scattered else 0.0)
-    document = {
-        "plant": case.plant,
-        "rating": list(setup.command),
-        "stroke": [0.0, setup.stroke],
-        "effects": [dict(effect) for effect in case.effects] if effects else [],
-    }
-    noise = case.noise * setup.stroke if noisy else 0.0
     seed = int(np.random.default_rng([case.seed, 4]).integers(1 << 31)) if later else case.seed
-    return load_plant(document, seed=seed, sample_time=setup.sample_time, **{**changes, "noise": noise})
+    return truth(case.plant, case.effects if effects else (), changes, seed, case.noise if noisy else 0.0)
+
+
+def truth(plant: str, effects: Sequence[Mapping[str, Any]], changes: Mapping[str, Any], seed: int, noise: float) -> Plant:
+    """Construct a reference simulation with effects and changed coefficients; noise: rms / stroke."""
+    setup = SETUPS[plant]
+    document: dict[str, Any] = {"plant": plant, "rating": list(setup.command), "stroke": [0.0, setup.stroke]}
+    document["effects"] = [dict(effect) for effect in effects]
+    return load_plant(document, seed=seed, sample_time=setup.sample_time, **{**changes, "noise": noise * setup.stroke})
 
 
 def record_of(case: Case, signals: Mapping[str, Array]) -> Record:
     """Convert a case's signals to a record, which holds nothing of the case's label."""
-    setup = SETUPS[case.plant]
-    time = np.arange(len(signals["command"]), dtype=np.float64) * setup.sample_time
+    time = np.arange(len(signals["command"]), dtype=np.float64) * SETUPS[case.plant].sample_time
     axes = ("x", "y") if case.plant.startswith("fsm") else ("x",)
     unit = "mrad" if case.plant.startswith("fsm") else "um"
     units = {"command": "V", "feedforward": "V", "feedback": "V"}

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind_test.case import Case, Label, Made, plain_record
+from evaluation.blind_test.case import Case, Label, Made
 from evaluation.blind_test.effect_sizes import NOISE_LIKE
 from evaluation.blind_test.injected_machines import SCORING, SIMULATED, Machine, machine_of
 from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, Injection, apply_all, strength_of, structural_rms
 from evaluation.data_files import table_file
 from hyst_control.model_file import simulate
+from hyst_control.records.record import sampled_record
 
 LAGS = ("delay", "sensor_lowpass", "amplifier_lowpass")
 """Effects that count as one name where the record has one frequency."""
@@ -53,17 +54,11 @@ def made(case: Case) -> Made:
         truth={name: tuple(np.broadcast_to(value, len(machine.axes)).tolist()) for name, value in truth.items()},
     )
     beside = {"none": (), "other_command": machine.others, "same_command": (machine.same.get(record),)}[case.regime]
-    return Made(
-        plain_record(command, measurement, step, machine.axes, case.name),
-        model,
-        label,
-        tuple({**effect, "strength": strength} for effect, strength in zip(case.effects, strengths, strict=True)),
-        tuple(
-            plain_record(other.command, other.measurement, step, machine.axes, f"clean {number}")
-            for number, other in enumerate(one for one in beside if one is not None)
-        ),
-        machine.warm_up,
-    )
+    effects = tuple({**effect, "strength": strength} for effect, strength in zip(case.effects, strengths, strict=True))
+    others = [(other.command, other.measurement) for other in beside if other is not None]
+    named = {case.name: (command, measurement), **{f"clean {number}": other for number, other in enumerate(others)}}
+    new, *clean = (sampled_record(name, *rows, step, machine.axes, "um") for name, rows in named.items())
+    return Made(new, model, label, effects, tuple(clean), machine.warm_up)
 
 
 def accepted(name: str, one_frequency: bool) -> set[str]:
@@ -122,8 +117,7 @@ def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> li
     """Every clean record with every set of clean records beside it, in random order; of each of the mirror's levels one set."""
     cells = []
     mirrors = [machine for machine in machines if _group(machine) == "mirror"]
-    for machine in mirrors:
-        cells.append(_row(machine, 0, "none", MODES[mirrors.index(machine) % len(MODES)]))
+    cells += [_row(machine, 0, "none", MODES[index % len(MODES)]) for index, machine in enumerate(mirrors)]
     for machine in [machine for machine in machines if machine not in mirrors]:
         for record in range(len(machine.cases)):
             modes = ["none", *(["other_command"] if machine.others else []), *(["same_command"] if record in machine.same else [])]
@@ -132,19 +126,9 @@ def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> li
 
 
 def _row(machine: Machine, record: int, kind: str, mode: str, multiple: float = 0.0, *injections: Injection) -> Case:
-    return Case(
-        "",
-        machine.name,
-        kind,
-        machine.cases[record].name,
-        0.0,
-        0,
-        tuple({"name": one.name, "realization": one.realization} for one in injections),
-        source="injected",
-        regime=mode,
-        multiple=multiple,
-        axes=machine.axes,
-    )
+    effects = tuple({"name": one.name, "realization": one.realization} for one in injections)
+    how: dict[str, Any] = {"source": "injected", "regime": mode, "multiple": multiple, "axes": machine.axes}
+    return Case("", machine.name, kind, machine.cases[record].name, 0.0, 0, effects, **how)
 
 
 def _cell(machine: Machine, step: Step, waiting: dict[str, list[str]], random: np.random.Generator) -> Case:

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -23,11 +22,10 @@ from evaluation.blind_test.mirror_models import DELAYS, ORDER, stated_model
 from evaluation.blind_test.plant_setups import SETUPS
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
-from hyst_control.base.arrays import Array
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import Model
 from hyst_control.records.excitation.excitation import build
-from hyst_control.records.record import sampled_record
+from hyst_control.records.record import Record, sampled_record
 from hyst_plant_sim.physics import bouc_wen_stage, load_plant
 
 ROWS, FILLING, PERIOD = 1600, 400, 200
@@ -39,20 +37,9 @@ NOISE = 5e-4
 MODEL_SEEDS, TUNING_SEEDS, SCORING_SEEDS = (5000, 5001), (5100, 5101, 5102, 5103), (5200, 5201, 5202, 5203, 5204, 5205)
 """Of the simulated records' commands and noise."""
 SIMULATED = ("third", "bouc_wen")
-
-
 PLANTS = ("stack", "mirror", "simulated")
 SCORING = 1000
 """First seed that is drawn from the records set apart for scoring."""
-
-
-@dataclass(frozen=True)
-class Clean:
-    """Record of the healthy machine: command and measurement (N, A)."""
-
-    name: str
-    command: Array
-    measurement: Array
 
 
 @dataclass(frozen=True)
@@ -63,10 +50,10 @@ class Machine:
     axes: tuple[str, ...]  # Names of the axes
     sample_time: float  # Sample time, s
     warm_up: float  # Begin of each record that does not count, s
-    cases: tuple[Clean, ...]  # Clean records for cases
+    cases: tuple[Record, ...]  # Clean records for cases
     # By the index of a case's record, a clean one of the same command; absent where there is none
-    same: Mapping[int, Clean]
-    others: tuple[Clean, ...]  # Clean records of other commands
+    same: Mapping[int, Record]
+    others: tuple[Record, ...]  # Clean records of other commands
     model: Callable[[], Model]  # Identifies the model, with its own error in it
 
 
@@ -74,16 +61,17 @@ def stack_machine(scoring: bool) -> Machine:
     """Construct the stack."""
     full, nested = stack.load()
 
-    def stretches(record: Any, first: int, last: int, apart: int = ROWS) -> list[Clean]:
-        begins = range(first, last - ROWS + 1, apart)
+    def stretches(record: Record, first: int, last: int, apart: int = ROWS) -> list[Record]:
+        how = full.sample_time, full.axes, full.unit, full.hold, "unknown"
+        parts = {row: slice(row, row + ROWS) for row in range(first, last - ROWS + 1, apart)}
         return [
-            Clean(f"{record.name}, row {row}", record.command[row : row + ROWS], record.measurement[row : row + ROWS])
-            for row in begins
+            sampled_record(f"{record.name}, row {row}", record.command[part], record.measurement[part], *how)
+            for row, part in parts.items()
         ]
 
     begin = int(np.argmin(full.command[:PERIOD, 0]))  # the same phase in every record: 1 Hz, 200 rows a cycle
     loops, plain, shaped = stretches(full, begin, len(full.command)), stretches(nested, 0, 7300), stretches(nested, 7400, 14155)
-    training = (loops[0], plain[0], shaped[0])
+    training = [loops[0], plain[0], shaped[0]]
     if scoring:
         # The end of the full cycles, and the shaped loops' middle a cycle apart: what overlaps differs in its memory's filling and phase.
         last = begin + (len(full.command) - begin - ROWS) // PERIOD * PERIOD
@@ -93,11 +81,7 @@ def stack_machine(scoring: bool) -> Machine:
         cases, same = (loops[2], *plain[1:-1]), {0: loops[3]}
 
     def model() -> Model:
-        records = [
-            sampled_record(one.name, one.command, one.measurement, full.sample_time, full.axes, full.unit, full.hold, "unknown")
-            for one in training
-        ]
-        return identified(records).model
+        return identified(training).model
 
     return Machine("stack", ("x",), stack.SAMPLE_TIME, FILLING * stack.SAMPLE_TIME, cases, same, (plain[-1], shaped[-1]), model)
 
@@ -107,49 +91,32 @@ def mirror_machine(scoring: bool, level: int) -> Machine:
     data = mirror.load_levels()[level]
     case, other = (mirror.TEST[0], mirror.SELECT[0]) if scoring else (mirror.SELECT[0], mirror.TEST[0])
 
-    def twice(realization: int, period: int) -> Clean:
-        command, measurement = (
-            np.concatenate([rows[:, :, realization, 1 - period], rows[:, :, realization, period]])
-            for rows in (data.command, data.measurement)
-        )
-        return Clean(f"{data.name}, realization {realization + 1}", command, measurement)
-
     def model() -> Model:
         return stated_model(mirror.fit_level(data, ORDER, DELAYS[-1]), data, other, data.name)
 
-    warm_up = mirror.PERIOD * mirror.SAMPLE_TIME
-    return Machine(
-        f"mirror, {mirror.LEVELS[level]} mV",
-        mirror.AXES,
-        mirror.SAMPLE_TIME,
-        warm_up,
-        (twice(case, 1),),
-        {0: twice(case, 0)},
-        (twice(other, 0),),
-        model,
-    )
+    name, warm_up = f"mirror, {mirror.LEVELS[level]} mV", mirror.PERIOD * mirror.SAMPLE_TIME
+    records = (data.record(case),), {0: data.record(case, 0)}, (data.record(other, 0),)
+    return Machine(name, mirror.AXES, mirror.SAMPLE_TIME, warm_up, *records, model)
 
 
 def simulated_machine(name: str, scoring: bool) -> Machine:
     """Construct `third` or the Bouc-Wen stage."""
     third = SETUPS["third"]
-    step, (low, high) = (
-        (third.sample_time, third.command) if name == "third" else (bouc_wen_stage.SAMPLE_TIME, bouc_wen_stage.COMMAND)
-    )
+    drive = (third.sample_time, third.command), (bouc_wen_stage.SAMPLE_TIME, bouc_wen_stage.COMMAND)
+    step, (low, high) = drive[name != "third"]
 
-    def record(seed: int) -> Clean:
+    def record(seed: int) -> Record:
         excitation = {"signal": "diagnostic", "lowest": low, "highest": high, "duration": DURATION, "seed": seed}
         rows = np.clip(build(excitation, step, 1), low, high)
-        if name != "third":
-            return Clean(f"{name}, seed {seed}", rows, bouc_wen_stage.respond(rows, seed))
-        plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
-        return Clean(f"{name}, seed {seed}", rows, respond(plant, rows))
+        if name == "third":
+            plant = load_plant({"plant": name, "rating": [low, high]}, seed=seed, sample_time=step, noise=NOISE * third.stroke)
+            measured = respond(plant, rows)
+        else:
+            measured = bouc_wen_stage.respond(rows, seed)
+        return sampled_record(f"{name}, seed {seed}", rows, measured, step, ("x",), "um", start="settled")
 
     def model() -> Model:
-        records = [record(seed) for seed in MODEL_SEEDS]
-        return identified(
-            [sampled_record(each.name, each.command, each.measurement, step, ("x",), "um", start="settled") for each in records]
-        ).model
+        return identified([record(seed) for seed in MODEL_SEEDS]).model
 
     cases = tuple(record(seed) for seed in (SCORING_SEEDS if scoring else TUNING_SEEDS))
     return Machine(name, ("x",), step, 0.0, cases, {}, (), model)

@@ -17,14 +17,13 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
-from evaluation.blind_test.injected_machines import Clean
 from hyst_control.base.arrays import Array
+from hyst_control.records.record import Record
 
 SCALES = np.geomspace(1e-6, 1e3, 37)
 """Strengths among which that of a given size is sought."""
 COMPANIONS = ("offset", "offset_drift")
 """Differ between sessions that nothing was done to."""
-
 
 Change = Callable[[Array, float, float, np.random.Generator], Array]
 """(rows (N, A), sample time, strength, random) to the rows with the effect."""
@@ -188,7 +187,7 @@ def _dead_band(y: Array, half: Array) -> Array:
 
 
 def apply_all(
-    injections: Sequence[Injection], strengths: Sequence[float], clean: Clean, step: float, seed: Sequence[int]
+    injections: Sequence[Injection], strengths: Sequence[float], clean: Record, step: float, seed: Sequence[int]
 ) -> tuple[Array, Array]:
     """Put effects into a record, one after the other."""
     command, measurement = clean.command, clean.measurement
@@ -205,14 +204,14 @@ def structural_rms(rows: Annotated[Array, "N A"], first: int) -> float:
     return float(np.sqrt(np.mean(rest**2)))
 
 
-def size_of(command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"], clean: Clean, first: int) -> float:
+def size_of(command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"], clean: Record, first: int) -> float:
     """Size of a change of a record; of its command, by the record's mean slope."""
     slope = float(np.sqrt(np.mean(np.var(clean.measurement, axis=0)) / max(np.mean(np.var(clean.command, axis=0)), 1e-300)))
     moved, driven = structural_rms(measurement - clean.measurement, first), structural_rms(command - clean.command, first)
     return float(np.hypot(moved, slope * driven))
 
 
-def strength_of(injection: Injection, clean: Clean, step: float, rms: float, seed: Sequence[int], first: int = 0) -> float:
+def strength_of(injection: Injection, clean: Record, step: float, rms: float, seed: Sequence[int], first: int = 0) -> float:
     """Find the strength at which an effect changes the record by a given rms; see `size_of`."""
 
     def size(strength: float) -> float:

@@ -10,16 +10,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from evaluation.blind_test.case import plain_record
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from hyst_control.base.arrays import Array
-from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace
-from hyst_control.chain.stage import Stage, frozen
+from hyst_control.chain.stage import frozen
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import Model
-from hyst_control.records.record import Record
 
 ORDER = 46
 """States of the mirror's linear models."""
@@ -45,18 +42,10 @@ def residuals(model: Model, level: mirror.Level, realization: int) -> list[Array
 
 def stated_model(found: Candidate, level: mirror.Level, realization: int, name: str) -> Model:
     """Convert a fit to a model that states its error on a realization that it was not fitted on, as `hyst identify` does."""
-    model = mirror.model_of(found.model, name, float(np.abs(level.command).max()))
+    model = mirror.model_of(found.model, name, level.largest)
     commands, measurements = (list(rows[:, :, realization].transpose(2, 0, 1)) for rows in (level.command, level.measurement))
     own = discrepancy_of(commands, residuals(model, level, realization), mirror.SAMPLE_TIME, measurements)
     return replace(model, discrepancy=own)
-
-
-def record_of(level: mirror.Level, realization: int) -> Record:
-    """Join both periods of a realization; the first brings the simulation into its steady state."""
-    command, measurement = (
-        part[:, :, realization].transpose(2, 0, 1).reshape(-1, 3) for part in (level.command, level.measurement)
-    )
-    return plain_record(command, measurement, mirror.SAMPLE_TIME, mirror.AXES, f"{level.name}, realization {realization + 1}")
 
 
 def models_without_elements(model: Model, level: mirror.Level, floor: float) -> Iterator[tuple[str, tuple[str, ...], Model]]:
@@ -64,25 +53,17 @@ def models_without_elements(model: Model, level: mirror.Level, floor: float) -> 
     *before, whole = model.chain.stages
     assert isinstance(whole, StateSpace)
     if any(isinstance(stage, Delay) for stage in before):
-        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), with_stages(model, whole)
-    yield "coupling", ("cross_coupling",), with_stages(model, *before, uncoupled(whole))
-    kept = 1.0 - LOST_GAIN
-    yield (
-        f"{100 * LOST_GAIN:g} % of its gain",
-        ("gain", "hysteresis_width"),
-        with_stages(model, *before, replace(whole, C=frozen(kept * np.array(whole.C)), D=frozen(kept * np.array(whole.D)))),
-    )
-    simulated = mirror.steady_state(model, level.command[:, :, [mirror.TEST[0]]].mean(axis=3))
+        yield "input delay", ("delay", "sensor_lowpass", "amplifier_lowpass", "dac_hold"), model.with_stages([whole])
+    yield "coupling", ("cross_coupling",), model.with_stages([*before, uncoupled(whole)])
+    weaker = replace(whole, **{part: frozen((1.0 - LOST_GAIN) * np.array(getattr(whole, part))) for part in "CD"})
+    yield f"{100 * LOST_GAIN:g} % of its gain", ("gain", "hysteresis_width"), model.with_stages([*before, weaker])
+    command = level.command[:, :, [mirror.TEST[0]]].mean(axis=3)
+    simulated = mirror.steady_state(model, command)
     for block, frequency in oscillating(whole):
-        crippled = with_stages(model, *before, without_states(whole, block))
-        lost = mirror.steady_state(crippled, level.command[:, :, [mirror.TEST[0]]].mean(axis=3)) - simulated
+        crippled = model.with_stages([*before, without_states(whole, block)])
+        lost = mirror.steady_state(crippled, command) - simulated
         if np.mean(lost**2) > MIN_SHARE * floor**2:
             yield f"mode at {frequency:.0f} Hz", ("resonance",), crippled
-
-
-def with_stages(model: Model, *stages: Stage) -> Model:
-    """Replace the stages of a model."""
-    return replace(model, chain=Chain(tuple(stages)))
 
 
 def uncoupled(whole: StateSpace) -> StateSpace:

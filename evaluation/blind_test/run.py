@@ -162,10 +162,7 @@ def make(batch: Batch, note: Callable[[str], None] = print) -> Path:
 
 
 def diagnose_all(
-    batches: Sequence[Batch],
-    until: float | None = None,
-    note: Callable[[str], None] = print,
-    workers: Workers | None = None,
+    batches: Sequence[Batch], until: float | None = None, note: Callable[[str], None] = print, workers: Workers | None = None
 ) -> None:
     """Diagnose every case that has no report yet, each from its files alone, until a given time.
 

@@ -267,6 +267,10 @@ def _calibration(r: Result) -> tuple[float | None, bool]:
     return r.probability if r.verdict in VERDICTS["single"] else None, r.first
 
 
+def _outside(r: Result) -> tuple[bool, float]:
+    return r.kind == "open_set" or r.role == "left_out", r.novelty
+
+
 def _only(source: str, *kinds: str, **columns: object) -> Callable[[Result], bool]:
     """Filter: scored cases of a source, of some kinds, whose columns have these values."""
 
@@ -284,9 +288,10 @@ def _no_gap(r: Result) -> bool:
 
 SIMULATION, INJECTION, WITHHELD = (partial(_only, source) for source in ("simulated", "injected", "withheld"))
 CLEAR, PUBLISHED_PLANTS = SIMULATION("single", clear=True), partial(SIMULATION, "single", clear=True, published=True)
-SINGLE, PAIR, ALL = SIMULATION("single"), SIMULATION("pair"), SIMULATION()
+SINGLE, PAIR, ALL, SINE = SIMULATION("single"), SIMULATION("pair"), SIMULATION(), SIMULATION("single", excitation="sine")
 MACHINE, STAND_IN = partial(INJECTION, stand_in=False), partial(INJECTION, stand_in=True)
 NONE, OTHER, SAME = "no clean record", "clean record of another command", "clean record of the same command"
+QUIET = "anything but no_gap, parameters or a companion"
 REDUCTION, FORESEEN = "shrink, predicted - realized", "shrink, foreseen for the fresh command - realized"
 
 ROWS = (
@@ -298,10 +303,8 @@ ROWS = (
     Row("top-1, the same, realizations that tuning never drew", 0.92, PUBLISHED_PLANTS(untuned=True), "first"),
     Row("top-1, the same, noise {r.noise_percent:g} %", 0.97, PUBLISHED_PLANTS(), "first"),
     Row("top-1, rich record, {r.case.plant}", 0.97, CLEAR, "first"),
-    Row(
-        "single sine: wrong name", 0.03, SIMULATION("single", excitation="sine"), lambda r: r.wrong and r.verdict == "effect", False
-    ),
-    Row("single sine: truth among the candidates", 0.95, SIMULATION("single", excitation="sine"), "in_set"),
+    Row("single sine: wrong name", 0.03, SINE, lambda r: r.wrong and r.verdict == "effect", False),
+    Row("single sine: truth among the candidates", 0.95, SINE, "in_set"),
     Row("top-1, multisine", 0.85, SIMULATION("single", excitation="multisine"), "first"),
     Row("top-1, closed loop", 0.85, SIMULATION("single", excitation="closed_loop"), "first"),
     Row("false alarm on records without a gap", 0.02, _no_gap, "alarm", False),
@@ -310,20 +313,8 @@ ROWS = (
     Row("coefficients beyond tolerance: verdict parameters", 0.92, SIMULATION("parameters"), "decided"),
     Row("open set: called unknown", 0.90, SIMULATION("open_set"), "unknown"),
     Row("single effects called unknown", 0.04, SINGLE, "unknown", False),
-    Row(
-        "open set: AUROC of the novelty score",
-        0.95,
-        SIMULATION("open_set", "single"),
-        lambda r: (r.kind == "open_set", r.novelty),
-        value=_auroc,
-    ),
-    Row(
-        "leave-one-out: AUROC",
-        0.90,
-        lambda r: SINGLE(r) or r.role == "left_out",
-        lambda r: (r.role == "left_out", r.novelty),
-        value=_auroc,
-    ),
+    Row("open set: AUROC of the novelty score", 0.95, SIMULATION("open_set", "single"), _outside, value=_auroc),
+    Row("leave-one-out: AUROC", 0.90, lambda r: SINGLE(r) or r.role == "left_out", _outside, value=_auroc),
     Row("pairs: exactly both", 0.75, PAIR, "exact"),
     Row("pairs: exactly both, where each shows beside the other", 0.82, SIMULATION("pair", both_shown=True), "exact"),
     Row("pairs: at least one", 0.97, PAIR, "some"),
@@ -335,12 +326,7 @@ ROWS = (
     Row("right where it says >= 0.95", 0.97, SIMULATION("single", "pair", sure=True), "first"),
     Row("calibration error (ECE)", 0.03, SINGLE, _calibration, False, _ece),
     Row("processor seconds a record: median", 6.0, ALL, "processor_seconds", False, median),
-    Row(
-        "`third` and Bouc-Wen stage, model identified, no clean record: top-1 at >= 3 x its own error",
-        0.85,
-        STAND_IN("single"),
-        "first",
-    ),
+    Row(f"`third` and Bouc-Wen stage, model identified, {NONE}: top-1 at >= 3 x its own error", 0.85, STAND_IN("single"), "first"),
     Row("ideal observer of `third` and the Bouc-Wen stage", None, STAND_IN("single"), "ceiling", value=fmean),
     Row("ideal observer, injected, {r.case.regime}, {r.case.multiple:g} x", None, MACHINE("single"), "ceiling", value=fmean),
     Row(f"injected, {NONE}: top-1 at 3 x", 0.70, MACHINE("single", regime="none", multiple=3.0), "first"),
@@ -353,14 +339,8 @@ ROWS = (
     Row(f"injected, {SAME}: pairs, at least one", 0.97, INJECTION("pair"), "first"),
     Row("injected, open set: called unknown", 0.90, INJECTION("open_set"), "unknown"),
     Row("injected, single effects called unknown", 0.04, INJECTION("single"), "unknown", False),
-    Row("clean measured records: anything but no_gap, parameters or a companion", 0.03, MACHINE("none"), "alarm", False),
-    Row(
-        "clean records of `third` and the Bouc-Wen stage: anything but no_gap, parameters or a companion",
-        0.02,
-        STAND_IN("none"),
-        "alarm",
-        False,
-    ),
+    Row(f"clean measured records: {QUIET}", 0.03, MACHINE("none"), "alarm", False),
+    Row(f"clean records of `third` and the Bouc-Wen stage: {QUIET}", 0.02, STAND_IN("none"), "alarm", False),
     Row("injected: true parameter within its 90 % interval", 0.85, INJECTION("single"), "covered"),
     Row("withheld: all cases solved", None, WITHHELD(), "right"),
     Row("withheld elements: named first", None, WITHHELD("single"), "leads"),

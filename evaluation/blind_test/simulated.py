@@ -23,14 +23,8 @@ MIN_VISIBILITY = 10.0
 
 def made(case: Case) -> Made:
     """Make a case: its model and record, and the command of a later session under another excitation."""
-    signals = run_case(case)
-    return Made(
-        record_of(case, signals),
-        nominal(case.plant, case.noise),
-        label_of(case),
-        case.effects,
-        coming=commands(_later(case)),
-    )
+    record, coming = record_of(case, run_case(case)), commands(_later(case))
+    return Made(record, nominal(case.plant, case.noise), label_of(case), case.effects, coming=coming)
 
 
 def label_of(case: Case) -> Label:

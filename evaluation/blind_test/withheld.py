@@ -15,16 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from evaluation.blind_test.case import Case, Label, Made, plain_record
-from evaluation.blind_test.mirror_models import (
-    DELAYS,
-    ORDER,
-    models_without_elements,
-    record_of,
-    rms_error,
-    stated_model,
-    with_stages,
-)
+from evaluation.blind_test.case import Case, Label, Made
+from evaluation.blind_test.mirror_models import DELAYS, ORDER, models_without_elements, rms_error, stated_model
 from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction import pea_p885 as stack
 from hyst_control.base.parallel import map_forked
@@ -33,7 +25,7 @@ from hyst_control.identify import identify
 from hyst_control.identify.modal.modal_candidate import Candidate
 from hyst_control.identify.workflow import discrepancy
 from hyst_control.model_file import Model, simulate
-from hyst_control.records.record import Record
+from hyst_control.records.record import Record, sampled_record
 
 FEW_OPERATORS = 3
 """Operators of the stack's crippled model: the smallest number that can be identified."""
@@ -95,7 +87,7 @@ def _mirror(level: int) -> dict[str, Made]:
     for other in (other for other in LEVELS if other > level):
         least = rms_error(mirror.model_of(whole[other].model, "", 1.0), measured[other], mirror.TEST[0])
         found.append((f"amplitude of {other} mV", ("softening_modes",), model, other, least))
-    records, warm_up = {of: record_of(measured[of], mirror.TEST[0]) for of in LEVELS}, mirror.PERIOD * mirror.SAMPLE_TIME
+    records, warm_up = {of: measured[of].record(mirror.TEST[0]) for of in LEVELS}, mirror.PERIOD * mirror.SAMPLE_TIME
     return {element: _without(element, right, model, records[of], warm_up, floor) for element, right, model, of, floor in found}
 
 
@@ -119,7 +111,7 @@ def _stack() -> dict[str, Made]:
         (f"all but {FEW_OPERATORS} of {stack.OPERATORS} operators", HYSTERESIS, few),
     ):
         zero = float(np.mean((part.measurement - simulate(model, part.command))[rows]))  # the sensor's differs between the files
-        record = plain_record(part.command, part.measurement - zero, stack.SAMPLE_TIME, ("x",), nested.name)
+        record = sampled_record(nested.name, part.command, part.measurement - zero, stack.SAMPLE_TIME, ("x",), "um")
         warm_up = rows.start * stack.SAMPLE_TIME
         found[element] = _without(element, right, replace(model, discrepancy=own), record, warm_up, floor)
     return found
@@ -128,4 +120,4 @@ def _stack() -> dict[str, Made]:
 def _without_memory(model: Model, cycle: Record) -> Model:
     """Replace the operators by a static gain: the slope of the cycle's chord."""
     slope = float(np.polyfit(cycle.command[:, 0], cycle.measurement[:, 0], 1)[0])
-    return replace(with_stages(model, TransferFunction((slope,), (1.0,))), uncertainty={})  # that was of the operators
+    return replace(model.with_stages([TransferFunction((slope,), (1.0,))]), uncertainty={})  # that was of the operators

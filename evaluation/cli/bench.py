@@ -42,12 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "lockstep (60 min) and wall-clock (10 min at 1 kHz) only run when they are named",
     )
     parser.add_argument("--seconds", type=float, default=6.0, help="length of every run of the loop in s (default 6)")
-    parser.add_argument(
-        "--soak",
-        type=float,
-        metavar="MINUTES",
-        help="with --only lockstep or wall-clock: length of that run",
-    )
+    parser.add_argument("--soak", type=float, metavar="MINUTES", help="with --only lockstep or wall-clock: length of that run")
     parser.add_argument(
         "--minutes",
         type=float,

@@ -25,7 +25,6 @@ NAME = "blind-test"
 HELP = "test the diagnosis on cases whose effect is withheld"
 WRITES = ("page",)
 
-
 COUNT: dict[str, Any] = {"type": int, "metavar": "COUNT"}
 OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     (
@@ -90,19 +89,16 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     elif arguments.injected:
         batches, names = [Batch("injected", folder, seed, arguments.count, chosen)], ("injected", "seed", "count")
     else:
-        batches, names = (
-            [Batch("simulated", folder, seed, arguments.count, left_out=arguments.left_out)],
-            ("seed", "count", "left_out"),
-        )
+        batches = [Batch("simulated", folder, seed, arguments.count, left_out=arguments.left_out)]
+        names = ("seed", "count", "left_out")
         if arguments.with_injected:
             batches.append(Batch("injected", folder / "injected", seed, arguments.with_injected))
         if arguments.without_gap:
             quiet = {"kinds": ("none",)}
             batches.append(Batch("simulated", folder / "without_gap", seed, arguments.without_gap, quiet, "without_gap"))
         names += tuple(name for name in ("with_injected", "without_gap") if getattr(arguments, name))
-    said = [
-        f"--{name.replace('_', '-')}" + (f" {value}" if (value := getattr(arguments, name)) is not True else "") for name in names
-    ]
+    given_values = {name: getattr(arguments, name) for name in names}
+    said = [f"--{name.replace('_', '-')}" + (f" {value}" if value is not True else "") for name, value in given_values.items()]
     said += [f"--plants {' '.join(arguments.plants)}"] if chosen else []
     said += [f"--core {arguments.core}"] if arguments.core != "rules" else []
     return run_all(

@@ -48,20 +48,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
-    from hyst_control.reporting.artifacts import Artifacts
-
-    if arguments.action == "figures":
-        from pathlib import Path
-
-        from evaluation.blind_test.effect_figures import write
-
-        return Artifacts("cases figures", write(Path(arguments.output)))
     from pathlib import Path
 
     from evaluation.blind_test.run import Batch, make
     from hyst_control.base.errors import InputError
+    from hyst_control.reporting.artifacts import Artifacts
 
     folder = Path(arguments.output)
+    if arguments.action == "figures":
+        from evaluation.blind_test.effect_figures import write
+
+        return Artifacts("cases figures", write(folder))
     if arguments.seed is None:
         raise InputError("--seed: is missing: give it, as in hyst cases make --seed 7 --output cases")
     if arguments.fleet:

@@ -13,15 +13,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from evaluation.reproduction.figures import write_page
-from evaluation.reproduction.measured_data import data_folder
+from evaluation.reproduction.measured_data import data_folder, read_array
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
-from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
 from hyst_control.identify.data.fit import Fit
 from hyst_control.model_file import Model, simulate
@@ -83,19 +82,9 @@ def load() -> tuple[Array, list[Test]]:
     """Load the records."""
     folder, found = data_folder("bouc_wen"), []
     for name, samples in (("multisine_train", 5 * PERIOD), ("multisine_test", PERIOD), ("sinesweep_test", 153_000)):
-        path = folder / f"{name}.npy"
-        try:
-            values = np.load(path, allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{path}: cannot be read ({error}): fetch the file again") from None
-        if values.shape != (samples, 2):
-            raise InputError(f"{path}: shape {values.shape}, must be {(samples, 2)}: fetch the file again")
-        found.append(values * np.array([1.0, 1e6]))
+        found.append(read_array(folder / f"{name}.npy", samples, 2) * np.array([1.0, 1e6]))
     train, multisine, sweep = found
-    tests = [
-        Test("multisine", multisine[:, 0], multisine[:, 1], periodic=True),
-        Test("sine sweep", sweep[:, 0], sweep[:, 1], periodic=False),
-    ]
+    tests = [Test("multisine", *multisine.T, periodic=True), Test("sine sweep", *sweep.T, periodic=False)]
     return train.reshape(5, PERIOD, 2), tests
 
 
@@ -122,11 +111,7 @@ def error_of(model: Model, test: Test) -> float:
     return 1e-6 * float(np.sqrt(np.mean((test.displacement - predict(model, test)) ** 2)))
 
 
-def run(
-    figures: str | None = None,
-    candidates: Sequence[Candidate] = CANDIDATES,
-    refinement: int = REFINEMENT,
-) -> Table:
+def run(figures: str | None = None, candidates: Sequence[Candidate] = CANDIDATES, refinement: int = REFINEMENT) -> Table:
     """Identify every candidate on the training record, score it on both tests and return the table."""
     periods, tests = load()
     record = training_record(periods, refinement)
@@ -152,13 +137,12 @@ def report(
 ) -> None:
     """Add the errors of one model."""
     for test in tests:
-        error = error_of(fit.model, test)
+        error, rms = error_of(fit.model, test), float(np.sqrt(np.mean(test.displacement**2)))
         table.add(ERRORS, test.name, subject, "rms_error", "m", error, published=PUBLISHED[0])
         table.add(ERRORS, test.name, subject, "rms_error_level", "dB re 1 m", 20.0 * np.log10(error))
-        rms = float(np.sqrt(np.mean(test.displacement**2)))
         table.add(ERRORS, test.name, subject, "relative_error", "% of rms", 1e8 * error / rms)
     mean = periods[1:].mean(axis=0)
-    trained = Test("multisine_train", mean[:, 0], mean[:, 1], periodic=True)
+    trained = Test("multisine_train", *mean.T, periodic=True)
     table.add(ERRORS, trained.name, subject, "rms_error", "m", error_of(fit.model, trained))
     noise = 1e-6 * float(np.std(periods[1:, :, 1] - mean[:, 1], ddof=0)) / np.sqrt(3.0)
     table.add(ERRORS, trained.name, subject, "noise_of_the_mean_period", "m", noise)
@@ -170,14 +154,6 @@ def report_parameters(table: Table, subject: str, fit: Fit) -> None:
     """Add the fitted parameters beside those of the benchmark's equations, with the 95 % interval."""
     for row in fit.report["parameters"]:
         if row["name"] in EQUATIONS:
-            value, half = row["value"], 1.96 * (row["standard_error"] or 0.0)
-            table.add(
-                "Parameters found, and those of the benchmark's equations",
-                row["name"],
-                subject,
-                row["name"],
-                row["unit"],
-                value,
-                published=EQUATIONS[row["name"]],
-                ci95=(value - half, value + half),
-            )
+            value, half, name = row["value"], 1.96 * (row["standard_error"] or 0.0), row["name"]
+            known: dict[str, Any] = {"published": EQUATIONS[name], "ci95": (value - half, value + half)}
+            table.add("Parameters found, and those of the benchmark's equations", name, subject, name, row["unit"], value, **known)

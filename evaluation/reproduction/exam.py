@@ -13,19 +13,17 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evaluation.reproduction import bouc_wen
 from evaluation.reproduction.figures import write_page
-from evaluation.reproduction.fsm_cubespec_records import AXES, FIT, SAMPLE_TIME, TEST, Level, load_levels, model_of
-from evaluation.reproduction.measured_data import data_folder
-from hyst_control.api.record import Record, from_arrays
+from evaluation.reproduction.fsm_cubespec_records import FIT, TEST, load_levels, model_of
+from evaluation.reproduction.measured_data import data_folder, read
+from hyst_control.api.record import from_arrays
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
-from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.diagnose.workflow import diagnose_records
 from hyst_control.identify import identify
@@ -35,6 +33,7 @@ from hyst_control.identify.modal.modal_model import Spectra
 from hyst_control.identify.modal.modal_stages import stages_of
 from hyst_control.identify.workflow import discrepancy, gapless_records, identify_records
 from hyst_control.model_file import Model
+from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
 
@@ -70,8 +69,7 @@ class Machine:
 
 def tanks() -> Case:
     """Cascaded tanks, 4 s a sample: the record of the estimation, whose first 400 s level out what was before."""
-    path = data_folder("exam") / "tanks.csv"
-    rows = np.loadtxt(_file(path), delimiter=",", skiprows=1)
+    rows = read(data_folder("exam") / "tanks.csv", partial(np.loadtxt, delimiter=",", skiprows=1))
     record = from_arrays(rows[:, 0], rows[:, 1], 0.25, command_unit="V", unit="V")
     return Case(_linear(record), record, own_records=True, warm_up=400.0)
 
@@ -117,8 +115,8 @@ def mirror() -> Case:
     low, _, high = load_levels()
     fit = refined([low.spectra(FIT)], subspace([low.spectra(FIT)], [16], np.zeros(3), "zoh")[0], True, False, 25)
     model = replace(model_of(fit.model, "mirror", 1.0), valid={})
-    model = _with_discrepancy(model, _two_periods(low, FIT[0]))
-    return Case(model, _two_periods(high, TEST[0]), own_records=False, warm_up=1.28)
+    model = _with_discrepancy(model, low.record(FIT[0]))
+    return Case(model, high.record(TEST[0]), own_records=False, warm_up=1.28)
 
 
 def oscillator() -> Case:
@@ -198,19 +196,8 @@ def run(figures: str | None = None, machines: Sequence[Machine] = MACHINES) -> T
     return table
 
 
-def _file(path: Path) -> Path:
-    if not path.is_file():
-        raise InputError(f"{path}: is missing: fetch the exam's files again")
-    return path
-
-
 def _arrays(name: str) -> Mapping[str, Array]:
-    path = _file(data_folder("exam") / f"{name}.npz")
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error}): fetch the exam's files again") from None
+    return read(data_folder("exam") / f"{name}.npz", lambda path: dict(np.load(path)))
 
 
 def _linear(record: Record, start: str = "auto") -> Model:
@@ -227,14 +214,6 @@ def _modal(command: Array, measurement: Array, sample_time: float, states: int, 
     data = [Spectra(2 * np.pi * lines / period, u[lines], y[lines], True)]
     fit = refined(data, subspace(data, [states], np.zeros(command.shape[1]), "foh")[0], True, False, 25)
     return Chain(tuple(stages_of(fit.model, sample_time)))
-
-
-def _two_periods(level: Level, realization: int) -> Record:
-    """A realization of the mirror, both periods."""
-    command, measurement = (
-        np.concatenate(list(np.moveaxis(signal[:, :, realization], 2, 0))) for signal in (level.command, level.measurement)
-    )
-    return from_arrays(command, measurement, 1.0 / SAMPLE_TIME, command_unit="V", unit="um", axes=AXES)
 
 
 def _with_discrepancy(model: Model, record: Record) -> Model:

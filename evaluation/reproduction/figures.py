@@ -44,11 +44,8 @@ def drawing(rows: Sequence[Row], quantities: Sequence[tuple[str, str]]) -> go.Fi
         for subject in dict.fromkeys(row.subject for row in own):
             mine = [row for row in own if row.subject == subject]
             first = next((row.quantity, row.unit) for row in rows if row.subject == subject) == quantity
-            cases, look = (
-                [row.case for row in mine],
-                {"name": subject, "legendgroup": subject, "offsetgroup": subject, "showlegend": first},
-            )
-            color = palette.color(subject)
+            cases, color = [row.case for row in mine], palette.color(subject)
+            look = {"name": subject, "legendgroup": subject, "offsetgroup": subject, "showlegend": first}
             figure.add_trace(go.Bar(x=cases, y=[row.value for row in mine], marker={"color": color}, **look), panel, 1)
             if known := [row for row in mine if row.published is not None]:
                 mark = {"mode": "markers", "marker": {"color": color, "symbol": "line-ew-open", "size": 14}, "showlegend": False}

@@ -10,32 +10,18 @@ model per level stands one for all levels, whose modes soften with amplitude (`c
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import factorial
 from pathlib import Path
 
 import numpy as np
 
+from evaluation.reproduction import fsm_cubespec_records as mirror
 from evaluation.reproduction.figures import write_page
-from evaluation.reproduction.fsm_cubespec_records import (
-    AXES,
-    FIT,
-    PERIOD,
-    SAMPLE_TIME,
-    SELECT,
-    TEST,
-    Level,
-    fit_level,
-    load_levels,
-    model_of,
-    response_error,
-    simulation_error,
-    steady_state,
-)
+from evaluation.reproduction.fsm_cubespec_records import AXES, FIT, PERIOD, SAMPLE_TIME, SELECT, TEST, Level
 from evaluation.reproduction.periodic_fit import refined
 from evaluation.reproduction.softening_modes import Law, Scheduled, SofteningFit, fit_softening
-from evaluation.reproduction.softening_modes import Level as Periods
 from hyst_control.base import progress
 from hyst_control.base.parallel import executor
 from hyst_control.chain.chain import Chain
@@ -46,13 +32,11 @@ from hyst_control.identify.modal.modal_model import ModalModel
 from hyst_control.model_file import Model, save_model
 from hyst_control.reporting.tables import Table
 
-PUBLISHED_OWN = {100: 8.4, 200: 8.0, 300: 5.6}
-"""Published linear models on their own level, % of rms measurement (their own test set)."""
-PUBLISHED_ALL = {100: 6.37, 200: 4.84, 300: 4.19}
-"""Best published single model for all levels, a nonlinear state space in LFR form, % of rms measurement (their own
-test set).
-"""
-PUBLISHED_RMS = {100: 0.087, 200: 0.131, 300: 0.169}
+PUBLISHED_OWN = (8.4, 8.0, 5.6)
+"""By level: published linear models on their own level, % of rms measurement (their own test set)."""
+PUBLISHED_ALL = (6.37, 4.84, 4.19)
+"""Best published single model for all levels, a nonlinear state space in LFR form, % of rms measurement (their own test set)."""
+PUBLISHED_RMS = (0.087, 0.131, 0.169)
 """The same in um."""
 HALF_WIDTH = 8
 """Of the local polynomial's window, in lines of 0.78 Hz."""
@@ -61,23 +45,27 @@ HALF_WIDTH = 8
 def report_linear(table: Table, levels: Sequence[Level], fits: Sequence[Sequence[Candidate]], models: Sequence[Model]) -> None:
     """Add the error of each level's model on its own level, and the numbers of states that were tried."""
     title = "Linear model per level, realization 6"
-    for level, found, model in zip(levels, fits, models, strict=True):
+    for level, found, model, published in zip(levels, fits, models, PUBLISHED_OWN, strict=True):
         began = time.perf_counter()
-        errors = simulation_error(model, level, TEST)
+        errors = mirror.simulation_error(model, level, TEST)
         rate = 2 * PERIOD * len(TEST) / (time.perf_counter() - began)
-        fit, mv = found[0], int(level.name.split()[0])
-        name = "state space"
-        table.add(title, level.name, name, "relative_error", "% of rms", errors[0], published=PUBLISHED_OWN[mv], n=len(TEST))
+        name, size = "state space", {"states": found[0].model.states, "parameters": found[0].model.parameters}
+        table.add(title, level.name, name, "relative_error", "% of rms", errors[0], published=published, n=len(TEST))
         for axis, value in zip(AXES, errors[1:], strict=True):
             table.add(title, level.name, name, f"relative_error_{axis}", "% of rms", value, n=len(TEST))
-        table.add(title, level.name, name, "relative_error_fit", "% of rms", 100.0 * fit.fitted, n=len(FIT))
-        table.add(title, level.name, name, "states", "", fit.model.states)
-        table.add(title, level.name, name, "parameters", "", fit.model.parameters)
-        table.add(title, level.name, name, "fit_time", "s", sum(each.seconds for each in found))
-        table.add(title, level.name, name, "simulation_rate", "samples/s", rate)
+        table.add(title, level.name, name, "relative_error_fit", "% of rms", 100.0 * found[0].fitted, n=len(FIT))
+        report_size(table, title, level.name, name, size, sum(each.seconds for each in found), rate)
         for each in sorted(found, key=lambda fit: fit.model.states):
             subject = f"{each.model.states} states"
             table.add(title, level.name, subject, "relative_error_select", "% of rms", 100.0 * each.held_out, n=len(SELECT))
+
+
+def report_size(table: Table, title: str, case: str, subject: str, size: Mapping[str, int], seconds: float, rate: float) -> None:
+    """Add the size of a model, the time of its fit and the speed of its simulation."""
+    for quantity, count in size.items():
+        table.add(title, case, subject, quantity, "", count)
+    table.add(title, case, subject, "fit_time", "s", seconds)
+    table.add(title, case, subject, "simulation_rate", "samples/s", rate)
 
 
 def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
@@ -87,7 +75,7 @@ def report_nonparametric(table: Table, levels: Sequence[Level]) -> None:
         records = [level.command[:, :, r].mean(axis=2) for r in FIT], [level.measurement[:, :, r].mean(axis=2) for r in FIT]
         found = local_polynomial(*records, SAMPLE_TIME, kind="periodic", half_width=HALF_WIDTH, degree=2)
         lines = np.round(found.frequency * PERIOD * SAMPLE_TIME).astype(int)
-        errors = response_error(found.response, lines, level, TEST)
+        errors = mirror.response_error(found.response, lines, level, TEST)
         table.add(title, level.name, "local polynomial", "relative_error", "% of rms", errors[0], n=len(TEST))
         power = float(np.sum(np.std(level.measurement, axis=(0, 2, 3)) ** 2))
         noise = float(np.sum(np.mean((level.measurement[..., 0] - level.measurement[..., 1]) ** 2, axis=(0, 2)) / 2.0))
@@ -102,33 +90,29 @@ def report_one(
 ) -> float:
     """Add the errors of one model of all levels on the sixth realization and the fifth, its size and its speed."""
     squares = []
-    for level in levels:
-        mv = int(level.name.split()[0])
+    for level, published in zip(levels, PUBLISHED_ALL, strict=True):
         began = time.perf_counter()
-        error = simulation_error(model, level, TEST)[0]
+        error = mirror.simulation_error(model, level, TEST)[0]
         elapsed = time.perf_counter() - began
-        table.add(ALL, level.name, subject, "relative_error", "% of rms", error, published=PUBLISHED_ALL[mv], n=len(TEST))
-        selected = simulation_error(model, level, SELECT)[0]
+        table.add(ALL, level.name, subject, "relative_error", "% of rms", error, published=published, n=len(TEST))
+        selected = mirror.simulation_error(model, level, SELECT)[0]
         table.add(ALL, level.name, subject, "relative_error_select", "% of rms", selected, n=len(SELECT))
         squares.append(selected**2)
-    table.add(ALL, "all", subject, "states", "", states)
-    table.add(ALL, "all", subject, "parameters", "", parameters)
-    table.add(ALL, "all", subject, "fit_time", "s", seconds)
-    table.add(ALL, "all", subject, "simulation_rate", "samples/s", 2 * PERIOD * len(TEST) / elapsed)
+    rate = 2 * PERIOD * len(TEST) / elapsed
+    report_size(table, ALL, "all", subject, {"states": states, "parameters": parameters}, seconds, rate)
     return float(np.sqrt(np.mean(squares)))
 
 
 def report_rms(table: Table, levels: Sequence[Level], model: Model) -> None:
     """Add the errors of the chosen model by the benchmark's measure: um rms by output and period, and over all of them."""
     title = "One model for all levels by the benchmark's measure, realization 6"
-    for level in levels:
-        errors = level.rms_errors(steady_state(model, level.command[:, :, TEST].mean(axis=3)), TEST)[:, 0]
+    for level, published in zip(levels, PUBLISHED_RMS, strict=True):
+        errors = level.rms_errors(mirror.steady_state(model, level.command[:, :, TEST].mean(axis=3)), TEST)[:, 0]
         for axis, periods in zip(AXES, errors, strict=True):
             for period, value in enumerate(periods, start=1):
                 table.add(title, level.name, f"output {axis}, period {period}", "rmse", "um", float(value), n=len(TEST))
-        mv = int(level.name.split()[0])
         whole = float(np.sqrt(np.mean(errors**2)))
-        table.add(title, level.name, "all outputs and periods", "rmse", "um", whole, published=PUBLISHED_RMS[mv], n=len(TEST))
+        table.add(title, level.name, "all outputs and periods", "rmse", "um", whole, published=published, n=len(TEST))
 
 
 EFFECTS = {
@@ -158,7 +142,7 @@ def report_shares(table: Table, levels: Sequence[Level], model: Model) -> None:
         for present in range(1 << len(names)):
             off = [EFFECTS[name] for bit, name in enumerate(names) if not present >> bit & 1]
             changed = replace(stage, **{key: value for effect in off for key, value in effect.items()})
-            left[present] = simulation_error(replace(model, chain=Chain((changed,))), level, TEST)[0] ** 2
+            left[present] = mirror.simulation_error(model.with_stages([changed]), level, TEST)[0] ** 2
         values = level.measurement[:, :, TEST]
         noise = 1e4 * float(np.mean((values[..., 0] - values[..., 1]) ** 2) / 2.0 / np.mean(values**2))
         shares = {}
@@ -199,13 +183,13 @@ def fit_all(levels: Sequence[Level], order: int) -> Candidate:
 
 def run(figures: str | None = None) -> Table:
     """Compare every model on every level and return the table."""
-    levels = load_levels()
+    levels = mirror.load_levels()
     table = Table("reproduce fsm-cubespec")
     began = time.perf_counter()
     progress.step("fit every level by itself and all together, in two processes")
     with executor(2, "fork") as pool:
         jobs = [(level, order) for order in sorted(ORDERS, reverse=True) for level in levels]
-        candidates = list(pool.map(fit_level, *zip(*jobs, strict=True)))
+        candidates = list(pool.map(mirror.fit_level, *zip(*jobs, strict=True)))
         fits = [smallest_first(candidates[i :: len(levels)]) for i in range(len(levels))]
         # The model of all levels starts from the middle level's own.
         middle = fits[1]
@@ -218,42 +202,32 @@ def run(figures: str | None = None) -> Table:
             last = replace(found, seconds=last.seconds + found.seconds)
             forced.append(last)
         linear = pending.result()
-    largest = max(float(np.abs(level.command).max()) for level in levels)
     models = [
-        model_of(found[0].model, f"fsm_{level.name}", float(np.abs(level.command).max()))
-        for found, level in zip(fits, levels, strict=True)
+        mirror.model_of(found[0].model, f"fsm_{level.name}", level.largest) for found, level in zip(fits, levels, strict=True)
     ]
     report_linear(table, levels, fits, models)
     report_nonparametric(table, levels)
-    report_one(
-        table,
-        levels,
-        "linear",
-        model_of(linear.model, "fsm_linear", largest),
-        linear.model.states,
-        linear.model.parameters,
-        linear.seconds,
-    )
-    chosen: tuple[float, Model, str] | None = None
+    of_all = mirror.model_of(linear.model, "fsm_linear", max(level.largest for level in levels))
+    report_one(table, levels, "linear", of_all, linear.model.states, linear.model.parameters, linear.seconds)
+    candidates = []
     for subject, found in zip(("softening modes", *(law.name for law in LAWS)), (mean, *forced), strict=True):
         model = softening_model(found, levels)
         selected = report_one(table, levels, subject, model, states_of(found), found.parameters, found.seconds)
-        if chosen is None or selected < chosen[0]:
-            chosen = selected, model, subject
-    assert chosen is not None, "no model of all levels"
-    table.add(ALL, "all", f"chosen on realization 5: {chosen[2]}", "relative_error_select", "% of rms", chosen[0], n=1)
-    report_rms(table, levels, chosen[1])
-    report_shares(table, levels, chosen[1])
+        candidates.append((selected, subject, model))
+    selected, subject, chosen = min(candidates, key=lambda each: each[0])
+    table.add(ALL, "all", f"chosen on realization 5: {subject}", "relative_error_select", "% of rms", selected, n=1)
+    report_rms(table, levels, chosen)
+    report_shares(table, levels, chosen)
     table.add(ALL, "all", "everything", "elapsed", "s", time.perf_counter() - began)
     if figures is not None:
         write_page(figures, table)
-        save_model(chosen[1], Path(figures) / "fsm_cubespec.yaml")
+        save_model(chosen, Path(figures) / "fsm_cubespec.yaml")
     return table
 
 
 def soften(levels: Sequence[Level], start: ModalModel | Scheduled, law: Law | None) -> SofteningFit:
     """Fit one model for all levels on realizations 1-4, with or without a softening force and hysteresis of the actuators."""
-    periods = [Periods(level.command[:, :, FIT].mean(axis=3), level.measurement[:, :, FIT].mean(axis=3)) for level in levels]
+    periods = [level.periods(FIT) for level in levels]
     return fit_softening(periods, start, periods[1].amplitude, SAMPLE_TIME, law, iterations=(20, 8))
 
 
@@ -262,11 +236,10 @@ def softening_model(found: SofteningFit, levels: Sequence[Level]) -> Model:
 
     The median, because the periods of realizations 2 and 3 at 100 mV differ six times as much as those of the others.
     """
-    largest = max(float(np.abs(level.command).max()) for level in levels)
     differences = np.concatenate([level.measurement[..., 0] - level.measurement[..., 1] for level in levels], axis=2)
     sigma = np.sqrt(np.median(np.mean(differences**2, axis=0), axis=1) / 2.0)
     return replace(
-        model_of(found.scheduled.centre, "fsm_cubespec", largest),
+        mirror.model_of(found.scheduled.centre, "fsm_cubespec", max(level.largest for level in levels)),
         chain=Chain((found.stage,)),
         noise={"sigma": [float(f"{value:.3g}") for value in sigma]},
         tolerance={name: float(f"{value:.3g}") for name, value in found.tolerance.items()},

@@ -10,17 +10,18 @@ from typing import Annotated
 
 import numpy as np
 
-from evaluation.reproduction.measured_data import data_folder
+from evaluation.reproduction.measured_data import data_folder, read_array
 from evaluation.reproduction.periodic_fit import refined
+from evaluation.reproduction.softening_modes import Level as Periods
 from evaluation.reproduction.softening_modes import spectra
 from hyst_control.base.arrays import Array
-from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.identify.modal.modal_candidate import Candidate, error_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
 from hyst_control.identify.modal.modal_stages import stages_of
 from hyst_control.model_file import Model, simulate
+from hyst_control.records.record import Record, sampled_record
 
 SAMPLE_TIME = 1.0 / 6400.0
 PERIOD = 8192
@@ -40,10 +41,27 @@ class Level:
     command: Array
     measurement: Array
 
+    @property
+    def largest(self) -> float:
+        """Largest command, V."""
+        return float(np.abs(self.command).max())
+
+    def periods(self, realisations: Sequence[int]) -> Periods:
+        """Both periods averaged."""
+        return Periods(self.command[:, :, realisations].mean(axis=3), self.measurement[:, :, realisations].mean(axis=3))
+
     def spectra(self, realisations: Sequence[int], weight: float = 1.0) -> Spectra:
         """Compute the spectra at the excited lines, both periods averaged."""
-        command, measurement = (rows[:, :, realisations].mean(axis=3) for rows in (self.command, self.measurement))
-        return spectra(command, measurement, weight)
+        periods = self.periods(realisations)
+        return spectra(periods.command, periods.measurement, weight)
+
+    def record(self, realization: int, last: int = 1) -> Record:
+        """Join both periods of a realization; the first brings a simulation into its steady state, and the `last` may be either."""
+        command, measurement = (
+            np.concatenate([rows[:, :, realization, 1 - last], rows[:, :, realization, last]])
+            for rows in (self.command, self.measurement)
+        )
+        return sampled_record(f"{self.name}, realization {realization + 1}", command, measurement, SAMPLE_TIME, AXES, "um")
 
     def error(self, simulated: Annotated[Array, "8192 3 R"], realisations: Sequence[int]) -> Annotated[Array, "4"]:
         """Compute relative errors of a simulation."""
@@ -65,17 +83,8 @@ def load_levels() -> list[Level]:
     folder = data_folder("fsm_cubespec")
     levels = []
     for level in LEVELS:
-        parts = []
-        for letter in "uy":
-            path = folder / f"{letter}_{level}mV_train.npy"
-            try:
-                values = np.load(path)
-            except (OSError, ValueError) as error:
-                raise InputError(f"{path}: cannot be read ({error}): fetch the benchmark's files again") from None
-            if values.shape != (PERIOD, 3, 6, 2):
-                raise InputError(f"{path}: shape {values.shape}, the benchmark has {(PERIOD, 3, 6, 2)}: fetch its files again")
-            parts.append(values.astype(np.float64))
-        levels.append(Level(f"{level} mV", parts[0], 1e6 * parts[1]))
+        command, measurement = (read_array(folder / f"{letter}_{level}mV_train.npy", PERIOD, 3, 6, 2) for letter in "uy")
+        levels.append(Level(f"{level} mV", command, 1e6 * measurement))
     return levels
 
 

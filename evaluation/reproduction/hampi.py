@@ -13,6 +13,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -143,13 +144,9 @@ def in_sequence(data: Record, families: Sequence[str] = ("hapi", "rdpi", "hampi"
 def paper_sequence(peak: float, extent: Extent) -> Annotated[Array, "N 1"]:
     """Build the drive of paper §3.2 alone: a step of 10 V, loops of 1 Hz and loops of 100 Hz up to the peak."""
     ts, slow = SAMPLE_TIME, dict(extent.excitation).get("quasi_static", 1.0)
-    return np.concatenate(
-        [
-            *(excitation.rest(ts, 0.02), excitation.rest(ts, 0.15, 10.0), excitation.rest(ts, 0.1)),
-            *(excitation.loops(ts, slow, peak, SEQUENCE_CYCLES), excitation.rest(ts, 0.05)),
-            *(excitation.loops(ts, 100.0, peak, CYCLES), excitation.rest(ts, 0.05)),
-        ]
-    )[:, None]
+    step = excitation.rest(ts, 0.02), excitation.rest(ts, 0.15, 10.0), excitation.rest(ts, 0.1)
+    loops = excitation.loops(ts, slow, peak, SEQUENCE_CYCLES), excitation.rest(ts, 0.05), excitation.loops(ts, 100.0, peak, CYCLES)
+    return np.concatenate([*step, *loops, excitation.rest(ts, 0.05)])[:, None]
 
 
 def training_drive(extent: Extent) -> Annotated[Array, "N 1"]:
@@ -159,32 +156,15 @@ def training_drive(extent: Extent) -> Annotated[Array, "N 1"]:
 
 def identification(peak: float, extent: Extent) -> Annotated[Array, "N 1"]:
     """Build the excitation of paper §3.2."""
-    return excitation.build(
-        {
-            "signal": "hampi_identification",
-            "peak": peak,
-            "fast_share": 1.0,
-            "lower": RATING[0],
-            "upper": RATING[1],
-            **dict(extent.excitation),
-        },
-        SAMPLE_TIME,
-    )
+    drive = {"signal": "hampi_identification", "peak": peak, "fast_share": 1.0, "lower": RATING[0], "upper": RATING[1]}
+    return excitation.build({**drive, **dict(extent.excitation)}, SAMPLE_TIME)
 
 
 def held_out_loops(extent: Extent) -> tuple[Array, list[Place]]:
     """Build loops of every height at every frequency, with rests between."""
+    driven = product(extent.peaks, extent.frequencies)
     return _between_rests(
-        [
-            (
-                peak,
-                frequency,
-                excitation.loops(SAMPLE_TIME, frequency, peak, CYCLES),
-                round(SCORED_CYCLES / frequency / SAMPLE_TIME),
-            )
-            for peak in extent.peaks
-            for frequency in extent.frequencies
-        ]
+        [(peak, f, excitation.loops(SAMPLE_TIME, f, peak, CYCLES), round(SCORED_CYCLES / f / SAMPLE_TIME)) for peak, f in driven]
     )
 
 

@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from evaluation.reproduction.papers import HAMPI
+from evaluation.reproduction.signals import add_deviation, fundamental, lag, loop_area
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import LinearStage
@@ -62,28 +63,16 @@ def phase_lags(table: Table, model: Model, data: Record, places: Sequence[Place]
 
     At that frequency itself both are 0 by definition and have no row.
     """
-    lag = {}
-    for place in places:
-        turn = np.exp(-2j * np.pi * place.frequency * data.sample_time * np.arange(place.end - place.begin))
-        lag[place.frequency] = -np.degrees(
-            np.angle((turn @ data.measurement[place.rows, 0]) / (turn @ data.command[place.rows, 0]))
-        )
-    frequencies = np.array(list(lag))
-    of_model = -np.degrees(np.angle(response(model, frequencies)))
-    for index, (frequency, value) in list(enumerate(lag.items()))[1:]:
-        for subject, own, published in (
-            ("LTI model", of_model[index] - of_model[0], 0),
-            ("actuator", value - lag[frequencies[0]], 1),
-        ):
-            table.add(
-                "HAMPI Table 1",
-                f"{frequency:g} Hz",
-                subject,
-                "phase lag",
-                "deg",
-                own,
-                published=GIVEN["table_1"][frequency][published],
-            )
+    frequencies = [place.frequency for place in places]
+    driven = [(data.measurement[place.rows, 0], data.command[place.rows, 0], place.frequency) for place in places]
+    lags = {
+        "LTI model": -np.degrees(np.angle(response(model, np.array(frequencies)))),
+        "actuator": [lag(*each, data.sample_time) for each in driven],
+    }
+    for index, frequency in list(enumerate(frequencies))[1:]:
+        for (subject, own), published in zip(lags.items(), GIVEN["table_1"][frequency], strict=True):
+            value = own[index] - own[0]
+            table.add("HAMPI Table 1", f"{frequency:g} Hz", subject, "phase lag", "deg", value, published=published)
 
 
 BEFORE = (0.001, 0.02)
@@ -122,10 +111,8 @@ def bode(table: Table, model: Model) -> None:
     table.add("HAMPI Fig. 3", case, "LTI model", "fall of the gain from 1 Hz to its least", "dB", gain[0] - gain.min())
     table.add("HAMPI Fig. 3", case, "LTI model", "rise of the gain from its least to 500 Hz", "dB", gain[-1] - gain.min())
     # Without the slow pair, whose lag comes and goes below 10 Hz in Eq. 1 too.
-    above = frequency >= 10.0
-    table.add(
-        "HAMPI Fig. 3", "10 to 500 Hz", "LTI model", "largest rise of the phase", "deg", max(np.diff(phase[above]).max(), 0.0)
-    )
+    rise = max(np.diff(phase[frequency >= 10.0]).max(), 0.0)
+    table.add("HAMPI Fig. 3", "10 to 500 Hz", "LTI model", "largest rise of the phase", "deg", rise)
 
 
 def dynamic_weights(table: Table, model: Model) -> None:
@@ -135,10 +122,8 @@ def dynamic_weights(table: Table, model: Model) -> None:
     """
     core = next(stage for stage in model.chain.stages if isinstance(stage, ModifiedPrandtlIshlinskii))
     for name, unit in (("m1", "s/V"), ("m2", "s/V"), ("k", "1/V"), ("b", "")):
-        value = float(np.ravel(getattr(core, name))[0])
-        table.add(
-            "HAMPI Table 2", "dynamic weights", "HAMPI, paper's sequence", name, unit, value, published=GIVEN["table_2"][name]
-        )
+        value, published = float(np.ravel(getattr(core, name))[0]), GIVEN["table_2"][name]
+        table.add("HAMPI Table 2", "dynamic weights", "HAMPI, paper's sequence", name, unit, value, published=published)
 
 
 def rotation(table: Table, models: Mapping[str, Model], data: Record, places: Sequence[Place]) -> None:
@@ -153,14 +138,12 @@ def rotation(table: Table, models: Mapping[str, Model], data: Record, places: Se
         title = "HAMPI Fig. 1" if name == "actuator" else "HAMPI Fig. 6"
         for place in own:
             u, y = data.command[place.rows, 0], values[place.rows]
-            cycles = SCORED_CYCLES
-            area = 0.5 * abs(float(np.sum(u * np.roll(y, -1) - y * np.roll(u, -1)))) / cycles
             case = f"{place.height:g} V, {place.frequency:g} Hz"
             stroke = float(np.ptp(y) / np.ptp(values[own[0].rows]))
             tilt = in_phase(u, y) / in_phase(data.command[own[0].rows, 0], values[own[0].rows])
             table.add(title, case, name, "tilt over that of the slowest loops", "", tilt)
             table.add(title, case, name, "stroke over that of the slowest loops", "", stroke)
-            table.add(title, case, name, "loop area over its box", "%", 100.0 * area / float(np.ptp(u) * np.ptp(y)))
+            table.add(title, case, name, "loop area over its box", "%", loop_area(u, y, SCORED_CYCLES))
 
 
 def in_phase(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"]) -> float:
@@ -184,8 +167,7 @@ def compensated(model: Model, sample_time: float, frequency: Annotated[Array, "F
 def inverses(table: Table, model: Model, sample_time: float) -> None:
     """Add Fig. 8: the largest deviations of the compensated dynamics' gain and phase from 1 between 10 and 500 Hz."""
     for method, value in compensated(model, sample_time, np.linspace(10.0, 500.0, 200)).items():
-        table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest gain error", "dB", np.abs(20 * np.log10(np.abs(value))).max())
-        table.add("HAMPI Fig. 8", "10 to 500 Hz", method, "largest phase error", "deg", np.abs(np.degrees(np.angle(value))).max())
+        add_deviation(table, "HAMPI Fig. 8", "10 to 500 Hz", method, value)
 
 
 def errors(model: Model, data: Record, places: Sequence[Place]) -> list[tuple[float, float, float]]:
@@ -244,9 +226,9 @@ def attenuation(table: Table, tracked: Mapping[str, Mapping[str, Array]], places
     """Add Figs. 15 and 16: amplitude of the tracked sine relative to the reference; uncompensated rotation reduces it."""
     for name, signals in tracked.items():
         for place in places:
-            turn = np.exp(-2j * np.pi * place.frequency * sample_time * np.arange(place.end - place.begin))
-            gain = abs(turn @ signals["measurement"][place.rows, 0]) / abs(turn @ signals["reference"][place.rows, 0])
-            table.add("HAMPI Fig. 15", f"{place.frequency:g} Hz", name, "amplitude over the reference's", "", float(gain))
+            tracked_rows, reference = (signals[key][place.rows, 0] for key in ("measurement", "reference"))
+            gain = abs(fundamental(tracked_rows, reference, place.frequency, sample_time))
+            table.add("HAMPI Fig. 15", f"{place.frequency:g} Hz", name, "amplitude over the reference's", "", gain)
 
 
 def tracking(

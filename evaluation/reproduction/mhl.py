@@ -25,7 +25,7 @@ from evaluation.reproduction import mhl_learning, mhl_tables
 from evaluation.reproduction.figures import write_page
 from evaluation.reproduction.machine_runs import signals_of
 from evaluation.reproduction.margins import robustness
-from evaluation.reproduction.mhl_runs import CENTRE, MIRROR, RATING, REACH, SAMPLE_TIME, SEED, track
+from evaluation.reproduction.mhl_runs import CENTRE, MIRROR, RATING, REACH, SAMPLE_TIME, SEED, Part, track
 from evaluation.reproduction.papers import MHL
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import CrossCoupling
@@ -88,15 +88,6 @@ AS_PUBLISHED = (mhl_tables.TRADITIONAL, mhl_tables.PUBLISHED)
 """The composites that run with the paper's PI too, which has no roll-off."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """Rows of the tracking run that belong to one experiment, and those of them that are scored."""
-
-    begin: int
-    end: int
-    scored: int
-
-
 def run(figures: str | None = None) -> Table:
     """Record, identify, tune, track and score, and return the table."""
     table, learning = Table("reproduce mhl"), Table("reproduce mhl")
@@ -124,31 +115,18 @@ def run(figures: str | None = None) -> Table:
         tracked = {}
         for name, composite, feedback in runs:
             given = COMPOSITES[composite]
-            tracked[name] = track(
-                folder / file_name(name),
-                given.kind,
-                folder / "joint.yaml",
-                reference,
-                feedback,
-                {
-                    "inverse_model": str(folder / f"{given.inverse}.yaml"),
-                    "rate_filter": list(given.rate_filter),
-                    "discretisation": "tustin",
-                    "smoothing": given.smoothing,
-                },
-                given.smoothing + 1 if given.smoothing else 0,
-            )
+            settings = {
+                "inverse_model": str(folder / f"{given.inverse}.yaml"),
+                "rate_filter": list(given.rate_filter),
+                "discretisation": "tustin",
+                "smoothing": given.smoothing,
+            }
+            preview = given.smoothing + 1 if given.smoothing else 0
+            tracked[name] = track(folder / file_name(name), given.kind, reference, feedback, settings, preview)
         inverse = build_compensator(joint, "mhl_inverse", sample_time=SAMPLE_TIME, limits=RATING, smoothing=SMOOTHING)
+        whole = {"smoothing": SMOOTHING}
         for name, whole_feedback in (("whole inverse", tuning), ("whole inverse, no feedback", None)):
-            tracked[name] = track(
-                folder / file_name(name),
-                "mhl_inverse",
-                folder / "joint.yaml",
-                reference,
-                whole_feedback,
-                {"smoothing": SMOOTHING},
-                inverse.preview,
-            )
+            tracked[name] = track(folder / file_name(name), "mhl_inverse", reference, whole_feedback, whole, inverse.preview)
         # The limit of any feedforward: the whole model is inverted over the whole reference by iteration.
         command = lifted_inverse(joint, reference, sample_time=SAMPLE_TIME, limits=RATING).command
         bag = MIRROR.open_loop(folder / "lifted", command, SEED + 4, start="rest")
@@ -238,28 +216,25 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
         last = pieces[-1][-1] if pieces else np.zeros(2)
         pieces.append(np.stack([excitation.cosine_ramp(ts, a, b, 0.1) for a, b in zip(last, rows[0], strict=True)], axis=1))
         pieces.append(np.repeat(rows[:1], int(0.02 / ts), axis=0))
-        begin = sum(len(piece) for piece in pieces)
+        begin = sum(map(len, pieces))
         pieces.append(rows)
         parts[name] = Part(begin, begin + len(rows), begin + int(round(skipped / ts)))
         if after is not None:
             pieces.append(np.stack([after, np.full(len(after), rows[-1, 1])], axis=1))
 
-    add(
-        "conditioning",
-        excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
-        excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2),
-    )
+    slow = excitation.sine(ts, 5.0, 0.95 * REACH, CENTRE, 0.2, -np.pi / 2)
+    add("conditioning", slow, slow)
     lowest = np.array([CENTRE - REACH])
     add("single", excitation.sine(ts, 100.0, REACH, CENTRE, 0.2, -np.pi / 2), skipped=0.02, after=lowest)
     # These begin and end in the middle of their motion: they are faded in and out, so that there is no kink in velocity.
-    before = faded_in(excitation.sine(ts, 100.0, REACH, CENTRE, FADE))
+    before = faded(excitation.sine(ts, 100.0, REACH, CENTRE, FADE))
     wave = np.concatenate([before, excitation.decaying_sine(ts, 100.0, REACH, CENTRE, 0.2, 0.1 * REACH)])
-    add("decreasing", wave, skipped=FADE, after=faded_out(excitation.sine(ts, 100.0, 0.1 * REACH, CENTRE, FADE)))
+    add("decreasing", wave, skipped=FADE, after=faded(excitation.sine(ts, 100.0, 0.1 * REACH, CENTRE, FADE), out=True))
     scale = REACH / 50.0
     tones = (20.0, 60.0, 100.0), (-35.3 * scale, -19.6 * scale, -19.6 * scale), CENTRE
     whole = excitation.multi_frequency(ts, *tones, FADE)
-    wave = np.concatenate([faded_in(whole), excitation.multi_frequency(ts, *tones, 0.2)])
-    add("multi", wave, skipped=FADE, after=faded_out(whole))
+    wave = np.concatenate([faded(whole), excitation.multi_frequency(ts, *tones, 0.2)])
+    add("multi", wave, skipped=FADE, after=faded(whole, out=True))
     spiral = excitation.spiral(ts, 2, REACH, 20.0, 0.5, CENTRE)
     add("spiral", spiral[:, 0], spiral[:, 1])
     add("step", excitation.step(ts, STEP, CENTRE, 0.02, 0.08))
@@ -270,14 +245,10 @@ def tracking_reference() -> tuple[Array, dict[str, Part]]:
     return np.concatenate(pieces), parts
 
 
-def faded_in(wave: Annotated[Array, "N"]) -> Annotated[Array, "N"]:
-    """Fade a wave in along half a cosine, from rest at the center."""
-    return CENTRE + (wave - CENTRE) * (0.5 - 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
-
-
-def faded_out(wave: Array) -> Array:
-    """Fade a `wave` (N,) in mrad out along half a cosine, to rest at the center."""
-    return CENTRE + (wave - CENTRE) * (0.5 + 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave)))
+def faded(wave: Annotated[Array, "N"], out: bool = False) -> Annotated[Array, "N"]:
+    """Fade a wave in along half a cosine from rest at the center, or out to it."""
+    half = 0.5 * np.cos(np.pi * np.arange(len(wave)) / len(wave))
+    return CENTRE + (wave - CENTRE) * (0.5 + half if out else 0.5 - half)
 
 
 def without_coupling(model: Model) -> Model:

@@ -42,10 +42,9 @@ def add(table: Table, folder: Path, tuning: Tuning, preview: int, smoothing: int
     trials = {"learning": "trials", "learning_period": period, "learning_settling": 1, "learning_averaged": PERIODS - 1}
     static = {"inverse_model": str(folder / "inverse.yaml"), "discretisation": "tustin"}
     for index, (case, change) in enumerate(CHANGES.items()):
-        errors = repeated(
-            folder / f"trials_{index}", "mhl_static", {**static, **trials}, TRIAL_COUNT * PERIODS, tuning, 0, change
-        ).reshape(TRIAL_COUNT, PERIODS, -1)[:, 1:]
-        for number, error in enumerate(errors):
+        where, count = folder / f"trials_{index}", TRIAL_COUNT * PERIODS
+        errors = repeated(where, "mhl_static", {**static, **trials}, count, tuning, 0, change)
+        for number, error in enumerate(errors.reshape(TRIAL_COUNT, PERIODS, -1)[:, 1:]):
             table.add(TRIALS, f"{case}, trial {number}", TRADITIONAL, "nrmse", "%", nrmse(error))
     whole = {"smoothing": smoothing}
     periods = round(LEARNED_TIME * FREQUENCY)
@@ -68,7 +67,7 @@ def repeated(
     """Track a sine that repeats, on both axes."""
     wave = excitation.sine(SAMPLE_TIME, FREQUENCY, REACH, CENTRE, 1.0 / FREQUENCY, -np.pi / 2)
     reference = np.tile(np.stack([wave, wave], axis=1), (periods, 1))
-    signals = track(folder, kind, folder.parent / "joint.yaml", reference, tuning, settings, preview, change)
+    signals = track(folder, kind, reference, tuning, settings, preview, change)
     return np.asarray(signals["reference"] - signals["measurement"]).reshape(periods, -1)
 
 

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 import numpy as np
 
+from evaluation.reproduction.mhl_runs import Part
 from evaluation.reproduction.papers import MHL
+from evaluation.reproduction.signals import add_deviation, fundamental, lag, loop_area
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
@@ -42,13 +44,10 @@ def against_traditional(name: str) -> str:
     return f"{name} against the traditional one"
 
 
-def errors(wanted: Annotated[Array, "N"], actual: Annotated[Array, "N"]) -> tuple[float, float, float]:
+def errors(wanted: Annotated[Array, "N"], actual: Annotated[Array, "N"]) -> tuple[float, ...]:
     """Compute NME and NRMSE in % of the wanted range (paper Eq. 10, 11), and the NRMSE with the means removed."""
     error, span = actual - wanted, float(np.ptp(wanted))
-    greatest, root, spread = (
-        100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std())
-    )
-    return greatest, root, spread
+    return tuple(100.0 * float(value) / span for value in (np.abs(error).max(), np.sqrt(np.mean(error**2)), error.std()))
 
 
 def parallel_of(model: Model) -> Parallel:
@@ -74,15 +73,12 @@ def parameters(table: Table, fit: Fit, inverse: Model) -> None:
         for branch, published in GIVEN["table_1"].items():
             curve, kind = branch.split()
             own = np.array(getattr(core if kind == "model" else curves, curve)[index], dtype=float)
-            for power, value, theirs in zip(range(5, 0, -1), own / own.sum(), np.array(published) / sum(published), strict=True):
-                table.add(
-                    "MHL Table 1", f"{curve}, power {power}", f"{kind}, axis {axis}", "coefficient", "", value, published=theirs
-                )
-            x = np.linspace(0.0, 1.0, 201)
-            apart = np.polyval(np.append(own / own.sum(), 0.0), x) - np.polyval([*np.array(published) / sum(published), 0.0], x)
-            table.add(
-                "MHL Table 1", curve, f"{kind}, axis {axis}", "farthest from the published curve", "%", 100 * abs(apart).max()
-            )
+            normalized, subject = (own / own.sum(), np.array(published) / sum(published)), f"{kind}, axis {axis}"
+            for power, value, theirs in zip(range(5, 0, -1), *normalized, strict=True):
+                table.add("MHL Table 1", f"{curve}, power {power}", subject, "coefficient", "", value, published=theirs)
+            ends = [np.polyval([*curve_of, 0.0], np.linspace(0.0, 1.0, 201)) for curve_of in normalized]
+            farthest = 100 * abs(ends[0] - ends[1]).max()
+            table.add("MHL Table 1", curve, subject, "farthest from the published curve", "%", farthest)
         full, name = float(rows["output_scale"]), f"axis {axis}"
         for subject, key, unit, value in (
             ("model", "k1", "s", rows["k1"] * RATING_OVER / full),
@@ -112,8 +108,7 @@ def widening(table: Table, data: Record) -> None:
         slow = int(round(1.0 / data.sample_time))
         for case, rows in (("1 Hz", slice(top[0], top[0] + slow)), ("100 Hz", slice(last[0], last[1]))):
             u, y = command[rows], measurement[rows]
-            area = 0.5 * abs(float(np.sum(u * np.roll(y, -1) - y * np.roll(u, -1))))
-            table.add("MHL Fig. 1", case, f"mirror, axis {axis}", "loop area over its box", "%", 100 * area / np.ptp(u) / np.ptp(y))
+            table.add("MHL Fig. 1", case, f"mirror, axis {axis}", "loop area over its box", "%", loop_area(u, y))
 
 
 def predictions(
@@ -151,26 +146,23 @@ def open_loop(table: Table, model: Model, data: Record) -> None:
         case = f"60 to 3500 Hz, axis {axis}"
         off, what = 100 * np.sqrt(np.mean(np.abs(ratio - 1) ** 2)), "relative error of the response, rms"
         table.add("MHL Fig. 10", case, "MHL, paper", what, "%", off, published=theirs)
-        table.add("MHL Fig. 10", case, "MHL, paper", "largest gain error", "dB", np.abs(20 * np.log10(np.abs(ratio))).max())
-        table.add("MHL Fig. 10", case, "MHL, paper", "largest phase error", "deg", np.abs(np.degrees(np.angle(ratio))).max())
+        add_deviation(table, "MHL Fig. 10", case, "MHL, paper", ratio)
 
 
 def add_errors(
-    table: Table, title: str, case: str, subject: str, found: tuple[float, float, float], published: tuple[float, float] | None
+    table: Table, title: str, case: str, subject: str, found: Sequence[float], published: tuple[float, float] | None
 ) -> None:
     """Add NME, NRMSE, and the NRMSE with the means removed."""
-    table.add(title, case, subject, "nme", "%", found[0], published=published[0] if published else None)
-    table.add(title, case, subject, "nrmse", "%", found[1], published=published[1] if published else None)
-    table.add(title, case, subject, "nrmse, means removed", "%", found[2])
+    for quantity, value, known in zip(("nme", "nrmse", "nrmse, means removed"), found, (*(published or (None, None)), None)):
+        table.add(title, case, subject, quantity, "%", value, published=known)
 
 
-def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
+def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Part]) -> None:
     """Add Table 4, the reductions of §4.4, and the spiral of Fig. 17."""
     for case, published in GIVEN["table_4"].items():
-        part = parts[case]
         found = {}
         for name, signals in tracked.items():
-            found[name] = errors(*(signals[key][part.scored : part.end, 0] for key in ("reference", "measurement")))
+            found[name] = errors(*parts[case].tracked(signals))
             theirs = published["proposed composite"] if name in COMPOSITES else published.get(name.removesuffix(PLAIN))
             add_errors(table, "MHL Table 4", case, name, found[name], theirs)
         for name in COMPOSITES:
@@ -178,14 +170,12 @@ def tracking(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Ma
                 lower = 100.0 * (1.0 - found[name][at] / found[rival_of(name)][at])
                 known = published_lower[case] if name.startswith("proposed") else None
                 table.add("MHL Table 4", case, against_traditional(name), f"{quantity} lower by", "%", lower, published=known)
-    part = parts["spiral"]
     for name, signals in tracked.items():
         for index, axis in enumerate("xy"):
-            own = errors(*(signals[key][part.scored : part.end, index] for key in ("reference", "measurement")))
-            add_errors(table, "MHL Fig. 17", f"spiral, axis {axis}", name, own, None)
+            add_errors(table, "MHL Fig. 17", f"spiral, axis {axis}", name, errors(*parts["spiral"].tracked(signals, index)), None)
 
 
-def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any]) -> None:
+def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Part]) -> None:
     """Add the rms of the PI feedback's output, axis x, mean removed (paper §3: 40 % less with the proposed composite)."""
     for case in GIVEN["table_4"]:
         rows = slice(parts[case].scored, parts[case].end)
@@ -193,16 +183,9 @@ def feedback_effort(table: Table, tracked: Mapping[str, Mapping[str, Array]], pa
         for name in (TRADITIONAL, TRADITIONAL + PLAIN, *COMPOSITES):
             table.add("MHL feedback", case, name, "output of the PI feedback, rms", "V", effort[name])
         for name in COMPOSITES:
-            lower, known = 1.0 - effort[name] / effort[rival_of(name)], GIVEN["pi_lower"] if name.startswith("proposed") else None
-            table.add(
-                "MHL feedback",
-                case,
-                against_traditional(name),
-                "output of the PI feedback lower by",
-                "%",
-                100.0 * lower,
-                published=known,
-            )
+            subject, lower = against_traditional(name), 100.0 * (1.0 - effort[name] / effort[rival_of(name)])
+            known = GIVEN["pi_lower"] if name.startswith("proposed") else None
+            table.add("MHL feedback", case, subject, "output of the PI feedback lower by", "%", lower, published=known)
 
 
 def phases(table: Table, data: Record, scored: Sequence[slice], inverse: Model, rate_filter: Sequence[float]) -> None:
@@ -211,22 +194,21 @@ def phases(table: Table, data: Record, scored: Sequence[slice], inverse: Model, 
     k2 = cast(Sequence[float], rate_correction_of(inverse).k2)  # per axis
     s = 2j * np.pi * 100.0
     for index, axis in enumerate(data.axes):
-        count = int(round(0.4 / data.sample_time))
-        rows = slice(scored[index].stop - count, scored[index].stop)
-        turn = np.exp(-s * data.sample_time * np.arange(count))
-        lag = -np.degrees(np.angle((turn @ data.measurement[rows, index]) / (turn @ data.command[rows, index])))
+        rows = slice(scored[index].stop - int(round(0.4 / data.sample_time)), scored[index].stop)
+        late = lag(data.measurement[rows, index], data.command[rows, index], 100.0, data.sample_time)
         lead = np.degrees(np.angle(s / (k2[index] * s + 1.0)))
-        table.add("MHL lags", f"100 Hz, axis {axis}", "mirror", "open loop", "deg", lag, published=GIVEN["lags"]["open loop"])
+        table.add("MHL lags", f"100 Hz, axis {axis}", "mirror", "open loop", "deg", late, published=GIVEN["lags"]["open loop"])
         table.add("MHL lags", f"100 Hz, axis {axis}", "inverse", "lead of Ψ'", "deg", lead, published=GIVEN["lags"]["lead of Ψ'"])
-    lag = -np.degrees(np.angle(1.0 / np.polyval(np.asarray(rate_filter, dtype=float), s)))
-    table.add("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)", "deg", lag, published=GIVEN["lags"]["lag of N(s)"])
+    late = -np.degrees(np.angle(1.0 / np.polyval(np.asarray(rate_filter, dtype=float), s)))
+    table.add("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)", "deg", late, published=GIVEN["lags"]["lag of N(s)"])
 
 
-def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Any], sample_time: float) -> None:
+def closed_loop(table: Table, tracked: Mapping[str, Mapping[str, Array]], parts: Mapping[str, Part], sample_time: float) -> None:
     """Add Fig. 18: bandwidth, peak, gain and phase at 100 Hz, settling time."""
     for name, signals in tracked.items():
         frequency, value = response(signals, parts["response"], sample_time)
-        at = fundamental(signals, parts["single"], sample_time, 100.0)
+        reference, measurement = parts["single"].tracked(signals)
+        at = fundamental(measurement, reference, 100.0, sample_time)
         for case, quantity, unit, found, published in (
             ("closed loop", "bandwidth", "Hz", bandwidth(frequency, value), 1500.0),
             ("closed loop", "peak", "dB", 20 * np.log10(np.abs(value).max()), 5.22 if name in (WITHOUT, SLOWER) else 2.94),
@@ -269,22 +251,13 @@ def cross_spectrum(u: Annotated[Array, "N"], y: Annotated[Array, "N"], sample_ti
     return np.sqrt(edges[1:] * edges[:-1])[kept], (cross[kept] / power[kept])
 
 
-def response(signals: Mapping[str, Array], part: Any, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
+def response(signals: Mapping[str, Array], part: Part, sample_time: float, period: float = 0.2) -> tuple[Array, Complex]:
     """Compute the response from reference to measurement of axis x, from the small multisine."""
     count = int(round(period / sample_time))
-    r, y = (
-        np.fft.rfft(signals[key][part.scored : part.end, 0].reshape(-1, count).mean(axis=0)) for key in ("reference", "measurement")
-    )
+    r, y = (np.fft.rfft(rows.reshape(-1, count).mean(axis=0)) for rows in part.tracked(signals))
     line = np.flatnonzero(np.abs(r) > 1e-3 * np.abs(r[1:]).max())
     line = line[line > 0]
     return line / period, y[line] / r[line]
-
-
-def fundamental(signals: Mapping[str, Array], part: Any, sample_time: float, frequency: float) -> complex:
-    """Compute measurement over reference of axis x at one frequency, over whole cycles."""
-    rows = slice(part.scored, part.end)
-    turn = np.exp(-2j * np.pi * frequency * sample_time * np.arange(part.end - part.scored))
-    return complex((turn @ signals["measurement"][rows, 0]) / (turn @ signals["reference"][rows, 0]))
 
 
 def bandwidth(frequency: Annotated[Array, "F"], value: Complex) -> float:
@@ -294,9 +267,9 @@ def bandwidth(frequency: Annotated[Array, "F"], value: Complex) -> float:
     return float(frequency[1:-1][below[0]]) if len(below) else float(frequency[-1])
 
 
-def settling_time(signals: Mapping[str, Array], part: Any, sample_time: float) -> float:
+def settling_time(signals: Mapping[str, Array], part: Part, sample_time: float) -> float:
     """Find the time after the step from which the measurement stays within 2 % of the step's height."""
-    reference, measurement = (signals[key][part.begin : part.end, 0] for key in ("reference", "measurement"))
+    reference, measurement = part.tracked(signals)  # all rows of a step are scored
     height = reference[-1] - reference[0]
     start = int(np.flatnonzero(reference != reference[0])[0])
     outside = np.flatnonzero(np.abs(measurement[start:] - reference[-1]) > 0.02 * abs(height))

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from evaluation.reproduction.figures import write_page
-from evaluation.reproduction.measured_data import data_folder
+from evaluation.reproduction.measured_data import data_folder, read
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
@@ -69,24 +69,12 @@ CHANGES = {
 """Other signs, offsets and beginnings of the same measurements; their first third is cut off besides."""
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """A model by name, its error on the cycle it was fitted on (% of range), and the second file as it predicts it (N,)."""
-
-    name: str
-    fitted: float
-    predicted: Array
-
-
 def load() -> tuple[Record, Record]:
     """Load the two files: full loops and nested loops."""
     folder = data_folder("pea_p885")
     records = []
     for name, columns in (("Model_Vi_Do.dat", 7), ("Test_Vi_Do_Di.dat", 11)):
-        try:
-            values = np.loadtxt(folder / name)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{folder / name}: cannot be read ({error}): fetch the file again") from None
+        values = read(folder / name, np.loadtxt)
         if values.ndim != 2 or values.shape[1] != columns or len(values) < 8000:
             raise InputError(f"{folder / name}: shape {values.shape}, {columns} columns are due: fetch the file again")
         command, measurement = values[:, [0]].copy(), values[:, [4]].copy()
@@ -102,28 +90,15 @@ def cycles(record: Record) -> list[Record]:
     return [replace(record.rows(begin, end + 1), source=f"cycle {i + 1}") for i, (begin, end) in enumerate(zip(lowest, lowest[1:]))]
 
 
-def score(measured: Annotated[Array, "N"], predicted: Annotated[Array, "N"]) -> float:
-    """Compute the NRMSE in % of the measured range, means removed."""
-    return 100.0 * float(np.std(measured - predicted)) / float(np.ptp(measured))
+def score(nested: Record, rows: slice, predicted: Annotated[Array, "N"]) -> float:
+    """Compute the NRMSE of some rows in % of their measured range, means removed."""
+    measured = nested.measurement[rows, 0]
+    return 100.0 * float(np.std(measured - predicted[rows])) / float(np.ptp(measured))
 
 
 def predict(model: Model, record: Record) -> Annotated[Array, "N"]:
     """Predict a record from its command."""
     return simulate(model, record.command)[:, 0]
-
-
-def fitted_error(model: Model, cycle: Record) -> float:
-    """Compute the error of a model on the cycle it was fitted on."""
-    return float(record_rows(model, [cycle])[0][0]["nrmse_centered"])
-
-
-def predictions(cycle: Record, record: Record) -> list[Prediction]:
-    """Fit every static model on one cycle and predict the second file."""
-    found = []
-    for name, (family, options) in MODELS.items():
-        model = identify([cycle], family, **options).model
-        found.append(Prediction(name, fitted_error(model, cycle), predict(model, record)))
-    return found
 
 
 def run(figures: str | None = None) -> Table:
@@ -132,7 +107,7 @@ def run(figures: str | None = None) -> Table:
     available = cycles(full)
     table = Table("reproduce pea-p885")
     first = available[0]
-    report(table, predictions(first, nested), nested)
+    report(table, first, nested)
     report_cycles(table, available, nested)
     report_fitted_there(table, nested)
     report_changes(table, first, nested)
@@ -141,26 +116,25 @@ def run(figures: str | None = None) -> Table:
     return table
 
 
-def report(table: Table, found: Sequence[Prediction], nested: Record) -> None:
-    """Add the held-out and fitted errors of every model."""
+def report(table: Table, cycle: Record, nested: Record) -> None:
+    """Fit every static model on one cycle, and add its held-out and fitted errors."""
     title = "P-885.91, fitted on one cycle, nested loops held out"
-    for model in found:
+    for name, (family, options) in MODELS.items():
+        model = identify([cycle], family, **options).model
+        predicted, fitted = predict(model, nested), record_rows(model, [cycle])[0][0]["nrmse_centered"]
         for case, rows in SCORED.items():
-            table.add(title, case, model.name, "nrmse", "%", score(nested.measurement[rows, 0], model.predicted[rows]))
-        table.add(title, "the cycle itself", model.name, "nrmse", "%", model.fitted)
+            table.add(title, case, name, "nrmse", "%", score(nested, rows, predicted))
+        table.add(title, "the cycle itself", name, "nrmse", "%", float(fitted))
 
 
 def report_cycles(table: Table, available: Sequence[Record], nested: Record) -> None:
     """Add the scatter of the error when other cycles are fitted."""
     predicted = [predict(identify([cycle], "madelung").model, nested) for cycle in available[::4]]
     for case, rows in SCORED.items():
-        errors = [score(nested.measurement[rows, 0], each[rows]) for each in predicted]
-        for quantity, value in (
-            ("nrmse_mean", float(np.mean(errors))),
-            ("nrmse_least", min(errors)),
-            ("nrmse_greatest", max(errors)),
-        ):
-            table.add("P-885.91, every fourth cycle in turn", case, "Madelung, quintic", quantity, "%", value, n=len(errors))
+        errors = [score(nested, rows, each) for each in predicted]
+        for name, value in (("mean", float(np.mean(errors))), ("least", min(errors)), ("greatest", max(errors))):
+            title, n = "P-885.91, every fourth cycle in turn", len(errors)
+            table.add(title, case, "Madelung, quintic", f"nrmse_{name}", "%", value, n=n)
 
 
 def report_fitted_there(table: Table, nested: Record) -> None:
@@ -169,7 +143,7 @@ def report_fitted_there(table: Table, nested: Record) -> None:
     family, options = MODELS[name]
     for case, rows in SCORED.items():
         model = identify([nested.rows(rows.start, rows.stop + 1)], family, **options).model
-        table.add(title, case, name, "nrmse", "%", score(nested.measurement[rows, 0], predict(model, nested)[rows]))
+        table.add(title, case, name, "nrmse", "%", score(nested, rows, predict(model, nested)))
 
 
 def report_changes(table: Table, cycle: Record, nested: Record) -> None:

@@ -8,18 +8,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evaluation.reproduction import mhl_learning
-from evaluation.reproduction.mhl_tables import (
-    AHEAD,
-    COMPOSITES,
-    MOVED,
-    OWN_LOOP,
-    PUBLISHED,
-    SLOWER,
-    TRADITIONAL,
-    WITHOUT,
-    against_traditional,
-)
+from evaluation.reproduction import mhl_learning, mhl_tables
+from evaluation.reproduction.mhl_tables import AHEAD, COMPOSITES, MOVED, OWN_LOOP, PUBLISHED, SLOWER, TRADITIONAL, WITHOUT
 from evaluation.reproduction.papers import HAMPI, MHL
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Row
@@ -74,6 +64,11 @@ class Rows:
     ) -> None:
         """Add a target, whose name begins with its claim of the paper; "" of what no paper claims."""
         self.targets.append(Target(f"{claim}: {name}" if claim else name, value, bound, unit, at_least, cause, origin))
+
+    def lower(self, table: str, case: str, quantity: str) -> dict[str, float]:
+        """How much lower a quantity is with each composite than with the traditional one, %."""
+        names = (*STATED, OWN_LOOP)
+        return {name: self.value(table, case, mhl_tables.against_traditional(name), f"{quantity} lower by") for name in names}
 
     def add_margins(self, table: str) -> None:
         """Add the least margins of the tuned feedback on the reference simulation, over gain ±10 % and first mode ±20 %."""
@@ -137,41 +132,31 @@ def hampi_targets(rows: Rows) -> list[Target]:
         next_best = min(values["HAPI"], values["RDPI"]) / values["HAMPI"]
         add("HAMPI Fig. 11", f"50 V, {frequency:g} Hz: the next best model's NRMSE over HAMPI's", next_best, 1.0, "", True)
     for claim, height in (("HAMPI Fig. 12", "100 V"), ("HAMPI Table 4", "140 V")):
-        for index, frequency in enumerate(given["frequencies"]):
+        for frequency, published in zip(given["frequencies"], given["table_4"]["HAMPI"], strict=True):
             values = {name: rows.value(claim, f"{height}, {frequency:g} Hz", name, "nrmse") for name in NAMES}
             if height == "140 V":
-                add(
-                    claim,
-                    f"140 V, {frequency:g} Hz: NRMSE of HAMPI",
-                    values["HAMPI"],
-                    given["table_4"]["HAMPI"][index],
-                    "%",
-                    cause=why["held_out"],
-                )
+                name = f"140 V, {frequency:g} Hz: NRMSE of HAMPI"
+                add(claim, name, values["HAMPI"], published, "%", cause=why["held_out"])
             if frequency > 50.0:
                 next_best = min(values["HAPI"], values["RDPI"]) / values["HAMPI"]
                 name = f"{height}, {frequency:g} Hz: the next best model's NRMSE over HAMPI's"
                 add(claim, name, next_best, 1.0, "", True)
-    worst = max(rows.value("HAMPI Table 4", f"140 V, {frequency:g} Hz", "HAMPI", "nrmse") for frequency in given["frequencies"])
-    add("HAMPI conclusion 1", "140 V, 50 to 500 Hz: largest NRMSE of HAMPI", worst, 3.07, "%")
-    worst = max(rows.value("HAMPI Table 4", f"140 V, {frequency:g} Hz", "HAMPI", "rmse") for frequency in given["frequencies"])
-    add("HAMPI conclusion 1", "140 V, 50 to 500 Hz: largest RMSE of HAMPI", worst, 0.47, "um")
+    for quantity, bound, unit in (("nrmse", 3.07, "%"), ("rmse", 0.47, "um")):
+        worst = max(rows.value("HAMPI Table 4", f"140 V, {f:g} Hz", "HAMPI", quantity) for f in given["frequencies"])
+        add("HAMPI conclusion 1", f"140 V, 50 to 500 Hz: largest {quantity.upper()} of HAMPI", worst, bound, unit)
     for method in ("paper", "joint"):
         for frequency, (_, published) in given["table_5"]["HAMPI"].items():
             case = f"{frequency:g} Hz"
             ours, theirs = (rows.value("HAMPI Table 5", case, f"{name}, {method}", "nrmse") for name in ("HAMPI", "HAPI"))
             add("HAMPI Table 5", f"4 um at {case}, open loop: NRMSE with HAMPI, {method}", ours, published, "%")
             add("HAMPI Table 5", f"4 um at {case}: HAPI's NRMSE over HAMPI's, {method}", theirs / ours, 1.0, "", True)
-    at = "150 Hz"
+    at, quantity = "150 Hz", "amplitude over the reference's"
+    hapi, hampi = (abs(1.0 - rows.value("HAMPI Fig. 15", at, f"{name}, paper", quantity)) for name in ("HAPI", "HAMPI"))
     for quantity, bound, unit in (("nrmse", 2.25, "%"), ("rmse", 0.09, "um")):
         value = max(rows.value("HAMPI Table 5", f"{f:g} Hz", "HAMPI, paper", quantity) for f in given["table_5"]["HAMPI"])
         add("HAMPI conclusion 2", f"up to {at}: largest {quantity.upper()} with HAMPI", value, bound, unit)
-    lost = {
-        name: abs(1.0 - rows.value("HAMPI Fig. 15", at, f"{name}, paper", "amplitude over the reference's"))
-        for name in ("HAPI", "HAMPI")
-    }
-    add("HAMPI Fig. 15", f"{at}: error of the amplitude, HAMPI", 100.0 * lost["HAMPI"], 1.0, "%", origin=OURS)
-    add("HAMPI Fig. 16", f"{at}: HAPI's error of the amplitude over HAMPI's", lost["HAPI"] / lost["HAMPI"], 1.0, "", True)
+    add("HAMPI Fig. 15", f"{at}: error of the amplitude, HAMPI", 100.0 * hampi, 1.0, "%", origin=OURS)
+    add("HAMPI Fig. 16", f"{at}: HAPI's error of the amplitude over HAMPI's", hapi / hampi, 1.0, "", True)
     second = ("HAMPI second truth, Table 5", "HAMPI second truth, Fig. 11")
     for frequency in given["table_5"]["HAMPI"]:
         ours, theirs = (rows.value(second[0], f"{frequency:g} Hz", f"{name}, paper", "nrmse") for name in ("HAMPI", "HAPI"))
@@ -184,9 +169,8 @@ def hampi_targets(rows: Rows) -> list[Target]:
         add("", name, next_best, 1.0, "", True, why["not_its_physics"], origin=OURS)
     table, quantity = "HAMPI models: identified jointly and in the paper's sequence", "nrmse, means removed, rms over loops"
     for name in ("HAPI", "HAMPI"):
-        joint, paper = (
-            rows.value(table, "all held-out loops", f"{name}, {who}", quantity) for who in ("joint", "paper's sequence")
-        )
+        who = f"{name}, joint", f"{name}, paper's sequence"
+        joint, paper = (rows.value(table, "all held-out loops", subject, quantity) for subject in who)
         what = f"all held-out loops together, means removed: NRMSE of {name} by the paper's sequence over the joint one's"
         add("", what, paper / joint, 1.0, "", True, origin=OURS)
     rows.add_margins("HAMPI model: feedback tuned on it")
@@ -231,70 +215,38 @@ def mhl_targets(rows: Rows) -> list[Target]:
                 value = rows.value("MHL Table 3", place, "MHL, paper", quantity.lower())
                 add("MHL Table 3", f"{place}: {quantity}", value, limit, "%", cause=why["fast"])
         for quantity, subject in (("open loop", "mirror"), ("lead of Ψ'", "inverse")):
-            off = abs(rows.value("MHL lags", f"100 Hz, {case}", subject, quantity) - given["lags"][quantity])
-            add(
-                "MHL §4.4, lags",
-                f"{case}: {quantity} away from {given['lags'][quantity]:g} deg",
-                off,
-                15.0,
-                "deg",
-                False,
-                why["own_lags"],
-                OURS,
-            )
+            published = given["lags"][quantity]
+            off = abs(rows.value("MHL lags", f"100 Hz, {case}", subject, quantity) - published)
+            name = f"{case}: {quantity} away from {published:g} deg"
+            add("MHL §4.4, lags", name, off, 15.0, "deg", False, why["own_lags"], OURS)
     off = abs(rows.value("MHL lags", "100 Hz", "N(s) as published", "lag of N(s)") - given["lags"]["lag of N(s)"])
     add("MHL §4.4, lags", "lag of N(s) away from 39 deg", off, 1.0, "deg", False, why["printed_filter"], OURS)
 
     for case in given["lower"]:
-        against = {
-            quantity: {
-                name: rows.value("MHL Table 4", case, against_traditional(name), f"{quantity} lower by")
-                for name in (*STATED, OWN_LOOP)
-            }
-            for quantity in ("nrmse", "nme")
-        }
         of_each = {name: rows.value("MHL Table 4", case, name, "nrmse") for name in (*STATED, OWN_LOOP, "whole inverse")}
         for claim, quantity, bound in (
             ("MHL §4.4, NRMSE lower", "nrmse", given["lower"][case]),
             ("MHL §4.4, NME lower", "nme", given["nme_lower"][case]),
         ):
-            best = max(STATED, key=lambda name: against[quantity][name])
-            add(claim, f"{case}: by at least, {best}", against[quantity][best], bound, "%", True, why["ratio"])
-            add(
-                claim,
-                f"{case}: by at least, {OWN_LOOP}",
-                against[quantity][OWN_LOOP],
-                bound,
-                "%",
-                True,
-                why["published_filter"],
-            )
+            lower = rows.lower("MHL Table 4", case, quantity)
+            best = max(STATED, key=lower.__getitem__)
+            add(claim, f"{case}: by at least, {best}", lower[best], bound, "%", True, why["ratio"])
+            add(claim, f"{case}: by at least, {OWN_LOOP}", lower[OWN_LOOP], bound, "%", True, why["published_filter"])
         best = min(STATED, key=lambda name: of_each[name])
         add("MHL Table 4", f"{case}: NRMSE, {best}", of_each[best], ABSOLUTE[case], "%", False, why["ratio"], OURS)
         theirs = given["table_4"][case]["proposed composite"][1]
         add("MHL Table 4", f"{case}: NRMSE, {OWN_LOOP}", of_each[OWN_LOOP], theirs, "%", cause=why["published_filter"])
         add("MHL Table 4", f"{case}: NRMSE, whole inverse", of_each["whole inverse"], WHOLE, "%", origin=OURS)
-        lower = {
-            name: rows.value("MHL feedback", case, against_traditional(name), "output of the PI feedback lower by")
-            for name in (*STATED, OWN_LOOP)
-        }
-        best = max(STATED, key=lambda name: lower[name])
-        claim = "MHL §3, output of the feedback"
-        add(claim, f"{case}: lower by at least, {best}", lower[best], given["pi_lower"], "%", True)
-        add(
-            claim,
-            f"{case}: lower by at least, {OWN_LOOP}",
-            lower[OWN_LOOP],
-            given["pi_lower"],
-            "%",
-            True,
-            why["published_filter"],
-        )
+        lower, bound = rows.lower("MHL feedback", case, "output of the PI feedback"), given["pi_lower"]
+        best, claim = max(STATED, key=lower.__getitem__), "MHL §3, output of the feedback"
+        add(claim, f"{case}: lower by at least, {best}", lower[best], bound, "%", True)
+        add(claim, f"{case}: lower by at least, {OWN_LOOP}", lower[OWN_LOOP], bound, "%", True, why["published_filter"])
         add("MHL §4.5, errors", f"{case}: NRMSE below 0.6 %, {best}", of_each[best], 0.6, "%")
         add("MHL §4.5, errors", f"{case}: NME below 1 %, {best}", rows.value("MHL Table 4", case, best, "nme"), 1.0, "%")
         if case == "single":
-            best = max(STATED, key=lambda name: against["nrmse"][name])
-            add("MHL §3, error at equal output", f"NRMSE lower by up to 80 %, {best}", against["nrmse"][best], 80.0, "%", True)
+            lower = rows.lower("MHL Table 4", case, "nrmse")
+            best = max(STATED, key=lower.__getitem__)
+            add("MHL §3, error at equal output", f"NRMSE lower by up to 80 %, {best}", lower[best], 80.0, "%", True)
 
     for axis in ("x", "y"):
         for quantity, bound in (("nme", 1.0), ("nrmse", 0.6)):

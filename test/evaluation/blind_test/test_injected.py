@@ -11,7 +11,7 @@ import pytest
 
 from evaluation.blind_test.case import Case, Label, as_document
 from evaluation.blind_test.injected import accepted, planned
-from evaluation.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Clean, Machine, stack_machine
+from evaluation.blind_test.injected_machines import MODEL_SEEDS, SCORING_SEEDS, TUNING_SEEDS, Machine, stack_machine
 from evaluation.blind_test.injections import COMPANIONS, OPEN_SET, SINGLES, apply_all, strength_of
 from evaluation.blind_test.page import write_page
 from evaluation.blind_test.run import Batch, diagnose_all, make
@@ -20,10 +20,12 @@ from evaluation.reproduction.measured_data import data_folder
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.records.bags.bag_reader import read_bag
+from hyst_control.records.record import sampled_record
 
 STEP = 1e-3
 TIME = STEP * np.arange(2000)
-CLEAN = Clean("sine", 10.0 * np.sin(2 * np.pi * 5.0 * TIME)[:, None], 20.0 * np.sin(2 * np.pi * 5.0 * TIME - 0.1)[:, None])
+COMMAND, MEASUREMENT = 10.0 * np.sin(2 * np.pi * 5.0 * TIME)[:, None], 20.0 * np.sin(2 * np.pi * 5.0 * TIME - 0.1)[:, None]
+CLEAN = sampled_record("sine", COMMAND, MEASUREMENT, STEP, ("x",), "um")
 
 
 @pytest.mark.parametrize("injection", [*SINGLES, *OPEN_SET], ids=lambda one: f"{one.name} {one.realization}")
@@ -115,7 +117,7 @@ def test_a_true_parameter_lies_in_its_interval_or_not():
 
 
 def test_a_plan_has_every_row_of_the_table_from_the_first_round_on():
-    clean, other = (Clean(name, np.zeros((4, 1)), np.zeros((4, 1))) for name in ("one", "two"))
+    clean, other = (sampled_record(name, np.zeros((4, 1)), np.zeros((4, 1)), 1.0, ("x",), "um") for name in ("one", "two"))
     machines = [
         Machine(name, ("x",), 1.0, 0.0, (clean, other), {0: clean} if measured else {}, (clean,) if measured else (), lambda: None)
         for name, measured in (("stack", True), ("mirror, 100 mV", True), ("third", False), ("bouc_wen", False))
