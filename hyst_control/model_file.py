@@ -297,43 +297,14 @@ def model_to_document(model: Model) -> dict[str, Any]:
 
 
 def stages_from_document(rows: Any, where: str) -> tuple[Stage, ...]:
-    """Make stages from a list of mappings.
-
-    Parameters
-    ----------
-    rows
-        One mapping per stage.
-    where
-        Name of the list, for messages.
-
-    Returns
-    -------
-    tuple of Stage
-        In signal order.
-
-    Raises
-    ------
-    InputError
-        Naming the row and the parameter.
-    """
+    """Make stages from a list of mappings, one a stage; messages name the list, the row and the parameter."""
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{where}: must be a list of stages")
     return tuple(_stage_from_document(row, f"{where}[{index}]") for index, row in enumerate(rows))
 
 
 def stage_to_document(stage: Stage) -> dict[str, Any]:
-    """A stage as the mapping of the model file.
-
-    Parameters
-    ----------
-    stage
-        To be written.
-
-    Returns
-    -------
-    dict
-        Its name and the parameters that are not at their default.
-    """
+    """A stage as the mapping of the model file: its name, and the parameters that are not at their default."""
     found = {"stage": stage.name, **_plain(stage.parameters())}
     for key, declaration in stage.declarations().items():
         if declaration.form is Form.CHAINS:

@@ -25,7 +25,13 @@ SOURCES = {
 }
 QUESTIONS = ("What", "Where", "How", "Whether", "Which", "When", "Who", "Why")
 PAGES = ("api.md", "extension_api.md")
-API = [name for page in PAGES for name in re.findall(r"^::: ([\w.]+)$", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.M)]
+LISTED = re.compile(r"^::: ([\w.]+)$(?:\n    options:\n      members: \[(.*)\])?", re.M)
+API = {
+    module: members.split(", ") if members else None
+    for page in PAGES
+    for module, members in LISTED.findall((ROOT / "docs" / page).read_text(encoding="utf-8"))
+}
+"""Modules of the public API, and what they promise: all (None), or the named classes and functions."""
 
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -135,9 +141,11 @@ def returns(definition: Definition) -> bool:
     return hint is not None and not (isinstance(hint, ast.Constant) and hint.value is None)
 
 
-def public(name: str) -> bool:
-    """Whether a file is a module of the public API."""
-    return name.removesuffix(".py").removesuffix("/__init__").replace("/", ".") in API
+def public(name: str, definition: Definition) -> bool:
+    """Whether a definition of a file belongs to the public API."""
+    module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    members = API.get(module, [])
+    return members is None or (definition.owner or definition.node).name in members
 
 
 def faults(name: str) -> list[str]:
@@ -152,7 +160,7 @@ def faults(name: str) -> list[str]:
             continue
         first = text.split()[0].rstrip(".,:")
         found += [f"{where}: its title begins with {first}"] * (first in QUESTIONS)
-        if not public(name):
+        if not public(name, definition):
             continue
         context = text + (ast.get_docstring(definition.owner) or "" if definition.owner else "")
         due = [] if exempt(definition) else definition.parameters  # an override's are those of what it overrides
@@ -192,10 +200,20 @@ def test_a_parameter_without_a_word_is_found(tmp_path, monkeypatch):
     path = tmp_path / "module.py"
     path.write_text('"""A module."""\ndef f(u):\n    """Twice a number."""\n', encoding="utf-8")
     monkeypatch.setitem(SOURCES, "public.py", path)
-    monkeypatch.setattr(f"{__name__}.API", ["public"])
+    monkeypatch.setitem(API, "public", None)
     assert faults("public.py") == ["2: f: u not named", "2: f: no section Parameters"]
 
 
 def test_the_public_api_is_there():
-    names = {name.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for name in SOURCES}
-    assert len(API) > 15 and set(API) <= names
+    names = {name.removesuffix(".py").removesuffix("/__init__").replace("/", "."): name for name in SOURCES}
+    assert len(API) > 15 and set(API) <= set(names)
+    for module, members in API.items():
+        assert set(members or ()) <= {each.name for each in definitions(names[module])}, module
+
+
+def test_what_a_page_does_not_list_may_have_one_sentence(tmp_path, monkeypatch):
+    path = tmp_path / "module.py"
+    path.write_text('"""A module."""\ndef f(u):\n    """Twice a number."""\n', encoding="utf-8")
+    monkeypatch.setitem(SOURCES, "public.py", path)
+    monkeypatch.setitem(API, "public", ["g"])
+    assert not faults("public.py")

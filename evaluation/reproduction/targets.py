@@ -66,7 +66,7 @@ class Rows:
         self.targets.append(Target(f"{claim}: {name}" if claim else name, value, bound, unit, at_least, cause, origin))
 
     def lower(self, table: str, case: str, quantity: str) -> dict[str, float]:
-        """How much lower a quantity is with each composite than with the traditional one, %."""
+        """Reduction of a quantity with each composite against the traditional one, %."""
         names = (*STATED, OWN_LOOP)
         return {name: self.value(table, case, mhl_tables.against_traditional(name), f"{quantity} lower by") for name in names}
 

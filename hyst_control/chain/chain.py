@@ -51,25 +51,7 @@ class Chain:
 
 
 def resolved(stages: Sequence[Stage], axes: int) -> tuple[Stage, ...]:
-    """The stages with every modifier applied to those before it.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    axes
-        Number of axes.
-
-    Returns
-    -------
-    tuple of Stage
-        Stages without modifiers.
-
-    Raises
-    ------
-    InputError
-        A modifier finds nothing to change.
-    """
+    """The stages, in signal order, with every modifier applied to those before it."""
     result: tuple[Stage, ...] = ()
     for stage in stages:
         result = stage.applied(result, axes) if isinstance(stage, Modifier) else (*result, stage)
@@ -180,40 +162,14 @@ class Parallel(Stage):
 
 
 def at_rest(stages: Sequence[Stage], signal: Array) -> Array:
-    """Output of stages in a row without rates, delays and dynamics.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    signal
-        (N, A), every value of which is held until all has settled, from rest at 0.
-
-    Returns
-    -------
-    ndarray
-        (N, A).
-    """
+    """Output of stages in a row without rates, delays and dynamics: every value is held until all has settled, from rest at 0."""
     for stage in stages:
         signal = stage.at_rest(signal)
     return signal
 
 
 def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
-    """A filter for stages that are arranged already.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    sampling
-        Clock of the first of them.
-
-    Returns
-    -------
-    Filter
-        Not yet settled.
-    """
+    """A filter for stages that are arranged already, not yet settled; the clock is that of the first of them."""
     filters: list[Filter] = []
     for piece in pieces(stages):
         running = started_link(link_of(piece, sampling))
@@ -223,18 +179,7 @@ def started(stages: Sequence[Stage], sampling: Sampling) -> Filter:
 
 
 def pieces(stages: Sequence[Stage]) -> list[Piece]:
-    """Cut stages that are arranged already where one filter ends and the next one begins.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-
-    Returns
-    -------
-    list of Piece
-        In signal order.
-    """
+    """Cut stages that are arranged already where one filter ends and the next one begins."""
     runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
     return [
         (tuple(piece), linear and number + 1 < len(runs))
@@ -244,37 +189,13 @@ def pieces(stages: Sequence[Stage]) -> list[Piece]:
 
 
 def link_of(piece: Piece, sampling: Sampling) -> Link:
-    """Tell all that the filter of a piece is made of.
-
-    Parameters
-    ----------
-    piece
-        Of a chain.
-    sampling
-        Clock of the signal that enters.
-
-    Returns
-    -------
-    Link
-        Equal for pieces that need the same filter.
-    """
+    """Tell all that the filter of a piece is made of: equal for pieces that need the same filter."""
     stages, followed = piece
     return stages, followed and sampling.hold == "zoh" and _averaged(stages), sampling
 
 
 def started_link(link: Link) -> Filter:
-    """Start the filter of a link.
-
-    Parameters
-    ----------
-    link
-        Of a chain.
-
-    Returns
-    -------
-    Filter
-        Not yet settled.
-    """
+    """Start the filter of a link, not yet settled."""
     stages, averaged, sampling = link
     if _in_linear_run(stages[0]):
         return linear_filter(list(stages), sampling, averaged)
@@ -284,20 +205,7 @@ def started_link(link: Link) -> Filter:
 
 
 def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:
-    """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them.
-
-    Parameters
-    ----------
-    stages
-        In signal order.
-    hold
-        Of the signal that enters.
-
-    Returns
-    -------
-    tuple of Stage
-        Stages with the same output.
-    """
+    """The same chain with its delays where a linear stage carries them, and linear stages inside the branches before them."""
     placed = _place_delays(stages)
     return _distribute(_pass_bends(placed) if hold == "zoh" else placed)
 

@@ -297,20 +297,7 @@ def _damped(fixed: Complex, limits: Limits) -> bool:
 
 
 def controller_response(law: PI, z: Complex) -> Complex:
-    """Response of the feedback from the error to the command.
-
-    Parameters
-    ----------
-    law
-        Law of the feedback.
-    z
-        Points (F,) of the z plane.
-
-    Returns
-    -------
-    Complex
-        Response (F,), V per measurement unit.
-    """
+    """Response (F,) of the feedback from the error to the command at points of the z plane, V per measurement unit."""
     before, beside = law_sections(law)
     passed = np.prod([np.ones_like(z), *(response(section, z) for section in before)], axis=0)
     return np.asarray(passed * np.sum([response(section, z) for section in beside], axis=0))
@@ -319,27 +306,9 @@ def controller_response(law: PI, z: Complex) -> Complex:
 def spread_responses(
     model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
 ) -> Complex:
-    """Responses of a model at the ends of the spreads of its gain and of its first resonance.
+    """Responses (cases · A, F) of every axis at points of the z plane, the nominal model first, measurement unit per V.
 
-    Parameters
-    ----------
-    model
-        Model of the plant.
-    sample_time
-        Sample time, s.
-    loop_delay
-        Further delay of the loop, ticks.
-    gain_spread
-        Relative spread of the gain.
-    mode_spread
-        Relative spread of the first resonance's frequency.
-    z
-        Points (F,) of the z plane.
-
-    Returns
-    -------
-    Complex
-        Responses (cases · A, F) of every axis, the nominal model first, measurement unit per V.
+    The others are at the ends of the relative spreads of the gain and of the first resonance's frequency.
     """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)

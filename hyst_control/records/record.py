@@ -25,18 +25,7 @@ TOPICS = ("command", "measurement")
 
 
 def axis_names(count: int) -> tuple[str, ...]:
-    """Default names of axes: x, y, z, or a0, a1, … where there are more than names.
-
-    Parameters
-    ----------
-    count
-        Number of axes.
-
-    Returns
-    -------
-    tuple[str, ...]
-        Names (count,).
-    """
+    """Default names of axes: x, y, z, or a0, a1, … where there are more than names."""
     return AXES[:count] if count <= len(AXES) else tuple(f"a{i}" for i in range(count))
 
 
@@ -48,20 +37,7 @@ LATEST_TIME = 9e9
 
 
 def check_times(where: str, time: Array) -> None:
-    """Check that sample times are finite and no later than a clock can show.
-
-    Parameters
-    ----------
-    where
-        Beginning of the error's text, such as the name of the file.
-    time
-        Sample times (N,), s.
-
-    Raises
-    ------
-    InputError
-        A time is not finite or lies beyond `LATEST_TIME`.
-    """
+    """Check that sample times are finite and no later than a clock can show; `where` begins the message."""
     if not all(np.isfinite(time[part]).all() for part in blocks(len(time))):
         raise InputError(f"{where}: the time column holds NaN or infinity: record again")
     if len(time) and (time.max() > LATEST_TIME or time.min() < -LATEST_TIME):
@@ -76,20 +52,7 @@ spread evenly over the record.
 
 
 def increasing(values: Array | Integers, equal: bool = False) -> bool:
-    """Report whether values increase from each to the next, block by block.
-
-    Parameters
-    ----------
-    values
-        Numbers (N,).
-    equal
-        True to allow equal neighbors.
-
-    Returns
-    -------
-    bool
-        True where they do.
-    """
+    """Report whether values increase from each to the next, or are `equal` to it where that is allowed, block by block."""
     compare = np.greater_equal if equal else np.greater
     return all(
         bool(compare(values[part.start + 1 : part.stop + 1], values[part.start : part.stop][: len(values) - part.start - 1]).all())
@@ -98,20 +61,7 @@ def increasing(values: Array | Integers, equal: bool = False) -> bool:
 
 
 def commonest_step(time: Array, steps: int = STEPS_LOOKED_AT) -> float:
-    """Median step of sample times; of very many, that of stretches spread evenly over them.
-
-    Parameters
-    ----------
-    time
-        Sample times (N,), s, at least two.
-    steps
-        Steps from which it is taken at most.
-
-    Returns
-    -------
-    float
-        Step, s.
-    """
+    """Median step of two or more sample times, s; of very many, that of stretches spread evenly over them."""
     if len(time) <= steps + 1:
         return float(np.median(np.diff(time)))
     size = steps // 64
@@ -151,20 +101,7 @@ class Signal:
 
 
 def regular_times(count: int, step: float) -> Array:
-    """Compute equally spaced sample times from 0.
-
-    Parameters
-    ----------
-    count
-        Number of samples.
-    step
-        Sample time, s.
-
-    Returns
-    -------
-    ndarray
-        Times (count,), s; on a file where they are many.
-    """
+    """Compute equally spaced sample times from 0, s; on a file where they are many."""
     time = empty_rows(count)
     for part in blocks(count):
         time[part] = np.arange(part.start, part.stop) * step

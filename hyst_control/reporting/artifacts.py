@@ -63,16 +63,6 @@ def file_description(path: str | Path) -> dict[str, Any]:
 
     A folder's hash is that of its files' names and hashes, in the names' order: for every file a line "SHA-256  NAME", as sha256sum
     prints it.
-
-    Parameters
-    ----------
-    path
-        File or folder.
-
-    Returns
-    -------
-    dict[str, Any]
-        The description, JSON types.
     """
     path = Path(path)
     if not path.is_dir():

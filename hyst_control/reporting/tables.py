@@ -154,22 +154,7 @@ class Table:
 
 
 def aligned(headers: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[str] = ()) -> list[str]:
-    """Format a table with columns as wide as their widest cell.
-
-    Parameters
-    ----------
-    headers
-        Headers of the columns.
-    rows
-        Rows, each as long as the headers.
-    right
-        Headers of the columns that are flush right.
-
-    Returns
-    -------
-    list[str]
-        Lines of text.
-    """
+    """Lines of a table with columns as wide as their widest cell; those whose headers are in `right` are flush right."""
     widths = [max(len(header), *(len(row[i]) for row in rows), 0) for i, header in enumerate(headers)]
 
     def line(cells: Sequence[str]) -> str:

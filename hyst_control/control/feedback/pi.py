@@ -85,18 +85,7 @@ NUMBERS = tuple(field.name for field in fields(PI) if field.name != "filters")
 
 
 def constants_of(description: PI) -> Array:
-    """Constants of the law.
-
-    Parameters
-    ----------
-    description
-        Description of the controller.
-
-    Returns
-    -------
-    Array
-        (7,): kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off.
-    """
+    """Constants (7,) of the law: kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off."""
     tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
     share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
     return np.array(

@@ -211,18 +211,7 @@ def _mhl(model: Model, design: Design) -> Compensator:
 
 
 def model_rate_filter(model: Model) -> tuple[float, ...] | None:
-    """Denominator of N(s) for a model: a low-pass of second order below its first resonance.
-
-    Parameters
-    ----------
-    model
-        Model of the plant.
-
-    Returns
-    -------
-    tuple[float, ...] or None
-        Denominator, descending powers of s; None for a model without a resonance.
-    """
+    """Denominator of N(s), descending powers of s: a low-pass of second order below the first resonance; None without one."""
     from hyst_control.control.linearization import first_mode  # here, not above: it imports more of scipy than a node needs
 
     before, _, after = split(model)
@@ -281,25 +270,7 @@ KINDS: Registry[Builder] = Registry(
 
 
 def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Lower and upper limit of the drive.
-
-    Parameters
-    ----------
-    model
-        Model whose valid command range is the default.
-    limits
-        Lower and upper limit, V, one value or (A,); None for the model's.
-
-    Returns
-    -------
-    Array
-        Limits (2, A), V: the lower ones, then the upper ones.
-
-    Raises
-    ------
-    InputError
-        Neither the limits nor the model give a range, or a lower limit is not below its upper one.
-    """
+    """Lower and upper limits (2, A) of the drive, V: those given, or the model's valid command range."""
     given = limits if limits is not None else model.valid.get("command")
     if given is None:
         raise InputError("limits: the model says no valid command range: give the drive's rating, lower and upper in V")
@@ -312,24 +283,9 @@ def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Ar
 
 
 def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
-    """Split a model's chain at its hysteresis; delays go to a linear side.
+    """Split a model's chain at its hysteresis: stages before it, itself or None, stages after it; delays go to a linear side.
 
     Quantization and limits, which have no inverse that a feedforward could use, are left out.
-
-    Parameters
-    ----------
-    model
-        Model with one hysteresis at most.
-
-    Returns
-    -------
-    tuple[list[Stage], Stage | None, list[Stage]]
-        Linear stages before the hysteresis, the hysteresis or None, and linear stages after it.
-
-    Raises
-    ------
-    InputError
-        The chain has a second hysteresis, or a stage without an inverse.
     """
     delays = [stage for stage in model.chain.stages if isinstance(stage, Delay)]
     sides: tuple[list[Stage], list[Stage]] = ([], [])
@@ -353,29 +309,7 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
 
 
 def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discretisation: str) -> tuple[list[Stage], int]:
-    """Inverse of linear stages, gains and offsets.
-
-    Parameters
-    ----------
-    side
-        Stages in the order of the chain.
-    sampling
-        Sample time and number of axes A.
-    method
-        Inverse of the dynamics: "zpetc", "zmetc", "npz_ignore" or "none" (static gain only).
-    discretisation
-        "zoh" or "tustin".
-
-    Returns
-    -------
-    tuple[list[Stage], int]
-        Stages of the inverse, and the number of ticks that they look ahead.
-
-    Raises
-    ------
-    InputError
-        A gain is 0, so that the command does not reach the output.
-    """
+    """Inverse of linear stages, gains and offsets, and the ticks that it looks ahead."""
     axes = sampling.axes
     linear = [stage for stage in side if isinstance(stage, (LinearStage, Delay))]
     static = [stage for stage in side if isinstance(stage, (Gain, Offset))]
@@ -403,34 +337,9 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
 def core_inverse(
     core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array, iterations: int | None
 ) -> list[Stage]:
-    """Inverse of the hysteresis of a model.
+    """Inverse of the hysteresis of a model; no stages where there is none.
 
-    Parameters
-    ----------
-    core
-        Hysteresis, None for a model without one.
-    after
-        Linear stages that follow it in the model.
-    kind
-        One of `KINDS`.
-    sampling
-        Sample time and number of axes A.
-    drive
-        Limits (2, A) of its input, V.
-    needed
-        Value (A,) up to which it must be invertible, V.
-    iterations
-        Steps per sample or passes, as for `build_compensator`; None for the default of the kind.
-
-    Returns
-    -------
-    list[Stage]
-        Stages of the inverse; none where there is no hysteresis to invert.
-
-    Raises
-    ------
-    InputError
-        The kind does not fit the hysteresis.
+    drive: limits of its input, V, which must be invertible up to `needed`; after: linear stages that follow it in the model.
     """
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)
@@ -453,27 +362,7 @@ def core_inverse(
 
 
 def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive: Array, needed: Array) -> Array:
-    """Part of the drive over which the output rises with the command, 0 < dY/du.
-
-    Parameters
-    ----------
-    core
-        Hysteresis.
-    drive
-        Limits (2, A) of its input, V.
-    needed
-        Value (A,) up to which it must be invertible, V.
-
-    Returns
-    -------
-    Array
-        Limits (2, A) of the invertible part, V.
-
-    Raises
-    ------
-    InputError
-        The invertible part ends below `needed`.
-    """
+    """Limits (2, A) of the drive, V, over which the output rises with the command, 0 < dY/du: at least up to `needed`."""
     axes = drive.shape[1]
     coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
     operators = play_filter(core, Sampling(1.0, axes))
@@ -512,30 +401,8 @@ def mhl_stages(
 ) -> list[Stage]:
     """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves.
 
-    Parameters
-    ----------
-    model
-        Model of the plant.
-    kind
-        "mhl", or "mhl_static" for H_S^-1 alone.
-    inverse_model
-        Model from the measurement to V; None to invert the curves of `model`.
-    rate_filter
-        Denominator of N(s), descending powers of s; None for no filter.
-    tustin
-        Sampling with which N(s) Ψ' is discretized by Tustin's rule; None for the exact discretization.
-    smoothing
-        Order of an N without phase, with an `inverse_model` (`mhl_inverse.composite`); 0 for none.
-
-    Returns
-    -------
-    list[Stage]
-        Stages from the reference to the command.
-
-    Raises
-    ------
-    InputError
-        The model has no Madelung stage.
+    kind: "mhl", or "mhl_static" for H_S^-1 alone; tustin: sampling with which Tustin's rule discretizes N(s) Ψ', exactly where None;
+    smoothing: order of an N without phase, with an `inverse_model` (`mhl_inverse.composite`).
     """
     axes = len(model.axes)
     if inverse_model is not None:
