@@ -183,7 +183,7 @@ class PlainPlant(PlainNode):
 
     def publish_diagnostics(self) -> None:
         """Publish the diagnostics."""
-        values = {"ticks": self.count if self.timed else self.rounds, "commands": self.rounds}
+        values: dict[str, Any] = {"ticks": self.count if self.timed else self.rounds, "commands": self.rounds}
         values |= {**self.latency.entries("loop latency"), **self.intervals.entries("period")}
         entries = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[DiagnosticStatus(name="plain_plant: loop", values=entries)])

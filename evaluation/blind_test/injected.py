@@ -57,8 +57,8 @@ def made(case: Case) -> Made:
     effects = tuple({**effect, "strength": strength} for effect, strength in zip(case.effects, strengths, strict=True))
     others = [(other.command, other.measurement) for other in beside if other is not None]
     named = {case.name: (command, measurement), **{f"clean {number}": other for number, other in enumerate(others)}}
-    new, *clean = (sampled_record(name, *rows, step, machine.axes, "um") for name, rows in named.items())
-    return Made(new, model, label, effects, tuple(clean), machine.warm_up)
+    new, *baseline = (sampled_record(name, *rows, step, machine.axes, "um") for name, rows in named.items())
+    return Made(new, model, label, effects, tuple(baseline), machine.warm_up)
 
 
 def accepted(name: str, one_frequency: bool) -> set[str]:

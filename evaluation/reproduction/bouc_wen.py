@@ -84,7 +84,7 @@ def load() -> tuple[Array, list[Test]]:
     for name, samples in (("multisine_train", 5 * PERIOD), ("multisine_test", PERIOD), ("sinesweep_test", 153_000)):
         found.append(read_array(folder / f"{name}.npy", samples, 2) * np.array([1.0, 1e6]))
     train, multisine, sweep = found
-    tests = [Test("multisine", *multisine.T, periodic=True), Test("sine sweep", *sweep.T, periodic=False)]
+    tests = [Test("multisine", multisine[:, 0], multisine[:, 1], True), Test("sine sweep", sweep[:, 0], sweep[:, 1], False)]
     return train.reshape(5, PERIOD, 2), tests
 
 
@@ -142,7 +142,7 @@ def report(
         table.add(ERRORS, test.name, subject, "rms_error_level", "dB re 1 m", 20.0 * np.log10(error))
         table.add(ERRORS, test.name, subject, "relative_error", "% of rms", 1e8 * error / rms)
     mean = periods[1:].mean(axis=0)
-    trained = Test("multisine_train", *mean.T, periodic=True)
+    trained = Test("multisine_train", mean[:, 0], mean[:, 1], periodic=True)
     table.add(ERRORS, trained.name, subject, "rms_error", "m", error_of(fit.model, trained))
     noise = 1e-6 * float(np.std(periods[1:, :, 1] - mean[:, 1], ddof=0)) / np.sqrt(3.0)
     table.add(ERRORS, trained.name, subject, "noise_of_the_mean_period", "m", noise)

@@ -209,12 +209,12 @@ def run(figures: str | None = None) -> Table:
     report_nonparametric(table, levels)
     of_all = mirror.model_of(linear.model, "fsm_linear", max(level.largest for level in levels))
     report_one(table, levels, "linear", of_all, linear.model.states, linear.model.parameters, linear.seconds)
-    candidates = []
+    scored = []
     for subject, found in zip(("softening modes", *(law.name for law in LAWS)), (mean, *forced), strict=True):
         model = softening_model(found, levels)
         selected = report_one(table, levels, subject, model, states_of(found), found.parameters, found.seconds)
-        candidates.append((selected, subject, model))
-    selected, subject, chosen = min(candidates, key=lambda each: each[0])
+        scored.append((selected, subject, model))
+    selected, subject, chosen = min(scored, key=lambda each: each[0])
     table.add(ALL, "all", f"chosen on realization 5: {subject}", "relative_error_select", "% of rms", selected, n=1)
     report_rms(table, levels, chosen)
     report_shares(table, levels, chosen)

@@ -65,8 +65,8 @@ def phase_lags(table: Table, model: Model, data: Record, places: Sequence[Place]
     """
     frequencies = [place.frequency for place in places]
     driven = [(data.measurement[place.rows, 0], data.command[place.rows, 0], place.frequency) for place in places]
-    lags = {
-        "LTI model": -np.degrees(np.angle(response(model, np.array(frequencies)))),
+    lags: dict[str, Sequence[float]] = {
+        "LTI model": list(-np.degrees(np.angle(response(model, np.array(frequencies))))),
         "actuator": [lag(*each, data.sample_time) for each in driven],
     }
     for index, frequency in list(enumerate(frequencies))[1:]:

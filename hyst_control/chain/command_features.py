@@ -100,21 +100,20 @@ FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)
 SIZES = {"PLAY_COUNT": len(PLAYS), "LAG_COUNT": len(LAGS), "CREEP_COUNT": len(CREEPS), "FIRST_PLAY": FIRST_PLAY}
 FEATURES_IN_C = c_texts(__file__, **SIZES, MIN_REVERSAL=MIN_REVERSAL)["FEATURES_IN_C"]
 
+Constants = tuple[Integers, Array, Array]
+"""Lags, half widths of the play operators, and what the low-passes keep in a tick."""
+Past = tuple[Annotated[Array, "L"], Integers]
+"""Ring of past commands, and the place of the newest."""
+Memory = tuple[Annotated[Array, "3"], Array, Array]
+"""Turning point, play operators, low-passes."""
+
 
 @njit(cache=True, error_model="numpy")
 def features_of_tick(
-    ring: Annotated[Array, "L"],
-    now: int,
-    rate: float,
-    lags: Integers,
-    half_widths: Array,
-    keeps: Array,
-    turning: Annotated[Array, "3"],
-    plays: Array,
-    slow: Array,
-    features: Annotated[Array, "F"],
+    ring: Annotated[Array, "L"], now: int, rate: float, constants: Constants, memory: Memory, features: Annotated[Array, "F"]
 ) -> None:
     """Advance the memories by one tick and compute its features."""
+    (lags, half_widths, keeps), (turning, plays, slow) = constants, memory
     length = ring.size
     u = ring[now % length]
     turn, extreme, rising = turning[0], turning[1], turning[2]
@@ -154,19 +153,10 @@ def feature_memory(axes: int, length: int) -> dict[str, Member]:
 
 @njit(cache=True, error_model="numpy")
 def feature_rows(
-    command: Annotated[Array, "N"],
-    rate: Annotated[Array, "N"],
-    crossing: float,
-    ticks: Integers,
-    half_widths: Array,
-    keeps: Array,
-    ring: Annotated[Array, "L"],
-    position: Integers,
-    turning: Array,
-    plays: Array,
-    slow: Array,
+    command: Annotated[Array, "N"], rate: Annotated[Array, "N"], crossing: float, constants: Constants, past: Past, memory: Memory
 ) -> Array:
     """Features (N, F) of successive ticks of one axis."""
+    (ticks, half_widths, keeps), (ring, position) = constants, past
     length = ring.size
     rows = np.empty((command.size, FEATURES))
     for row in range(command.size):
@@ -174,7 +164,7 @@ def feature_rows(
         now = position[0] + length
         ring[position[0]] = command[row]
         speed = rate[row] if rate.size else (command[row] - ring[(now - ticks[0]) % length]) / crossing
-        features_of_tick(ring, now, speed, ticks[1:], half_widths, keeps, turning, plays, slow, rows[row])
+        features_of_tick(ring, now, speed, (ticks[1:], half_widths, keeps), memory, rows[row])
     return rows
 
 
@@ -204,8 +194,8 @@ class FeatureFilter:
         """Compute the features of the next samples."""
         u = (command - self.features.center) / self.features.span
         given = np.zeros(0) if rate is None else rate
-        memory = (self.ring, self.position, self.turning, self.plays, self.slow)
-        rows: Array = feature_rows(u, given, self.crossing, self.ticks, np.array(PLAYS), self.keeps, *memory)
+        constants, memory = (self.ticks, np.array(PLAYS), self.keeps), (self.turning, self.plays, self.slow)
+        rows: Array = feature_rows(u, given, self.crossing, constants, (self.ring, self.position), memory)
         return rows
 
 

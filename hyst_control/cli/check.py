@@ -22,10 +22,11 @@ READS = ("bags",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags, of this package or of others")
-    parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="BAG", help="recorded bags, of this package or of others")
+    add("--namespace", help="namespace of the topics")
+    add("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
+    add("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

@@ -23,14 +23,15 @@ JSON = "address of the page, once it is served,"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
-    parser.add_argument("--axes", nargs="+", default=["x"], help="names of the axes (default x)")
-    parser.add_argument("--unit", choices=("um", "mrad"), default="um", help="unit of reference and measurement (default um)")
-    parser.add_argument("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")
-    parser.add_argument("--namespace", default="", help="namespace of the topics")
-    parser.add_argument("--port", type=int, default=0, help="port of the page (default: a free one)")
-    parser.add_argument("--window", type=float, default=10.0, help="time that the curves cover in s (default 10)")
-    parser.add_argument("--folder", default="recordings", help="folder of the bags that the page records (default recordings)")
+    add = parser.add_argument
+    add("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
+    add("--axes", nargs="+", default=["x"], help="names of the axes (default x)")
+    add("--unit", choices=("um", "mrad"), default="um", help="unit of reference and measurement (default um)")
+    add("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")
+    add("--namespace", default="", help="namespace of the topics")
+    add("--port", type=int, default=0, help="port of the page (default: a free one)")
+    add("--window", type=float, default=10.0, help="time that the curves cover in s (default 10)")
+    add("--folder", default="recordings", help="folder of the bags that the page records (default recordings)")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -27,51 +27,48 @@ WRITES = ("report", "augmented")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
-    parser.add_argument(
-        "--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="BAG", help="recorded bags of one plant")
+    add("--model", metavar="MODEL.yaml", help="model file of the simulator; needed unless a baseline has the same command")
+    add(
         "--simulator",
         metavar="MODULE:FUNCTION",
         help="Python function in place of the model file: simulate(command, sample_time, **parameters) returns the measurement",
     )
-    parser.add_argument(
-        "--parameters", metavar="PRIOR.yaml", help="its parameters, a line each: name: [value, standard deviation, unit]"
-    )
-    parser.add_argument(
+    add("--parameters", metavar="PRIOR.yaml", help="its parameters, a line each: name: [value, standard deviation, unit]")
+    add(
         "--baseline",
         nargs="+",
         default=[],
         metavar="CLEAN",
         help="clean records of the same plant: what the model leaves on them is its discrepancy; best with the same command",
     )
-    parser.add_argument("--report", metavar="OUT.html", help="HTML page to write")
-    parser.add_argument("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
-    parser.add_argument(
+    add("--report", metavar="OUT.html", help="HTML page to write")
+    add("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
+    add(
         "--learned-residual",
         action="store_true",
         help="where no known effect explains the gap, add to that model what is left, as far as it follows the command",
     )
-    parser.add_argument(
+    add(
         "--core",
         choices=("rules", "likelihood"),
         default="rules",
         help="core that weighs the hypotheses: the tuned rules, or one likelihood of all of them (default rules)",
     )
-    parser.add_argument(
+    add(
         "--own-records",
         action="store_true",
         help="the records are those that the model was identified from: look for what it lacks, beyond the noise alone and not beyond "
         "the error that its file states",
     )
-    parser.add_argument("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
-    parser.add_argument(
+    add("--without", action="append", default=[], metavar="EFFECT", help="leave an effect out of the catalogue")
+    add(
         "--on",
         metavar="COMMAND",
         help="bag or .npy file (rows by axes, V) with the command of a future run: predict how far the gap will shrink on it",
     )
-    parser.add_argument(
+    add(
         "--warm-up",
         type=float,
         default=0.0,
@@ -79,8 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="initial part of each record that only brings the simulation into the "
         "plant's state and is not counted, for records that do not begin at rest (default 0)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
-    parser.add_argument("--no-cache", action="store_true", help="calibrate the threshold again")
+    add("--seed", type=int, default=0, help="seed of the simulated records and of the resampling (default 0)")
+    add("--no-cache", action="store_true", help="calibrate the threshold again")
     add_bag_options(parser)
 
 

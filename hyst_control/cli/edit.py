@@ -26,10 +26,11 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="bag; several are merged, with a gap of one sample between them")
-    parser.add_argument("--from", dest="begin", type=float, metavar="S", help="first sample time, s")
-    parser.add_argument("--to", dest="end", type=float, metavar="S", help="last sample time, s")
-    parser.add_argument(
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="BAG", help="bag; several are merged, with a gap of one sample between them")
+    add("--from", dest="begin", type=float, metavar="S", help="first sample time, s")
+    add("--to", dest="end", type=float, metavar="S", help="last sample time, s")
+    add(
         "--outliers",
         nargs="?",
         type=float,
@@ -37,14 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FACTOR",
         help="replace measurements this many standard deviations away from their running median (default 8)",
     )
-    parser.add_argument("--detrend", choices=("linear", "constant"), help="remove the measurement's line of best fit, or its mean")
-    parser.add_argument("--low-pass", type=float, metavar="HZ", help="corner of a low-pass without phase, of all signals")
-    parser.add_argument("--high-pass", type=float, metavar="HZ", help="corner of a high-pass without phase, of all signals")
-    parser.add_argument("--resample", type=float, metavar="HZ", help="new sample rate")
-    parser.add_argument(
-        "--output", metavar="BAG", help="bag to write, which must not exist (default: the first bag's name and _edited)"
-    )
-    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
+    add("--detrend", choices=("linear", "constant"), help="remove the measurement's line of best fit, or its mean")
+    add("--low-pass", type=float, metavar="HZ", help="corner of a low-pass without phase, of all signals")
+    add("--high-pass", type=float, metavar="HZ", help="corner of a high-pass without phase, of all signals")
+    add("--resample", type=float, metavar="HZ", help="new sample rate")
+    add("--output", metavar="BAG", help="bag to write, which must not exist (default: the first bag's name and _edited)")
+    add("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
 def run(arguments: argparse.Namespace) -> Artifacts:

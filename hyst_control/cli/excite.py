@@ -28,18 +28,19 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
-    parser.add_argument("--list", action="store_true", help="print every kind with its parameters")
-    parser.add_argument("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, otherwise a bag; it must not exist")
-    parser.add_argument("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
-    parser.add_argument(
+    add = parser.add_argument
+    add("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
+    add("--list", action="store_true", help="print every kind with its parameters")
+    add("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, otherwise a bag; it must not exist")
+    add("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
+    add(
         "--plant",
         metavar="PLANT",
         help="truth plant (a name in config/plants or a file) whose axes are used, "
         "and whose rating and slew limit bound an excitation in V",
     )
-    parser.add_argument("--axes", type=int, help="number of axes (default 1, or the plant's)")
-    parser.add_argument("--unit", default="V", help="unit: V for an excitation (default), um or mrad for a reference")
+    add("--axes", type=int, help="number of axes (default 1, or the plant's)")
+    add("--unit", default="V", help="unit: V for an excitation (default), um or mrad for a reference")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult | Kinds:

@@ -31,11 +31,12 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("source", metavar="MODEL|CONTROLLER|BAG", help="model file, file of nodes' parameters, or bag")
-    parser.add_argument("--target", choices=("c",), default="c", help="language (default c: C99)")
-    parser.add_argument("--to", choices=("mcap", "csv", "parquet", "mat"), help="of a bag: form of the file")
-    parser.add_argument("--namespace", help="of a bag: namespace of its topics, where it holds several plants")
-    parser.add_argument(
+    add = parser.add_argument
+    add("source", metavar="MODEL|CONTROLLER|BAG", help="model file, file of nodes' parameters, or bag")
+    add("--target", choices=("c",), default="c", help="language (default c: C99)")
+    add("--to", choices=("mcap", "csv", "parquet", "mat"), help="of a bag: form of the file")
+    add("--namespace", help="of a bag: namespace of its topics, where it holds several plants")
+    add(
         "--output",
         metavar="OUT",
         help="folder to write into, created where it is missing (default: the source's name and _c); of a bag, and with --fmu: file "
@@ -48,44 +49,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form.add_argument(
         "--ros2-control", action="store_true", help="of a controller: write a package with a chainable controller of ros2_control"
     )
-    parser.add_argument("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
-    parser.add_argument("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
-    parser.add_argument("--kind", help="of a model: the feedforward of this kind, such as hapi, hampi, mhl, mhl_inverse")
-    parser.add_argument("--twin", action="store_true", help="of a model: measurement minus prediction beside the running system")
-    parser.add_argument(
-        "--discrepancy", action="store_true", help="of a model: mean and standard deviation of the error that it states of itself"
-    )
-    parser.add_argument("--inverse", default="zpetc", help="with --kind: inverse of the dynamics (default zpetc)")
-    parser.add_argument("--discretisation", default="zoh", help="with --kind: of the dynamics, zoh or tustin (default zoh)")
-    parser.add_argument("--iterations", type=int, help="with --kind: of the inverse of the hysteresis (default: the kind's)")
-    parser.add_argument(
-        "--inverse-model", default="", metavar="MODEL.yaml", help="with --kind: separately identified inverse curves"
-    )
-    parser.add_argument(
+    add("--name", default="", help="prefix of everything in C (default: the model's name, or the file's)")
+    add("--real", choices=("double", "float"), default="double", help="type of the signals (default double)")
+    add("--rate", type=float, metavar="HZ", help="sample rate of a model in Hz (default: the model's)")
+    add("--kind", help="of a model: the feedforward of this kind, such as hapi, hampi, mhl, mhl_inverse")
+    add("--twin", action="store_true", help="of a model: measurement minus prediction beside the running system")
+    add("--discrepancy", action="store_true", help="of a model: mean and standard deviation of the error that it states of itself")
+    add("--inverse", default="zpetc", help="with --kind: inverse of the dynamics (default zpetc)")
+    add("--discretisation", default="zoh", help="with --kind: of the dynamics, zoh or tustin (default zoh)")
+    add("--iterations", type=int, help="with --kind: of the inverse of the hysteresis (default: the kind's)")
+    add("--inverse-model", default="", metavar="MODEL.yaml", help="with --kind: separately identified inverse curves")
+    add(
         "--rate-filter",
         type=float,
         nargs="+",
         metavar="C",
         help="with --kind mhl: denominator of N(s), s^2, s, 1; a single 0: without (default: below the model's first resonance)",
     )
-    parser.add_argument(
-        "--smoothing", type=int, default=0, help="with --kind: order of a low-pass without phase, which looks ahead"
-    )
-    parser.add_argument(
+    add("--smoothing", type=int, default=0, help="with --kind: order of a low-pass without phase, which looks ahead")
+    add(
         "--limits",
         type=float,
         nargs=2,
         metavar=("LOWER", "UPPER"),
         help="with --kind: rating of the drive in V (default: the model's)",
     )
-    parser.add_argument("--causal", action="store_true", help="with --kind: do not look ahead; the command is late")
+    add("--causal", action="store_true", help="with --kind: do not look ahead; the command is late")
     form.add_argument(
         "--plant", metavar="MODEL.yaml", help="of a controller: also a program that closes the loop against this model's simulator"
     )
-    parser.add_argument(
-        "--reference-ahead", action="store_true", help="the reference is known as far ahead as the feedforward looks"
-    )
+    add("--reference-ahead", action="store_true", help="the reference is known as far ahead as the feedforward looks")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

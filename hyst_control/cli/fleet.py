@@ -34,48 +34,39 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument(
-        "kind", choices=("identify", "validate", "diagnose", "population", "score"), help="what is computed of every record"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("kind", choices=("identify", "validate", "diagnose", "population", "score"), help="what is computed of every record")
+    add(
         "manifest",
         nargs="+",
         metavar="MANIFEST|BAG",
         help="CSV or Parquet file, or bags, or patterns of their names; population, score: folder of a study",
     )
-    parser.add_argument(
-        "--output", metavar="STUDY", help="folder of the study to write, or to take up again; population: model file"
-    )
-    parser.add_argument("--labels", metavar="LABELS.json", help="score: labels of the simulated fleet")
-    parser.add_argument("--of", metavar="UNIT", help="population: model of this unit, drawn toward the fleet's")
-    parser.add_argument("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
-    parser.add_argument(
-        "--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none"
-    )
-    parser.add_argument(
-        "--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)"
-    )
-    parser.add_argument("--family", help="identify: model family (default: the best on held-out data)")
-    parser.add_argument("--split-axes", action="store_true", help="take every axis of a record for a unit of its own")
-    parser.add_argument(
-        "--pages", action="store_true", help="diagnose: write a page of every record with a gap; the fleet's page leads there"
-    )
-    parser.add_argument(
+    add("--output", metavar="STUDY", help="folder of the study to write, or to take up again; population: model file")
+    add("--labels", metavar="LABELS.json", help="score: labels of the simulated fleet")
+    add("--of", metavar="UNIT", help="population: model of this unit, drawn toward the fleet's")
+    add("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
+    add("--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none")
+    add("--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)")
+    add("--family", help="identify: model family (default: the best on held-out data)")
+    add("--split-axes", action="store_true", help="take every axis of a record for a unit of its own")
+    add("--pages", action="store_true", help="diagnose: write a page of every record with a gap; the fleet's page leads there")
+    add(
         "--only",
         choices=("gaps", "onsets"),
         help="diagnose: try effects only on records with a gap, or only on the clearest record of every unit that changed",
     )
-    parser.add_argument(
+    add(
         "--limit",
         action="append",
         default=[],
         metavar="QUANTITY=VALUE",
         help="limit of a quantity, as gap_rms=0.3: when a unit that drifts will be there (may be repeated)",
     )
-    parser.add_argument("--workers", type=int, metavar="N", help="worker processes (default: one a core)")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="Dask scheduler, its scheduler file, or local to start one")
-    parser.add_argument("--namespace", help="namespace of the topics")
-    parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
+    add("--workers", type=int, metavar="N", help="worker processes (default: one a core)")
+    add("--cluster", metavar="ADDRESS", help="Dask scheduler, its scheduler file, or local to start one")
+    add("--namespace", help="namespace of the topics")
+    add("--unit", default="unknown", help="unit of the measurement in bags without a layout: um or mrad")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

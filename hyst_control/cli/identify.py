@@ -26,22 +26,19 @@ WRITES = ("output", "figure")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="rosbag2 directories, folders of them, or .mcap or .db3 files")
-    parser.add_argument(
-        "--model", "--family", metavar="NAME", help="model family (default: auto, the best of several on held-out data)"
-    )
-    parser.add_argument("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
-    parser.add_argument("--output", metavar="MODEL.yaml", default="model.yaml", help="model file to write (default model.yaml)")
+    add = parser.add_argument
+    add("bags", nargs="+", metavar="BAG", help="rosbag2 directories, folders of them, or .mcap or .db3 files")
+    add("--model", "--family", metavar="NAME", help="model family (default: auto, the best of several on held-out data)")
+    add("--figure", metavar="OUT.svg", help="figure of the families that auto tried, to write (.svg, .png, .pdf)")
+    add("--output", metavar="MODEL.yaml", default="model.yaml", help="model file to write (default model.yaml)")
     add_hold_and_start(parser)
-    parser.add_argument(
-        "--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them"
-    )
-    parser.add_argument(
+    add("--allow-gaps", action="store_true", help="accept records with lost samples, and use the stretches between them")
+    add(
         "--force",
         action="store_true",
         help="fit records, too, that are no measurement of their command, and write the model whatever it explains",
     )
-    parser.add_argument(
+    add(
         "--strict",
         action="store_true",
         help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",

@@ -46,13 +46,14 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("file", metavar="FILE", help="recording to convert")
-    parser.add_argument("--output", metavar="BAG", help="bag to write, which must not exist")
-    parser.add_argument("--columns", help="topic=column[unit], separated by commas")
-    parser.add_argument("--rate", type=float, help="sample rate in Hz (not for a bag, nor for a table with a column of times)")
-    parser.add_argument("--rows", default=":", help="rows as first:end, counted from 0 (default: all)")
-    parser.add_argument("--skip", type=int, default=0, metavar="N", help="lines of a text to leave out at its beginning")
-    parser.add_argument(
+    add = parser.add_argument
+    add("file", metavar="FILE", help="recording to convert")
+    add("--output", metavar="BAG", help="bag to write, which must not exist")
+    add("--columns", help="topic=column[unit], separated by commas")
+    add("--rate", type=float, help="sample rate in Hz (not for a bag, nor for a table with a column of times)")
+    add("--rows", default=":", help="rows as first:end, counted from 0 (default: all)")
+    add("--skip", type=int, default=0, metavar="N", help="lines of a text to leave out at its beginning")
+    add(
         "--resample",
         type=float,
         nargs="?",
@@ -60,14 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="interpolate irregular times, gaps and several rates, at HZ or at the file's own rate",
     )
-    parser.add_argument("--allow-gaps", action="store_true", help="accept times that pass over rows, as identify --allow-gaps does")
-    parser.add_argument(
+    add("--allow-gaps", action="store_true", help="accept times that pass over rows, as identify --allow-gaps does")
+    add(
         "--hold",
         choices=("zoh", "foh"),
         help="command between samples: zoh, held by a DAC (default, but for a bag that states it); foh, a sampled smooth source",
     )
     add_shift(parser)
-    parser.add_argument("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
+    add("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

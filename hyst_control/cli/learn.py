@@ -39,31 +39,26 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("model", metavar="MODEL.yaml", help="model file of the plant")
-    parser.add_argument("bags", nargs="*", metavar="BAG", help="bags of trials with reference, feedback and measurement")
-    parser.add_argument("--period", type=float, metavar="S", help="period of the reference in the bags")
-    parser.add_argument("--reference", nargs="+", metavar="WORD", help="one period: kind or .yaml file, and parameter=value")
-    parser.add_argument("--plant", help="truth plant that the trials run on: a name or a file (default: the model itself)")
-    parser.add_argument("--gain-error", type=float, default=0.0, help="relative change of the truth plant's gain (default 0)")
-    parser.add_argument("--rate", type=float, help="sample rate in Hz of trials that are run (default: the model's)")
-    parser.add_argument("--kp", type=float, help="gain of the feedback, V per measurement unit (default: tuned, see hyst tune)")
-    parser.add_argument("--ki", type=float, help="integral gain of the feedback, V per measurement unit and s")
-    parser.add_argument("--roll-off", type=float, default=0.0, metavar="HZ", help="of the feedback, with --kp and --ki")
-    parser.add_argument("--trials", type=int, default=6, help="trials to run at most (default 6)")
-    parser.add_argument("--settling", type=int, default=1, help="periods of a trial that are not measured (default 1)")
-    parser.add_argument("--averaged", type=int, default=2, help="periods of a trial that are (default 2)")
-    parser.add_argument("--gain", type=float, default=1.0, help="share of a correction that is applied at first (default 1)")
-    parser.add_argument(
-        "--mode-spread", type=float, default=0.0, help="of the first resonance with which no trial may lose (default 0)"
-    )
-    parser.add_argument(
-        "--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's"
-    )
-    parser.add_argument(
-        "--feedback-error", type=float, metavar="S", help="learn gain and lag from the feedback for so long, in place of trials"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the truth plant's noise (default 0)")
-    parser.add_argument("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
+    add = parser.add_argument
+    add("model", metavar="MODEL.yaml", help="model file of the plant")
+    add("bags", nargs="*", metavar="BAG", help="bags of trials with reference, feedback and measurement")
+    add("--period", type=float, metavar="S", help="period of the reference in the bags")
+    add("--reference", nargs="+", metavar="WORD", help="one period: kind or .yaml file, and parameter=value")
+    add("--plant", help="truth plant that the trials run on: a name or a file (default: the model itself)")
+    add("--gain-error", type=float, default=0.0, help="relative change of the truth plant's gain (default 0)")
+    add("--rate", type=float, help="sample rate in Hz of trials that are run (default: the model's)")
+    add("--kp", type=float, help="gain of the feedback, V per measurement unit (default: tuned, see hyst tune)")
+    add("--ki", type=float, help="integral gain of the feedback, V per measurement unit and s")
+    add("--roll-off", type=float, default=0.0, metavar="HZ", help="of the feedback, with --kp and --ki")
+    add("--trials", type=int, default=6, help="trials to run at most (default 6)")
+    add("--settling", type=int, default=1, help="periods of a trial that are not measured (default 1)")
+    add("--averaged", type=int, default=2, help="periods of a trial that are (default 2)")
+    add("--gain", type=float, default=1.0, help="share of a correction that is applied at first (default 1)")
+    add("--mode-spread", type=float, default=0.0, help="of the first resonance with which no trial may lose (default 0)")
+    add("--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's")
+    add("--feedback-error", type=float, metavar="S", help="learn gain and lag from the feedback for so long, in place of trials")
+    add("--seed", type=int, default=0, help="of the truth plant's noise (default 0)")
+    add("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

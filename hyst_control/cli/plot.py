@@ -36,9 +36,8 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument(
-        "files", nargs="+", metavar="BAG", help="recorded bags, a folder of them, or a model file (.yaml) or fit report (.json)"
-    )
+    add = parser.add_argument
+    add("files", nargs="+", metavar="BAG", help="recorded bags, a folder of them, or a model file (.yaml) or fit report (.json)")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--xy",
@@ -54,13 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     kind.add_argument(
         "--tuning", action="store_true", help="of a model: draw open loop, sensitivities and step of its tuned PI feedback"
     )
-    parser.add_argument("--color", choices=("record", "time", "frequency"), help="of --xy: what the colors tell")
-    parser.add_argument("--model", metavar="MODEL.yaml", help="model that is drawn beside the bag")
-    parser.add_argument("--signals", nargs="+", metavar="SIGNAL", help="signals to draw (default: all)")
-    parser.add_argument("--from", dest="begin", type=float, default=None, metavar="S", help="first sample time, s")
-    parser.add_argument("--to", dest="end", type=float, default=None, metavar="S", help="last sample time, s")
-    parser.add_argument("--output", metavar="FILE", help="file to write, .png, .svg, .pdf or .html (default: the bag's name, .png)")
-    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
+    add("--color", choices=("record", "time", "frequency"), help="of --xy: what the colors tell")
+    add("--model", metavar="MODEL.yaml", help="model that is drawn beside the bag")
+    add("--signals", nargs="+", metavar="SIGNAL", help="signals to draw (default: all)")
+    add("--from", dest="begin", type=float, default=None, metavar="S", help="first sample time, s")
+    add("--to", dest="end", type=float, default=None, metavar="S", help="last sample time, s")
+    add("--output", metavar="FILE", help="file to write, .png, .svg, .pdf or .html (default: the bag's name, .png)")
+    add("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

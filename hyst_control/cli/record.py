@@ -24,14 +24,15 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("--output", metavar="BAG", default="record", help="bag to write, which must not exist (default record)")
-    parser.add_argument("--topics", nargs="+", help="topics (default: the five of the loop)")
-    parser.add_argument("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
-    parser.add_argument("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")
-    parser.add_argument("--duration", type=float, help="end after this time in s")
-    parser.add_argument("--ticks", type=int, help="end after this many rows of every topic")
-    parser.add_argument("--merge", type=int, default=1, help="least number of rows stored in one message (default 1)")
-    parser.add_argument("--namespace", help="namespace of the topics")
+    add = parser.add_argument
+    add("--output", metavar="BAG", default="record", help="bag to write, which must not exist (default record)")
+    add("--topics", nargs="+", help="topics (default: the five of the loop)")
+    add("--rate", type=float, default=1000.0, help="sample rate of the signals in Hz (default 1000)")
+    add("--schedule", choices=("timer", "lockstep"), default="timer", help="schedule of the loop (default timer)")
+    add("--duration", type=float, help="end after this time in s")
+    add("--ticks", type=int, help="end after this many rows of every topic")
+    add("--merge", type=int, default=1, help="least number of rows stored in one message (default 1)")
+    add("--namespace", help="namespace of the topics")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult | int:

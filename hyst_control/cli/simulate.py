@@ -22,17 +22,14 @@ WRITES = ("output",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("model", metavar="MODEL.yaml", help="model file")
-    parser.add_argument("bag", nargs="?", metavar="BAG", help="bag whose command is used")
-    parser.add_argument(
-        "--excitation", nargs="+", metavar="WORD", help="kind of signal or .yaml file, and parameter=value (see hyst excite)"
-    )
-    parser.add_argument(
-        "--output", metavar="BAG", default="simulated", help="bag to write, which must not exist (default simulated)"
-    )
-    parser.add_argument("--rate", type=float, help="sample rate of an excitation in Hz (default: the model's)")
-    parser.add_argument("--seed", type=int, help="add the model's noise, drawn with this seed (default: no noise)")
-    parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
+    add = parser.add_argument
+    add("model", metavar="MODEL.yaml", help="model file")
+    add("bag", nargs="?", metavar="BAG", help="bag whose command is used")
+    add("--excitation", nargs="+", metavar="WORD", help="kind of signal or .yaml file, and parameter=value (see hyst excite)")
+    add("--output", metavar="BAG", default="simulated", help="bag to write, which must not exist (default simulated)")
+    add("--rate", type=float, help="sample rate of an excitation in Hz (default: the model's)")
+    add("--seed", type=int, help="add the model's noise, drawn with this seed (default: no noise)")
+    add("--namespace", help="namespace of the topics, where a bag holds several plants")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:
@@ -101,10 +98,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     made = Artifacts(
         "simulate",
         [arguments.output],
-        lines=[
-            *notes,
-            f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}",
-        ],
+        lines=[*notes, f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}"],
     )
     made.add("", "samples", "", len(commands))
     made.add("", "rate", "Hz", rate)

@@ -22,30 +22,23 @@ READS = ("model",)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
-    parser.add_argument("model", metavar="MODEL.yaml", help="model file")
-    parser.add_argument("--rate", type=float, help="sample rate of the loop in Hz (default: the model's)")
-    parser.add_argument("--gain-margin", type=float, default=6.0, metavar="DB", help="least gain margin in dB (default 6)")
-    parser.add_argument(
-        "--phase-margin", type=float, default=45.0, metavar="DEG", help="least phase margin in degrees (default 45)"
-    )
-    parser.add_argument(
-        "--peak-sensitivity", type=float, default=2.0, metavar="MS", help="greatest peak of the sensitivity (default 2)"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("model", metavar="MODEL.yaml", help="model file")
+    add("--rate", type=float, help="sample rate of the loop in Hz (default: the model's)")
+    add("--gain-margin", type=float, default=6.0, metavar="DB", help="least gain margin in dB (default 6)")
+    add("--phase-margin", type=float, default=45.0, metavar="DEG", help="least phase margin in degrees (default 45)")
+    add("--peak-sensitivity", type=float, default=2.0, metavar="MS", help="greatest peak of the sensitivity (default 2)")
+    add(
         "--loop-delay",
         type=int,
         default=0,
         metavar="TICKS",
         help="additional delay of the loop in ticks: 0 in lockstep (default), about 1 on wall-clock timers",
     )
-    parser.add_argument("--gain-spread", type=float, default=0.1, help="relative spread of the plant's gain (default 0.1)")
-    parser.add_argument(
-        "--mode-spread", type=float, default=0.2, help="relative spread of the first resonance's frequency (default 0.2)"
-    )
-    parser.add_argument(
-        "--model-error", type=float, default=0.15, help="relative error of the model's response at any frequency (default 0.15)"
-    )
-    parser.add_argument(
+    add("--gain-spread", type=float, default=0.1, help="relative spread of the plant's gain (default 0.1)")
+    add("--mode-spread", type=float, default=0.2, help="relative spread of the first resonance's frequency (default 0.2)")
+    add("--model-error", type=float, default=0.15, help="relative error of the model's response at any frequency (default 0.15)")
+    add(
         "--roll-off",
         nargs="?",
         const="auto",
@@ -54,15 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tune with a roll-off of the feedback: chosen along with the gains, or of this corner in Hz (default: none); "
         "the gains then hold only with it",
     )
-    parser.add_argument(
+    add(
         "--structure",
         choices=("pi", "pid", "notch", "damping", "auto"),
         default="pi",
         help="pi (default), with a filtered derivative, a notch or damping of the first resonance, or the best of them (auto)",
     )
-    parser.add_argument(
-        "--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well"
-    )
+    add("--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

@@ -24,11 +24,7 @@ from hyst_plant_sim.physics import load_plant
 
 
 def run_composed(
-    folder: Path,
-    reference: Annotated[Array, "N A"],
-    sample_time: float,
-    nodes: Mapping[str, Mapping[str, Any]],
-    **_streaming: int,
+    folder: Path, reference: Annotated[Array, "N A"], sample_time: float, nodes: Mapping[str, Mapping[str, Any]], **_streaming: int
 ) -> Path:
     """Compute the run that `run_processes` makes of the same parameters of the nodes; blocks and lead do not change it."""
     progress.step(f"compute {len(reference)} ticks ({folder.name})")

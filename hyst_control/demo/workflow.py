@@ -203,11 +203,7 @@ def track(
         folder,
         reference,
         SAMPLE_TIME,
-        {
-            "hampi_feedforward": feedforward,
-            "pi_feedback": feedback,
-            "plant": {"plant": plant, "seed": SEED + 1},
-        },
+        {"hampi_feedforward": feedforward, "pi_feedback": feedback, "plant": {"plant": plant, "seed": SEED + 1}},
         block=1 if closed else BLOCK,
         lead=preview + 1,
     )

@@ -42,13 +42,7 @@ class DacHold(Stage):
     step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
     phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
     rounding: ScalarPerAxis = scalar(
-        "",
-        "0 nearest, 1 down, 2 up, 3 toward zero, 4 midway",
-        default=0,
-        lower=0.0,
-        upper=4.0,
-        whole=True,
-        scatter=Scattering.NONE,
+        "", "0 nearest, 1 down, 2 up, 3 toward zero, 4 midway", default=0, lower=0.0, upper=4.0, whole=True, scatter=Scattering.NONE
     )
 
     def filter(self, sampling: Sampling) -> Filter:
@@ -94,14 +88,7 @@ class DacHoldFilter(Filter):
 
 @njit(cache=True, error_model="numpy")
 def take_and_hold(
-    block: Array,
-    count: int,
-    samples: Integers,
-    phase: Integers,
-    step: Array,
-    rounding: Integers,
-    held: Array,
-    output: Array,
+    block: Array, count: int, samples: Integers, phase: Integers, step: Array, rounding: Integers, held: Array, output: Array
 ) -> None:
     """block, output (N, A); count of samples before the block; samples, phase, step, rounding (A,); held (A,), updated."""
     for row in range(block.shape[0]):

@@ -89,10 +89,7 @@ EFFECT = Effect(
         Parameter("scaled", "", 0.0, (0.0, 1.0, 2.0), 0.0, 2.0, 1.0, told=False),
     ),
     lambda values, around: HysteresisWidth(
-        values["width"],
-        max(around.command[1] - around.command[0], 1e-300),
-        sum(around.command) / 2,
-        values.get("scaled", 0.0),
+        values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2, values.get("scaled", 0.0)
     ),
     variants=lambda around: ({"scaled": 0.0}, {"scaled": 1.0}, {"scaled": 2.0}),
     phrase="a change of the hysteresis width by {width}",

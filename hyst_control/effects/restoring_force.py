@@ -83,23 +83,19 @@ class ForceFilter(Filter):
         self.force = np.array(stage.moves) / gains
         # `rest`: state at rest for a unit input; the states that fill up a shorter system stay 0.
         self.rest: Array = np.asarray(np.linalg.solve(np.eye(n) - self.a, self.push), dtype=np.float64)
-        self.free, self.moved, self.last, self.taken = (
-            np.zeros((count, n)),
-            np.zeros((count, n)),
-            np.zeros(sampling.axes),
-            np.zeros(sampling.axes),
-        )
+        self.free, self.moved = np.zeros((count, n)), np.zeros((count, n))
+        self.last, self.taken = np.zeros(sampling.axes), np.zeros(sampling.axes)
 
     def settle(self, value: Array) -> Array:
         self.last[:] = value
-        output = np.zeros(len(self.last))
-        settle_force(self.last, self.rest, self.c, self.law, self.force, self.size, self.free, self.moved, self.taken, output)
+        output, memory = np.zeros(len(self.last)), (self.free, self.moved, self.last, self.taken)
+        settle_force(self.rest, self.c, (self.law, self.force, self.size), memory, output)
         return output
 
     def process(self, block: Array) -> Array:
-        output = np.empty_like(block)
+        output, memory = np.empty_like(block), (self.free, self.moved, self.last, self.taken)
         system = self.a, self.b, self.push, self.c, self.rate, self.direct, self.reach
-        advance_force(block, *system, self.law, self.force, self.size, self.free, self.moved, self.last, self.taken, output)
+        advance_force(block, system, (self.law, self.force, self.size), memory, output)
         return output
 
     def c_code(self) -> CCode:
@@ -170,18 +166,14 @@ def _force_of(law: int, force: float, motion: float) -> float:
 
 @njit(cache=True)
 def settle_force(
-    value: Annotated[Array, "A"],
     rest: Annotated[Array, "S n m"],
     c: Annotated[Array, "S m n"],
-    law: int,
-    force: Annotated[Array, "A"],
-    size: Annotated[Array, "A"],
-    free: Annotated[Array, "S n"],
-    moved: Annotated[Array, "S n"],
-    taken: Annotated[Array, "A"],
+    force_law: tuple[int, Array, Array],
+    memory: tuple[Array, ...],
     output: Annotated[Array, "A"],
 ) -> None:
-    """Rest at the equilibrium of a constant input with the force; friction holds where a rise from 0 has come to."""
+    """Rest at the equilibrium of the last input with the force; friction holds where a rise from 0 has come to."""
+    (law, force, size), (free, moved, value, taken) = force_law, memory
     count, n, m = rest.shape
     taken[:] = 0.0
     for s in range(count):
@@ -208,23 +200,14 @@ def settle_force(
 @njit(cache=True)
 def advance_force(
     block: Annotated[Array, "N A"],
-    a: Annotated[Array, "S n n"],
-    b: Annotated[Array, "2 S n m"],
-    push: Annotated[Array, "S n m"],
-    c: Annotated[Array, "S m n"],
-    rate: Annotated[Array, "S m n"],
-    direct: Annotated[Array, "S m m"],
-    reach: Annotated[Array, "S m"],
-    law: int,
-    force: Annotated[Array, "A"],
-    size: Annotated[Array, "A"],
-    free: Annotated[Array, "S n"],
-    moved: Annotated[Array, "S n"],
-    last: Annotated[Array, "A"],
-    taken: Annotated[Array, "A"],
+    system: tuple[Array, ...],
+    force_law: tuple[int, Array, Array],
+    memory: tuple[Array, ...],
     output: Annotated[Array, "N A"],
 ) -> None:
     """Run the mechanics under a force: that of the motion amid a step, or the friction that stops it within two steps if it can."""
+    a, b, push, c, rate, direct, reach = system
+    (law, force, size), (free, moved, last, taken) = force_law, memory
     count, n, m = push.shape
     ahead, shift = np.empty(n), np.empty(n)
     for row in range(block.shape[0]):

@@ -156,23 +156,9 @@ class ModesMovedFilter(Filter):
         return np.zeros(len(value))
 
     def process(self, block: Array) -> Array:
-        output = np.empty_like(block)
-        advance_modes_moved(
-            block,
-            self.step,
-            self.smooth,
-            self.poles,
-            self.change,
-            self.inputs,
-            self.outputs,
-            self.static,
-            self.last,
-            self.mean,
-            self.square,
-            self.whose,
-            self.state,
-            output,
-        )
+        output, system = np.empty_like(block), (self.poles, self.inputs, self.outputs, self.static)
+        memory = self.last, self.mean, self.square, self.state
+        advance_modes_moved(block, self.step, self.smooth, system, self.change, self.whose, memory, output)
         return output
 
     def c_code(self) -> CCode:
@@ -237,12 +223,7 @@ def _carried(pole: complex, step: float) -> Any:
 
 @njit(cache=True)
 def settle_modes_moved(
-    value: Annotated[Array, "A"],
-    poles: Complex,
-    inputs: Complex,
-    static: Array,
-    mean: Array,
-    state: Complex,
+    value: Annotated[Array, "A"], poles: Complex, inputs: Complex, static: Array, mean: Array, state: Complex
 ) -> None:
     """Bring the modes to rest at a constant input."""
     for o in range(len(value)):
@@ -262,19 +243,14 @@ def advance_modes_moved(
     block: Annotated[Array, "N A"],
     step: float,
     smooth: float,
-    poles: Complex,
+    system: tuple[Complex, Complex, Complex, Array],
     change: Annotated[Array, "M"],
-    inputs: Complex,
-    outputs: Complex,
-    static: Array,
-    last: Annotated[Array, "A"],
-    mean: Annotated[Array, "A"],
-    square: Annotated[Array, "A"],
     whose: Integers,
-    state: Complex,
+    memory: tuple[Array, Array, Array, Complex],
     output: Annotated[Array, "N A"],
 ) -> None:
     """Run the equations of `SofteningModes` over a block."""
+    (poles, inputs, outputs, static), (last, mean, square, state) = system, memory
     modes, axes, shared = len(poles), block.shape[1], block.shape[1] // len(square)
     held = np.isnan(last[0])
     drive, roots = np.empty(axes), np.empty(len(square))

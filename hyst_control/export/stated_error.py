@@ -60,9 +60,8 @@ def stated_errors(command: Annotated[Array, "N A"], constants: Constants, state:
             ring[axis, position[0]] = (command[row, axis] - scale[axis, 0]) / scale[axis, 1]
             now, width = position[0] + length - ticks[axis, 0], ticks[axis, 1]
             rate = (ring[axis, (now + width) % length] - ring[axis, (now - width) % length]) / scale[axis, 2]
-            features_of_tick(
-                ring[axis], now, rate, ticks[axis, 2:], half_widths, keeps[axis], turning[axis], plays[axis], slow[axis], features
-            )
+            own, memory = (ticks[axis, 2:], half_widths, keeps[axis]), (turning[axis], plays[axis], slow[axis])
+            features_of_tick(ring[axis], now, rate, own, memory, features)
             total = 0.0
             for f in range(features.size):
                 features[f] -= begin[axis, f]

@@ -165,10 +165,7 @@ def _discrepancy(models: Sequence[Model]) -> dict[str, Any]:
     stated: list[Mapping[str, Any]] = [model.discrepancy for model in models if model.discrepancy]
     if not stated:
         return {}
-    found: dict[str, Any] = {
-        "version": DISCREPANCY_VERSION,
-        "rms": np.median([each["rms"] for each in stated], axis=0).tolist(),
-    }
+    found: dict[str, Any] = {"version": DISCREPANCY_VERSION, "rms": np.median([each["rms"] for each in stated], axis=0).tolist()}
     times = [each["correlation"] for each in stated if "correlation" in each]
     if times:
         found["correlation"] = float(np.median(times))

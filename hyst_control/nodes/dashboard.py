@@ -95,11 +95,7 @@ class DashboardNode(EndingNode):
         """Called once, when the loop runs and has no live view."""
         self._unserved_since = math.inf
         self._served = False
-        for topic, take in (
-            ("live", state.signals.add),
-            ("live_turn", state.set_turn),
-            ("gap", state.gap.add),
-        ):
+        for topic, take in (("live", state.signals.add), ("live_turn", state.set_turn), ("gap", state.gap.add)):
             CallbackSubscription(self, topic, self._into(take), self._state.answers.append)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.every(POLL_INTERVAL, self._poll)

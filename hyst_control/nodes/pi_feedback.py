@@ -248,11 +248,7 @@ class PiFeedback(ManagedNode):
         given = self.settings
         motion = MOTION * (given.upper - given.lower)
         return MeasurementWatch(
-            given.measurement_lower,
-            given.measurement_upper,
-            self._ticks_in(given.frozen_time),
-            motion,
-            (given.lower, given.upper),
+            given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time), motion, (given.lower, given.upper)
         )
 
     def _safety(self) -> Safety:

@@ -120,10 +120,7 @@ class Table:
             rows = [row for row in self.rows if row.table == name]
             optional = [
                 ("published", [_figure(row.published) for row in rows]),
-                (
-                    "95 %",
-                    ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows],
-                ),
+                ("95 %", ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows]),
                 ("n", ["" if row.n is None else str(row.n) for row in rows]),
                 ("limit", [_figure(row.limit.value) if row.limit else "" for row in rows]),
                 ("x limit", [_figure(row.ratio) if row.limit else "" for row in rows]),

@@ -38,10 +38,9 @@ C = c_texts(__file__)
 
 
 @njit(cache=True)
-def trial(
-    u: float, thresholds: Array, release: Array, weights: Array, w0: float, rotation: float, k: float, b: float, state: Array
-) -> tuple[float, float]:
-    """Output and slope of the model of one axis without touching its memory."""
+def trial(u: float, operators: tuple[Array, Array, Array], dynamics: tuple[float, ...], state: Array) -> tuple[float, float]:
+    """Output and slope of the model of one axis without touching its memory; dynamics: w0, rotation, k, b."""
+    (thresholds, release, weights), (w0, rotation, k, b) = operators, dynamics
     total, weighted, active, active_weight = 0.0, 0.0, 0, 0.0
     for i in range(thresholds.size):
         h = state[i]
@@ -65,19 +64,14 @@ def solve_command(
     start: float,
     lower: float,
     upper: float,
-    resolution: float,
-    thresholds: Array,
-    release: Array,
-    weights: Array,
-    w0: float,
-    rotation: float,
-    k: float,
-    b: float,
+    operators: tuple[Array, Array, Array],
+    dynamics: tuple[float, ...],
     state: Array,
 ) -> float:
     """Command in [lower, upper] nearest to `start`, in the direction of the difference, at which the output is v."""
+    resolution = 1e-13 * (upper - lower)
     u = min(max(start, lower), upper)
-    y, _ = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+    y, _ = trial(u, operators, dynamics, state)
     if y == v:
         return u
     rising = y < v
@@ -85,7 +79,7 @@ def solve_command(
     near, step = u, 64.0 * resolution
     while True:
         far = min(near + step, upper) if rising else max(near - step, lower)
-        y, _ = trial(far, thresholds, release, weights, w0, rotation, k, b, state)
+        y, _ = trial(far, operators, dynamics, state)
         if y == v:
             return far
         if (y > v) == rising:
@@ -97,7 +91,7 @@ def solve_command(
     below, above = (near, far) if rising else (far, near)
     u = 0.5 * (below + above)
     for turn in range(200):
-        y, slope = trial(u, thresholds, release, weights, w0, rotation, k, b, state)
+        y, slope = trial(u, operators, dynamics, state)
         if y == v:
             return u
         if y < v:
@@ -115,26 +109,17 @@ def solve_command(
 @njit(cache=True)
 def inverse_multiplicative(
     demand: Annotated[Array, "N A"],
-    previous: Annotated[Array, "A"],
-    rate_factor: Annotated[Array, "A"],
-    most: Annotated[Array, "A"],
-    thresholds: Annotated[Array, "A n"],
-    release: Annotated[Array, "A n"],
-    weights: Annotated[Array, "A n"],
-    w0: Annotated[Array, "A"],
-    m1: Annotated[Array, "A"],
-    m2: Annotated[Array, "A"],
-    k: Annotated[Array, "A"],
-    b: Annotated[Array, "A"],
-    lower: Annotated[Array, "A"],
-    upper: Annotated[Array, "A"],
-    gain: Annotated[Array, "A"],
+    operators: Annotated[tuple[Array, ...], "A n"],
+    coefficients: Annotated[tuple[Array, ...], "A"],
+    drive: Annotated[tuple[Array, ...], "A"],
     iterations: int,
-    state: Annotated[Array, "A"],
-    command: Annotated[Array, "A"],
+    memory: tuple[Array, ...],
     output: Annotated[Array, "N A"],
 ) -> None:
     """Commands for demands, all axes."""
+    (thresholds, release, weights), (w0, m1, m2, k, b) = operators, coefficients
+    lower, upper, gain, rate_factor, most = drive
+    state, previous, command = memory
     for row in range(demand.shape[0]):
         for axis in range(demand.shape[1]):
             v = demand[row, axis]
@@ -142,14 +127,13 @@ def inverse_multiplicative(
             previous[axis] = v
             rotation = -m1[axis] * rate if rate >= 0.0 else m2[axis] * rate
             rotation = min(max(rotation, -most[axis]), most[axis])
-            r, q, w, h = thresholds[axis], release[axis], weights[axis], state[axis]
-            u = command[axis]
+            r, q, h, u = thresholds[axis], release[axis], state[axis], command[axis]
+            plays, dynamics = (r, q, weights[axis]), (w0[axis], rotation, k[axis], b[axis])
             if iterations == 0:
-                resolution = 1e-13 * (upper[axis] - lower[axis])
-                u = solve_command(v, u, lower[axis], upper[axis], resolution, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+                u = solve_command(v, u, lower[axis], upper[axis], plays, dynamics, h)
             else:
                 for _ in range(iterations):
-                    y, _slope = trial(u, r, q, w, w0[axis], rotation, k[axis], b[axis], h)
+                    y, _slope = trial(u, plays, dynamics, h)
                     u = min(max(u + gain[axis] * (v - y), lower[axis]), upper[axis])
             for i in range(r.size):
                 h[i] = max(u - r[i], min(u + q[i], h[i]))
@@ -202,9 +186,9 @@ class InverseMultiplicativeFilter(Filter):
 
     def _run(self, block: Array, iterations: int) -> Array:
         output, operators = np.empty_like(block), (self.thresholds, self.release, self.weights)
-        demand = (block, self.previous, self.rate_factor, self.most)
-        drive = (self.lower, self.upper, self.gain)
-        inverse_multiplicative(*demand, *operators, *self.coefficients, *drive, iterations, self.state, self.command, output)
+        drive = self.lower, self.upper, self.gain, self.rate_factor, self.most
+        memory = self.state, self.previous, self.command
+        inverse_multiplicative(block, operators, self.coefficients, drive, iterations, memory, output)
         return output
 
     def c_code(self) -> CCode:
@@ -295,5 +279,5 @@ def slope_range(
     least = np.where(reached, slopes, np.inf).min(axis=(0, 2))
     greatest = float(np.where(reached, slopes, -np.inf).max())
     zero = np.zeros_like(r)
-    ends = [trial(x, r, q, w, w0, 0.0, k, b, zero)[0] for x in (lower, upper)]
+    ends = [trial(x, (r, q, w), (w0, 0.0, k, b), zero)[0] for x in (lower, upper)]
     return float(least.min()), greatest, float((ends[1] - ends[0]) / (upper - lower)), float(u[np.argmin(least)])

@@ -208,15 +208,7 @@ class Mode:
     gains: Array  # Gain at rest (p,) of every output, root mean square over the inputs
 
     @classmethod
-    def of(
-        cls,
-        pole: complex,
-        right: Complex,
-        left: Complex,
-        b: Array,
-        c: Array,
-        sample_time: float | None,
-    ) -> Mode:
+    def of(cls, pole: complex, right: Complex, left: Complex, b: Array, c: Array, sample_time: float | None) -> Mode:
         """Mode of a pole with its eigenvectors."""
         rate = pole if sample_time is None else np.log(pole + 0j) / sample_time
         size = max(abs(rate), 1e-300)

@@ -174,12 +174,7 @@ class RunningPI:
         self._previous = None
 
     def resume(
-        self,
-        command: Array,
-        reference: Array,
-        measurement: Array,
-        feedforward: Array,
-        axes: Mask | slice = slice(None),
+        self, command: Array, reference: Array, measurement: Array, feedforward: Array, axes: Mask | slice = slice(None)
     ) -> None:
         """Take over without a jump: with these inputs the next command is `command`.
 

@@ -27,11 +27,7 @@ TOPICS = ("reference", "feedback", "measurement")
 
 
 def run_trials(
-    reference: Array,
-    compensator: Compensator | None,
-    controller: RunningPI,
-    plant: Plant,
-    description: IterativeLearning,
+    reference: Array, compensator: Compensator | None, controller: RunningPI, plant: Plant, description: IterativeLearning
 ) -> tuple[RunningIterativeLearning, dict[str, Array]]:
     """Learn one period (N, A) of a reference on a plant; the learner and the signals of all trials."""
     periods = description.trials * (description.settling + description.averaged)
