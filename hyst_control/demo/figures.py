@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,25 +39,36 @@ SMALLEST = 1e-3
 """um, of the errors that are drawn, on a logarithmic scale on which the controllers differ."""
 
 
+Loops = Mapping[float, Mapping[str, tuple[Array, Array]]]
+"""By frequency and source, command and displacement of a loop."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Tracking of a reference by several controllers."""
+
+    sample_time: float
+    reference: Annotated[Array, "N 1"]
+    measured: Mapping[str, Mapping[str, Array]]  # By controller, signals (N, 1)
+    stretches: Sequence[tuple[float, int, int]]  # Frequency, begin and end of what is drawn
+
+
 def write(
     folder: Path,
     excitation: Path,
     fits: Mapping[str, Fit],
-    reference: Annotated[Array, "N 1"],
-    measured: Mapping[str, Mapping[str, Array]],
-    stretches: Sequence[tuple[float, int, int]],
+    tracked: Tracked,
     table: Table,
     gap: Mapping[str, Any],
     origins: Sequence[Origin],
 ) -> None:
     """Write `figures/*.svg` and `report.html` into the demo's folder."""
-    data = gapless_records(read_bag(excitation))[0]
-    loops = _loops(data, fits)
+    loops = _loops(gapless_records(read_bag(excitation))[0], fits)
     (folder / "figures").mkdir()
     _draw_loops(folder / "figures" / "loops.svg", loops)
-    _draw_tracking(folder / "figures" / "tracking.svg", data.sample_time, reference, measured, stretches, error=False)
-    _draw_tracking(folder / "figures" / "error.svg", data.sample_time, reference, measured, stretches, error=True)
-    report_page(loops, data.sample_time, fits, reference, measured, stretches, table, gap, origins).write(folder / "report.html")
+    _draw_tracking(folder / "figures" / "tracking.svg", tracked, error=False)
+    _draw_tracking(folder / "figures" / "error.svg", tracked, error=True)
+    report_page(loops, fits, tracked, table, gap, origins).write(folder / "report.html")
 
 
 def _loops(data: Record, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple[Array, Array]]]:
@@ -79,15 +91,7 @@ def _loops(data: Record, fits: Mapping[str, Fit]) -> dict[float, dict[str, tuple
 
 
 def report_page(
-    loops: Mapping[float, Mapping[str, tuple[Array, Array]]],
-    sample_time: float,
-    fits: Mapping[str, Fit],
-    reference: Array,
-    measured: Mapping[str, Mapping[str, Array]],
-    stretches: Sequence[tuple[float, int, int]],
-    table: Table,
-    gap: Mapping[str, Any],
-    origins: Sequence[Origin],
+    loops: Loops, fits: Mapping[str, Fit], tracked: Tracked, table: Table, gap: Mapping[str, Any], origins: Sequence[Origin]
 ) -> Page:
     """The page of a demo's results."""
     page = Page("Feedforward of a piezo stage with hysteresis", _verdict(table, gap), origins)
@@ -105,18 +109,13 @@ def report_page(
         "actuator, in hardware; the plant here is a simulation of one like it.",
     )
     page.figure(_error_figure(table), 420)
-    page.table(
-        ["frequency", *subjects, "HAPI", "HAMPI"],
-        [
-            [
-                case,
-                *(f"{values[case, subject].value:.2f}" for subject in subjects),
-                *(f"{values[case, subject].published:.2f}" for subject in ("HAPI", "HAMPI")),
-            ]
-            for case in cases
-        ],
-        groups=[("", 1), ("simulated actuator", len(subjects)), ("published, another actuator", 2)],
-    )
+    published = ("HAPI", "HAMPI")
+    rows = [
+        [case, *(f"{values[case, of].value:.2f}" for of in subjects), *(f"{values[case, of].published:.2f}" for of in published)]
+        for case in cases
+    ]
+    groups = [("", 1), ("simulated actuator", len(subjects)), ("published, another actuator", 2)]
+    page.table(["frequency", *subjects, *published], rows, groups=groups)
     page.note(
         "PI is the same feedback without a feedforward, HAMPI the feedforward without feedback. No feedforward: the reference times the "
         "model's mean gain."
@@ -125,7 +124,7 @@ def report_page(
         "Left the displacement, in the middle the size of its error on a logarithmic scale, on the right the drive voltage that each "
         "controller asks for."
     )
-    page.figure(_tracking_figure(sample_time, reference, measured, stretches), 960, 900)
+    page.figure(_tracking_figure(tracked), 960, 900)
     page.section(
         "Hysteresis at each frequency",
         "Displacement over drive, measured on the excitation record and simulated by the identified models; beneath, by how much each "
@@ -211,36 +210,26 @@ def _error_figure(table: Table) -> go.Figure:
     return figure
 
 
-def _tracking_figure(
-    sample_time: float, reference: Array, measured: Mapping[str, Mapping[str, Array]], stretches: Sequence[tuple[float, int, int]]
-) -> go.Figure:
-    figure = make_subplots(
-        rows=len(stretches),
-        cols=3,
-        horizontal_spacing=0.07,
-        vertical_spacing=0.07,
-        subplot_titles=[
-            f"{frequency:g} Hz: {what}"
-            for frequency, _, _ in stretches
-            for what in ("displacement [um]", "|error| [um]", "drive [V]")
-        ],
-    )
-    for index, (_, begin, end) in enumerate(stretches, start=1):
+def _tracking_figure(tracked: Tracked) -> go.Figure:
+    drawn = ("displacement [um]", "|error| [um]", "drive [V]")
+    titles = [f"{frequency:g} Hz: {what}" for frequency, _, _ in tracked.stretches for what in drawn]
+    spacing = {"horizontal_spacing": 0.07, "vertical_spacing": 0.07}
+    figure = make_subplots(rows=len(tracked.stretches), cols=3, subplot_titles=titles, **spacing)
+    reference = tracked.reference
+    for index, (_, begin, end) in enumerate(tracked.stretches, start=1):
         rows = slice(begin, end, max((end - begin) // MAX_POINTS, 1))
-        time = (1e3 * sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
+        time = (1e3 * tracked.sample_time * np.arange(end - begin)).astype(np.float32)[:: rows.step]
         line = {"color": PALETTE.color("reference"), "dash": "dot"}
-        name, shown = "reference", index == 1
-        figure.add_scatter(
-            x=time, y=_single(reference[rows]), name=name, legendgroup=name, showlegend=shown, line=line, row=index, col=1
-        )
-        for name, signals in measured.items():
+        look, shown = {"name": "reference", "legendgroup": "reference", "line": line}, index == 1
+        figure.add_scatter(x=time, y=_single(reference[rows]), showlegend=shown, **look, row=index, col=1)
+        for name, signals in tracked.measured.items():
             look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.3}}
             error = np.maximum(np.abs(signals["measurement"][rows] - reference[rows]), SMALLEST)
             curves = (signals["measurement"][rows], error, signals["command"][rows])
             for column, values in enumerate(curves, start=1):
                 figure.add_scatter(x=time, y=_single(values), showlegend=shown and column == 1, **look, row=index, col=column)
     figure.update_yaxes(type="log", dtick=1, col=2)
-    figure.update_xaxes(title_text="time [ms]", row=len(stretches))
+    figure.update_xaxes(title_text="time [ms]", row=len(tracked.stretches))
     figure.update_annotations(font_size=13)
     return figure
 
@@ -250,33 +239,26 @@ def _single(values: Array) -> Array:
     return values[:, 0].astype(np.float32)
 
 
-def _loop_figure(loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> go.Figure:
-    figure = make_subplots(
-        rows=2,
-        cols=len(loops),
-        shared_xaxes=True,
-        vertical_spacing=0.06,
-        subplot_titles=[f"{frequency:g} Hz" for frequency in loops],
-    )
+def _loop_figure(loops: Loops) -> go.Figure:
+    titles = [f"{frequency:g} Hz" for frequency in loops]
+    figure = make_subplots(rows=2, cols=len(loops), shared_xaxes=True, vertical_spacing=0.06, subplot_titles=titles)
     for column, sources in enumerate(loops.values(), start=1):
         _, truth = sources["measured"]
         every = slice(None, None, max(len(truth) // MAX_POINTS, 1))
         for name, (u, y) in sources.items():
             line = {"color": PALETTE.color(name), "width": 1.4, "dash": "solid" if name == "measured" else "dash"}
-            look = {"name": name, "legendgroup": name, "line": line}
+            look = {"name": name, "legendgroup": name, "line": line, "x": u[every].astype(np.float32)}
             if name != "measured":
                 error = (truth - y)[every].astype(np.float32)
-                figure.add_scatter(x=u[every].astype(np.float32), y=error, showlegend=False, **look, row=2, col=column)
-            figure.add_scatter(
-                x=u[every].astype(np.float32), y=y[every].astype(np.float32), showlegend=column == 1, **look, row=1, col=column
-            )
+                figure.add_scatter(y=error, showlegend=False, **look, row=2, col=column)
+            figure.add_scatter(y=y[every].astype(np.float32), showlegend=column == 1, **look, row=1, col=column)
     figure.update_xaxes(title_text="command [V]", row=2)
     figure.update_yaxes(title_text="displacement [um]", row=1, col=1)
     figure.update_yaxes(title_text="measured − model [um]", row=2, col=1)
     return figure
 
 
-def _draw_loops(path: Path, loops: Mapping[float, Mapping[str, tuple[Array, Array]]]) -> None:
+def _draw_loops(path: Path, loops: Loops) -> None:
     figure, axes = pyplot.subplots(1, len(loops), figsize=(3.2 * len(loops), 3.4), sharey=True, squeeze=False)
     for axis, (frequency, sources) in zip(axes[0], loops.items(), strict=True):
         for name, (u, y) in sources.items():
@@ -287,20 +269,14 @@ def _draw_loops(path: Path, loops: Mapping[float, Mapping[str, tuple[Array, Arra
     _save(figure, path)
 
 
-def _draw_tracking(
-    path: Path,
-    sample_time: float,
-    reference: Array,
-    measured: Mapping[str, Mapping[str, Array]],
-    stretches: Sequence[tuple[float, int, int]],
-    error: bool,
-) -> None:
-    figure, axes = pyplot.subplots(1, len(stretches), figsize=(3.2 * len(stretches), 3.4), squeeze=False)
-    for axis, (frequency, begin, end) in zip(axes[0], stretches, strict=True):
-        time = 1e3 * sample_time * np.arange(end - begin)
+def _draw_tracking(path: Path, tracked: Tracked, error: bool) -> None:
+    reference, count = tracked.reference, len(tracked.stretches)
+    figure, axes = pyplot.subplots(1, count, figsize=(3.2 * count, 3.4), squeeze=False)
+    for axis, (frequency, begin, end) in zip(axes[0], tracked.stretches, strict=True):
+        time = 1e3 * tracked.sample_time * np.arange(end - begin)
         if not error:
             axis.plot(time, reference[begin:end], color=PALETTE.color("reference"), linestyle=":", label="reference")
-        for name, signals in measured.items():
+        for name, signals in tracked.measured.items():
             y = signals["measurement"][begin:end, 0]
             y = np.maximum(np.abs(y - reference[begin:end, 0]), SMALLEST) if error else y
             axis.plot(time, y, color=PALETTE.color(name), linewidth=1.0, label=name)

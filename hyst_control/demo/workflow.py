@@ -121,20 +121,13 @@ def _run(work: Path, progress: Callable[[str], None], runner: Runner) -> Table:
     progress("figures and report")
     measured = {controller: aligned(bag) for controller, bag in tracked.items()}
     table = score(measured, reference, stretches)
-    demo_figures.write(
-        work,
-        bags / "excitation",
-        {name: result.fit for name, result in results.items()},
-        reference,
-        measured,
-        [(s.frequency, s.begin, s.end) for s in stretches],
-        table,
-        gap,
-        provenance(
-            [("records", sorted(bags.iterdir())), ("models", sorted(models.glob("*.yaml")))],
-            [("plant", f"{PLANT}, seed {SEED}; while tracking seed {SEED + 1}")],
-        ),
+    drawn = demo_figures.Tracked(SAMPLE_TIME, reference, measured, [(s.frequency, s.begin, s.end) for s in stretches])
+    origins = provenance(
+        [("records", sorted(bags.iterdir())), ("models", sorted(models.glob("*.yaml")))],
+        [("plant", f"{PLANT}, seed {SEED}; while tracking seed {SEED + 1}")],
     )
+    fits = {name: result.fit for name, result in results.items()}
+    demo_figures.write(work, bags / "excitation", fits, drawn, table, gap, origins)
     table.write(work / "summary.json")
     return table
 

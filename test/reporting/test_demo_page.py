@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hyst_control.demo.figures import report_page
+from hyst_control.demo.figures import Tracked, report_page
 from hyst_control.demo.workflow import CONTROLLERS, FREQUENCIES, SAMPLE_TIME, Stretch, score
 
 ROWS = 2000
@@ -50,7 +50,8 @@ def page(tmp_path_factory):
     fit = SimpleNamespace(report={"structure": ["1 mode"], "records": [{"nrmse": 0.3}], "held_out_nrmse": [0.4]})
     path = tmp_path_factory.mktemp("report") / "report.html"
     places = [(each.frequency, each.begin, each.end) for each in stretches]
-    report_page({1.0: loop, 50.0: loop}, SAMPLE_TIME, {"hampi": fit}, reference, measured, places, table, GAP, []).write(path)
+    tracked = Tracked(SAMPLE_TIME, reference, measured, places)
+    report_page({1.0: loop, 50.0: loop}, {"hampi": fit}, tracked, table, GAP, []).write(path)
     return path
 
 
