@@ -264,11 +264,7 @@ class PlantNode(ManagedNode):
                 )
         except ValueError as error:
             raise InputError(f"{name}: {error}") from None
-        if tuple(plant.axes) != self.axes or plant.units != {"command": "V", "measurement": self.unit}:
-            raise InputError(
-                f"{name}: {given.plant or given.model} has axes [{', '.join(plant.axes)}] in "
-                f"{plant.units['measurement']} of {plant.units['command']}: set the parameters axes and unit to them"
-            )
+        self.check_fits(f"{name}: {given.plant or given.model}", plant.axes, plant.units)
         found: Plant = plant
         return found
 

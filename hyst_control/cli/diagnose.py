@@ -23,6 +23,11 @@ HELP = "explain the gap between a model and recorded bags"
 JSON = "gap report"
 READS = ("bags", "model", "parameters", "baseline", "on")
 WRITES = ("report", "augmented")
+PASSED_ON = (
+    *("json", "report", "augmented", "without", "seed", "namespace", "unit", "columns", "warm_up", "on", "baseline"),
+    *("core", "own_records", "simulator", "parameters", "shift"),
+)
+"""Arguments that `diagnose_bags` takes under the same names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,29 +93,10 @@ def run(arguments: argparse.Namespace) -> int:
     from hyst_control.base import progress
     from hyst_control.diagnose.workflow import diagnose_bags
 
-    gap = diagnose_bags(
-        arguments.bags,
-        arguments.model,
-        json=arguments.json,
-        report=arguments.report,
-        augmented=arguments.augmented,
-        without=arguments.without,
-        seed=arguments.seed,
-        cache=not arguments.no_cache,
-        namespace=arguments.namespace,
-        unit=arguments.unit,
-        columns=arguments.columns,
-        progress=not arguments.quiet and sys.stderr.isatty(),
-        warm_up=arguments.warm_up,
-        on=arguments.on,
-        baseline=arguments.baseline,
-        learned_residual=arguments.learned_residual,
-        core=arguments.core,
-        own_records=arguments.own_records,
-        simulator=arguments.simulator,
-        parameters=arguments.parameters,
-        shift=arguments.shift,
-    )
+    given = {name: getattr(arguments, name) for name in PASSED_ON} | {"cache": not arguments.no_cache}
+    shows_progress = not arguments.quiet and sys.stderr.isatty()
+    residual = arguments.learned_residual
+    gap = diagnose_bags(arguments.bags, arguments.model, learned_residual=residual, progress=shows_progress, **given)
     progress.end()
     if gap.diagnosis is None:
         print(gap.words, file=sys.stderr)

@@ -22,6 +22,8 @@ HELP = "fit a model's parameters to recorded bags"
 JSON = "fit report"
 READS = ("bags",)
 WRITES = ("output", "figure")
+PASSED_ON = ("hold", "start", "allow_gaps", "force", "strict", "shift", "namespace", "unit", "columns", "figure")
+"""Arguments that `identify_bags` takes under the same names, as those of the families."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,20 +90,5 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.identify.workflow import identify_bags
 
     given = {name: getattr(arguments, name) for name in every_option()}
-    return identify_bags(
-        arguments.bags,
-        arguments.model,
-        arguments.output,
-        method=given.pop("method") or "joint",
-        hold=arguments.hold,
-        start=arguments.start,
-        allow_gaps=arguments.allow_gaps,
-        force=arguments.force,
-        strict=arguments.strict,
-        shift=arguments.shift,
-        namespace=arguments.namespace,
-        unit=arguments.unit,
-        columns=arguments.columns,
-        figure=arguments.figure,
-        **given,
-    )
+    given |= {name: getattr(arguments, name) for name in PASSED_ON}
+    return identify_bags(arguments.bags, arguments.model, arguments.output, method=given.pop("method") or "joint", **given)

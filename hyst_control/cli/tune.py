@@ -18,6 +18,9 @@ from hyst_control.reporting.result import CommandResult
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
 READS = ("model",)
+SPREADS = ("gain_spread", "mode_spread", "model_error")
+PASSED_ON = ("gain_margin", "phase_margin", "peak_sensitivity", "loop_delay", *SPREADS, "structure")
+"""Arguments that `tune` takes under the same names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,19 +72,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         roll_off = "auto" if arguments.roll_off == "auto" else float(arguments.roll_off)
     except ValueError:
         raise InputError(f"--roll-off: {arguments.roll_off!r}: give a corner in Hz, or nothing for auto") from None
-    result = tune(
-        model,
-        sample_time=1.0 / arguments.rate if arguments.rate else None,
-        gain_margin=arguments.gain_margin,
-        phase_margin=arguments.phase_margin,
-        peak_sensitivity=arguments.peak_sensitivity,
-        loop_delay=arguments.loop_delay,
-        gain_spread=arguments.gain_spread,
-        mode_spread=arguments.mode_spread,
-        model_error=arguments.model_error,
-        roll_off=roll_off,
-        structure=arguments.structure,
-    )
+    given = {name: getattr(arguments, name) for name in PASSED_ON}
+    result = tune(model, sample_time=1.0 / arguments.rate if arguments.rate else None, roll_off=roll_off, **given)
     nyquist = 0.5 / result.sample_time
     for frequency in arguments.at:
         if not 0 < frequency <= nyquist:

@@ -102,19 +102,8 @@ class FeedforwardOptions:
 
     def compensator(self, model: Model, sample_time: float) -> Compensator:
         """Compensator of a `model` at a `sample_time` in s."""
-        return build_compensator(
-            model,
-            self.kind,
-            sample_time=sample_time,
-            inverse=self.inverse,
-            discretisation=self.discretisation,
-            limits=self.limits,
-            preview=self.preview,
-            iterations=self.iterations,
-            inverse_model=load_model(self.inverse_model) if self.inverse_model else None,
-            rate_filter=self.rate_filter,
-            smoothing=self.smoothing,
-        )
+        inverse_model = load_model(self.inverse_model) if self.inverse_model else None
+        return build_compensator(model, sample_time=sample_time, **{**vars(self), "inverse_model": inverse_model})
 
 
 def is_model(path: str | Path) -> bool:

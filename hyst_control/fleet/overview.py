@@ -96,19 +96,10 @@ def overview(
     causes = find_common_causes(changed, shared_columns(done, columns), len(units), len(moments))
     whole = {name: values for name, values in series.items() if np.isfinite(values).any(axis=1).all()}
     means = np.column_stack([np.nanmean(values, axis=1) for values in whole.values()]) if whole else np.zeros((len(units), 0))
-    return Overview(
-        kind,
-        units,
-        moments,
-        series,
-        verdicts,
-        pages,
-        sorted(onsets, key=lambda onset: -onset.probability),
-        sorted(trends, key=lambda trend: -trend.probability),
-        causes,
-        influences,
-        find_outliers(units, list(whole), means),
-    )
+    onsets.sort(key=lambda onset: -onset.probability)
+    trends.sort(key=lambda trend: -trend.probability)
+    outliers = find_outliers(units, list(whole), means)
+    return Overview(kind, units, moments, series, verdicts, pages, onsets, trends, causes, influences, outliers)
 
 
 def _matters(verdicts: NDArray[np.object_]) -> bool:

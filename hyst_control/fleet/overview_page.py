@@ -164,20 +164,9 @@ def _verdict_map(found: Overview, links: _Links) -> go.Figure:
     codes = np.array([[names.index(v) if v else np.nan for v in row] for row in found.verdicts], dtype=float)
     bar = {"tickvals": list(range(len(names))), "ticktext": [name.replace("_", " ") for name in names]}
     steps = [[(index + end) / len(names), VERDICT_COLORS.get(name, OTHER)] for index, name in enumerate(names) for end in (0, 1)]
-    figure = go.Figure(
-        go.Heatmap(
-            z=codes,
-            x=found.moments,
-            y=list(found.units),
-            customdata=links.paths,
-            colorbar=bar,
-            zmin=-0.5,
-            zmax=len(names) - 0.5,
-            colorscale=steps,
-            xgap=1,
-            ygap=1,
-        )
-    )
+    figure = go.Figure()
+    colors = {"colorbar": bar, "zmin": -0.5, "zmax": len(names) - 0.5, "colorscale": steps, "xgap": 1, "ygap": 1}
+    figure.add_heatmap(z=codes, x=found.moments, y=list(found.units), customdata=links.paths, **colors)
     figure.update_xaxes(title_text="run")
     figure.update_yaxes(title_text="unit")
     return figure

@@ -66,11 +66,7 @@ class SimulatedStage(StageNode):
         if not given.model:
             raise InputError("parameter model: give a model file")
         model = load_model(given.model)
-        if tuple(model.axes) != self.axes or model.units != {"command": "V", "measurement": self.unit}:
-            raise InputError(
-                f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']} of {model.units['command']}: "
-                "set the parameters axes and unit to them"
-            )
+        self.check_fits(given.model, model.axes, model.units)
         self.converter = Converter(Simulator(model, self.period), len(self.axes), self.period, given.output_step, given.input_step)
 
     def initial_command(self) -> Array:

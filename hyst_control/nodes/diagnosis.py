@@ -75,11 +75,7 @@ class DiagnosisNode(SignalNode):
         self._model_path = Path(os.path.realpath(given.model))
         try:
             model = load_model(self._model_path)
-            if model.axes != self.axes or model.units != {"command": "V", "measurement": self.unit}:
-                raise InputError(
-                    f"{given.model} has axes [{', '.join(model.axes)}] in {model.units['measurement']} of {model.units['command']}: "
-                    "set the parameters axes and unit to them"
-                )
+            self.check_fits(given.model, model.axes, model.units)
             self._twin = LiveTwin(model, self.period)
             self._baseline = [Path(os.path.realpath(bag)) for bag in given.baseline if bag]
             stated = np.broadcast_to(np.asarray(model.noise.get("sigma", 0.0), dtype=float), len(self.axes))

@@ -151,11 +151,7 @@ class Feedforward(SignalNode):
         if not self.settings.model:
             raise InputError(f"{self.get_name()}: parameter model: give the model file to invert, or kind: proportional")
         model = load_model(self.settings.model)
-        if tuple(model.axes) != self.axes or model.units != {"command": "V", "measurement": self.unit}:
-            raise InputError(
-                f"{self.get_name()}: {self.settings.model}: has axes {', '.join(model.axes)} in "
-                f"{model.units['measurement']} of {model.units['command']}, the node {', '.join(self.axes)} in {self.unit} of V"
-            )
+        self.check_fits(f"{self.get_name()}: {self.settings.model}", model.axes, model.units)
         given = self.settings
         try:
             return build_compensator(

@@ -76,20 +76,9 @@ class Table:
 
         Arguments as its fields: table, case, subject, quantity, unit, value, published, n, ci95, limit.
         """
-        self.rows.append(
-            Row(
-                table,
-                case,
-                subject,
-                quantity,
-                unit,
-                float(value),
-                None if published is None else float(published),
-                None if n is None else int(n),
-                None if ci95 is None else (float(ci95[0]), float(ci95[1])),
-                limit,
-            )
-        )
+        known, count = None if published is None else float(published), None if n is None else int(n)
+        interval = None if ci95 is None else (float(ci95[0]), float(ci95[1]))
+        self.rows.append(Row(table, case, subject, quantity, unit, float(value), known, count, interval, limit))
 
     def value(self, case: str, subject: str, quantity: str) -> float:
         """Value of the one row with this case, subject and quantity.

@@ -88,17 +88,9 @@ def constants_of(description: PI) -> Array:
     """Constants (7,) of the law: kp, ki T, lower, upper, greatest step, share of the anti-windup, share of the roll-off."""
     tracking_time = description.tracking_time or (description.kp / description.ki if description.ki else 0.0)
     share = 0.0 if not description.ki else min(1.0, description.sample_time / tracking_time) if tracking_time else 1.0
-    return np.array(
-        [
-            description.kp,
-            description.ki * description.sample_time,
-            description.lower,
-            description.upper,
-            description.slew_limit * description.sample_time if description.slew_limit else np.inf,
-            share,
-            description.roll_off_share,
-        ]
-    )
+    gains, limits = (description.kp, description.ki * description.sample_time), (description.lower, description.upper)
+    step = description.slew_limit * description.sample_time if description.slew_limit else np.inf
+    return np.array([*gains, *limits, step, share, description.roll_off_share])
 
 
 class RunningPI:

@@ -175,19 +175,8 @@ def build_compensator(
     if smoothing < 0:
         raise InputError(f"smoothing: must be >= 0, got {smoothing}")
     bounds = drive_limits(model, limits)
-    design = Design(
-        kind,
-        float(sample_time or model.sample_time),
-        bounds,
-        inverse,
-        discretisation,
-        preview,
-        iterations,
-        inverse_model,
-        rate_filter,
-        smoothing,
-    )
-    return KINDS[kind](model, design)
+    time, how = float(sample_time or model.sample_time), (inverse, discretisation, preview, iterations)
+    return KINDS[kind](model, Design(kind, time, bounds, *how, inverse_model, rate_filter, smoothing))
 
 
 def _proportional(model: Model, design: Design) -> Compensator:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
+from hyst_control.base.errors import InputError
 from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.signal_node.common_parameters import COMMON, LOCKSTEP
 from hyst_control.nodes.signal_node.lockstep import Lockstep
@@ -103,6 +104,12 @@ class SignalNode(EndingNode):
 
     def check_change(self, values: Mapping[str, Any]) -> None:
         """Refuse values of live parameters that cannot be taken over, by an `InputError` with the reason."""
+
+    def check_fits(self, name: str, axes: Sequence[str], units: Mapping[str, str]) -> None:
+        """Refuse a model whose axes and units are not the node's."""
+        if tuple(axes) != self.axes or units != {"command": "V", "measurement": self.unit}:
+            found = f"[{', '.join(axes)}] in {units['measurement']} of {units['command']}"
+            raise InputError(f"{name} has axes {found}: set the parameters axes and unit to them")
 
     @property
     def working(self) -> bool:

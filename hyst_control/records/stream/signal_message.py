@@ -95,18 +95,7 @@ def parse_label(label: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def column_count(label: str) -> int:
-    """Number of columns that a label names, time included; one an entry where it has another form than `parse_label` reads.
-
-    Parameters
-    ----------
-    label
-        The label.
-
-    Returns
-    -------
-    int
-        The number.
-    """
+    """Number of columns that a label names, time included; one an entry where it has another form than `parse_label` reads."""
     if ".." in label:
         try:
             return len(parse_label(label)[0]) + 1
@@ -185,22 +174,7 @@ class Decoder:
 
 
 def header(label: str, rows: int, columns: int) -> bytes:
-    """Bytes before the data of a block: little-endian CDR with zero padding.
-
-    Parameters
-    ----------
-    label
-        Column label.
-    rows
-        Number of rows N.
-    columns
-        Number of columns C, time included.
-
-    Returns
-    -------
-    bytes
-        Serialized header, at whose end the data follows.
-    """
+    """Bytes before the data of a block: little-endian CDR with zero padding."""
     text = label.encode()
     parts = bytearray(b"\0\1\0\0" + struct.pack("<I", 2))  # little-endian CDR, two dimensions
     for name, size, stride in ((ROW_LABEL.encode(), rows, rows * columns), (text, columns, columns)):
