@@ -24,6 +24,7 @@ import numpy as np
 from evaluation.blind_test import injected, simulated, withheld
 from evaluation.blind_test.case import Case, Made, as_document, from_document
 from evaluation.blind_test.case_drawing import draw
+from evaluation.blind_test.effect_sizes import FILE
 from evaluation.blind_test.ideal_observer import separation
 from evaluation.blind_test.injected_machines import PLANTS, SCORING, machines_of
 from evaluation.blind_test.scores import ERROR, Result, metrics, score, table, write_results
@@ -40,16 +41,7 @@ from hyst_control.records.record import Record
 from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.tables import Table
 
-CONFUSABLE = {
-    "amplifier_lowpass": ("sensor_lowpass", "delay"),
-    "sensor_lowpass": ("amplifier_lowpass", "delay"),
-    "delay": ("amplifier_lowpass", "sensor_lowpass"),
-    "gain": ("hysteresis_width",),
-    "hysteresis_width": ("gain",),
-    "creep": ("offset_drift", "gain_drift"),
-    "offset_drift": ("creep", "gain_drift"),
-    "gain_drift": ("creep", "offset_drift"),
-}
+CONFUSABLE: tuple[tuple[str, ...], ...] = FILE["confusable"]
 """Effects of nearly the same signature, which are left out together."""
 
 MADE: dict[str, Callable[[Case], Made]] = {"simulated": simulated.made, "injected": injected.made, "withheld": withheld.made}
@@ -203,7 +195,7 @@ def _jobs(batch: Batch, absolute: bool) -> list[Job]:
         name = (case.answer.names or ("",))[0]
         if left_out and case.answer.kind == "single" and case.excitation == "rich" and EFFECTS[name].waveform:
             left_out -= 1
-            hidden = (name, *CONFUSABLE.get(name, ()))
+            hidden = (name, *(other for group in CONFUSABLE if name in group for other in group if other != name))
             jobs.append((place, str(folder / "reports_left_out" / file), hidden, batch.core))
     return [job for job in jobs if not Path(job[1]).exists()]
 

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.stats import binomtest, mannwhitneyu
 
 from evaluation.blind_test.case import VERDICTS, Case
+from evaluation.blind_test.effect_sizes import FILE
 from evaluation.blind_test.ideal_observer import ceiling
 from evaluation.blind_test.injected_machines import SIMULATED
 from hyst_control.base.files import write_text
@@ -33,14 +34,7 @@ ERROR = "error"
 PUBLISHED = ("pea_published", "fsm_published")
 """Plants whose model is right up to its coefficients."""
 
-FAMILIES = {
-    "lag": ("delay", "amplifier_lowpass", "sensor_lowpass", "slew_limit", "added_mass", "dac_hold"),
-    "hysteresis": ("hysteresis_width", "hysteresis_shape", "hysteresis_rate", "backlash"),
-    "drift": ("creep", "gain_drift", "offset_drift"),
-    "scale": ("gain", "offset", "sensor_nonlinearity", "saturation"),
-    "noise": ("sensor_noise", "flicker_noise", "quantization", "held_samples"),
-    "line": ("mains_hum", "vibration"),
-}
+FAMILIES: dict[str, tuple[str, ...]] = FILE["families"]
 """Effects of similar signature; each effect not listed is a family by itself."""
 
 OTHERWISE_DEFINED = ("vibration", "flicker_noise", "dac_hold", "sensor_nonlinearity", "hysteresis_shape")
