@@ -27,10 +27,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Chain
 from hyst_control.diagnose.workflow import diagnose_records
 from hyst_control.identify import identify
-from hyst_control.identify.modal.modal_candidate import refined
+from hyst_control.identify.modal.modal_candidate import refined, stages_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import Spectra
-from hyst_control.identify.modal.modal_stages import stages_of
 from hyst_control.identify.workflow import discrepancy, gapless_records, identify_records
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record

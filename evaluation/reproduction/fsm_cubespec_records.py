@@ -16,10 +16,9 @@ from evaluation.reproduction.softening_modes import Level as Periods
 from evaluation.reproduction.softening_modes import spectra
 from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import Chain
-from hyst_control.identify.modal.modal_candidate import Candidate, error_of
+from hyst_control.identify.modal.modal_candidate import Candidate, error_of, stages_of
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import stages_of
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record, sampled_record
 

@@ -13,7 +13,7 @@ import numpy as np
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.identify.assess.fit_report import residual
+from hyst_control.identify.assess.fit_report import error_rows, residual
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.trial_beside_model import trial_beside
@@ -24,7 +24,7 @@ from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import TOPICS, Record
 from hyst_control.records.session_zero import SHAPES, without_zero
 from hyst_control.records.stream.clock_alignment import aligned_by_reception
-from hyst_control.records.stream.row_store import blocks, largest_size, mean_square
+from hyst_control.records.stream.row_store import blocks, mean_square
 from hyst_control.records.validity.checks import examined
 from hyst_control.reporting.tables import Table
 
@@ -126,24 +126,15 @@ def add_rows(table: Table, name: str, model: Model, data: Record) -> None:
     """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude."""
     error = residual(model, data)
     skipped = len(data.command) - len(error)
-    rest, own = without_zero(error)
-    for axis, label in enumerate(data.axes):
-        where = f"{data.name} {label}" if len(data.axes) > 1 else data.name
-        span = float(data.span[axis]) or 1.0
-        e = error[:, axis]
-        rmse = float(np.sqrt(mean_square(e)))
-        for quantity, value, symbol in (
-            ("nrmse_own_zero", 100 * float(np.sqrt(mean_square(rest[:, axis]))) / span, "%"),
-            ("nrmse", 100 * rmse / span, "%"),
-            ("nrmse_centered", 100 * float(np.sqrt(mean_square(e, float(np.mean(e))))) / span, "%"),
-            *((shape, float(own[axis, degree]), data.unit) for degree, shape in enumerate(SHAPES)),
-            ("nme", 100 * largest_size(e) / span, "%"),
-            ("rmse", rmse, data.unit),
-        ):
-            table.add("validation", where, name, quantity, symbol, value, n=len(e))
+    rest, _ = without_zero(error)
+    for axis, row in enumerate(error_rows([data], [error])):
+        where = f"{data.name} {row['axis']}" if len(data.axes) > 1 else data.name
+        for quantity in ("nrmse_own_zero", "nrmse", "nrmse_centered", *SHAPES, "nme", "rmse"):
+            unit = data.unit if quantity in (*SHAPES, "rmse") else "%"
+            table.add("validation", where, name, quantity, unit, row[quantity], n=row["samples"])  # type: ignore[literal-required]
         outside = fraction_outside(model, data, axis)
         if outside > 0:
-            table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=len(e))
+            table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=row["samples"])
         for words, error_share, rows in by_motion(_motions(data, axis, rest[:, axis], skipped)):
             table.add("by frequency and amplitude", f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
 

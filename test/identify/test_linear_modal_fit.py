@@ -8,9 +8,9 @@ import pytest
 from evaluation.reproduction.periodic_fit import PeriodicProblem
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.stage import Sampling
+from hyst_control.identify.modal.modal_candidate import stages_of
 from hyst_control.identify.modal.modal_fit import Problem
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import stages_of
 
 
 def random_model(hold: str, delay: tuple[float, float], seed: int = 0) -> ModalModel:

@@ -17,17 +17,15 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
+from hyst_control.identify.data.fit_windows import short_stretches
+from hyst_control.identify.data.reversal_points import surviving_turns
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import (
     Parametrization,
-    Session,
+    SimulationError,
     bounded_step,
     constrained_minimum,
     minimize_simulation_error,
-    short_stretches,
-    simulated,
-    simulation_error,
-    surviving_turns,
 )
 
 TS = 1e-3
@@ -156,7 +154,7 @@ def test_stretches_stand_for_the_record():
     few = short_stretches([window], 8_000, 0.8, 0.4)
     assert sum(len(part.command) for part in few) < 10_000 and len(few) >= 10
     for part in ([window], few):
-        assert simulated(part, FREE, TRUTH, Session(), derivatives=False, everything=True).fitted < 1e-6
+        assert SimulationError(part, FREE).visit(TRUTH).fitted < 1e-6
 
 
 def test_the_error_over_all_rows_leaves_out_each_records_own_zero_and_drift():
@@ -169,8 +167,8 @@ def test_the_error_over_all_rows_leaves_out_each_records_own_zero_and_drift():
         windows.append(Window(command, measurement, TS, "foh", 0, group))
         error = measurement - 1.5 * command
         left += np.mean((error - np.polyval(np.polyfit(time, error, 1), time)) ** 2) / 2.0
-    assert simulation_error(windows, problem, np.array([2.0]), "linear") < 1e-12
-    assert simulation_error(windows, problem, np.array([1.5]), "linear") == pytest.approx(left, rel=1e-3)  # the drift has a prior
+    assert SimulationError(windows, problem).visit(np.array([2.0])).fitted < 1e-12
+    assert SimulationError(windows, problem).visit(np.array([1.5])).fitted == pytest.approx(left, rel=1e-3)  # the drift has a prior
 
 
 def test_a_record_that_begins_amid_a_motion_teaches_the_same():

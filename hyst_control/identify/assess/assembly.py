@@ -30,12 +30,10 @@ from hyst_control.identify.assess.fit_report import (
 )
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.initial_memory import beginning_rows
-from hyst_control.identify.solve.parameter_covariance import PRIOR, uncertainty_of
+from hyst_control.identify.solve.parameter_covariance import PRIOR, STEP, derivatives, uncertainty_of
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-STEP = 1e-6
-"""Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
 NEUTRAL: dict[type[Stage], Stage] = {
     Delay: Delay(0.0),
     TransferFunction: TransferFunction([1.0], [1.0]),
@@ -64,18 +62,13 @@ class AxisFit:
 
     def rows(self, axis: str) -> list[ParameterRow]:
         """The numbers with their standard errors, to first order in the parameters."""
-        nominal, size = self.numbers(self.vector), len(self.vector)
-        steps = STEP * (np.ones(size) if self.sizes is None else self.sizes)
-        moved = [self.numbers(self.vector + step * unit) for step, unit in zip(steps, np.eye(size), strict=True)]
-        errors = None
-        if all(len(each) == len(nominal) for each in moved):  # a number that comes or goes has no derivative
-            values = np.array([each.value for each in nominal])
-            slopes = [(np.array([each.value for each in there]) - values) / step for there, step in zip(moved, steps, strict=True)]
-            jacobian = np.array(slopes).reshape(size, len(values))
-            errors = np.sqrt(np.maximum(np.einsum("pi,pq,qi->i", jacobian, self.covariance, jacobian), 0.0))
+        nominal = self.numbers(self.vector)
+        steps = STEP * (np.ones(len(self.vector)) if self.sizes is None else self.sizes)
+        jacobian = derivatives(lambda vector: {each.name: each.value for each in self.numbers(vector)}, self.vector, steps)
+        errors = np.sqrt(np.maximum(np.einsum("ip,pq,iq->i", jacobian, self.covariance, jacobian), 0.0))
         rows: list[ParameterRow] = []
         for i, each in enumerate(nominal):
-            error = None if errors is None or not each.estimated else float(errors[i])
+            error = float(errors[i]) if each.estimated and np.isfinite(errors[i]) else None
             rows.append({"name": each.name, "value": float(each.value), "standard_error": error, "unit": each.unit, "axis": axis})
             if each.threshold is not None:
                 rows[-1]["threshold"] = each.threshold

@@ -17,7 +17,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import noise_sigma
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed
-from hyst_control.identify.modal.vector_fitting import responses_of, spread_poles, vector_fit
+from hyst_control.identify.modal.vector_fitting import driven, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
@@ -89,7 +89,7 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     causes = {
         "level": plays,
         "rate": np.column_stack([rate, np.abs(rate), rate * command, np.abs(rate) * command]),
-        "frequency": np.column_stack(responses_of(window, linear.poles)),
+        "frequency": np.column_stack(driven(window, linear.poles)),
     }
     power = float(np.var(error[rows]))
     shares = {each: 1.0 - _mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.data.record_segmentation import REST_TIME, resting_stretches, stretches_between_rests
-from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.data.reversal_points import surviving_turns, turning_points
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import rounding_weights
 from hyst_control.records.record import Beginning, Record
@@ -26,21 +26,21 @@ def whole_records(records: Sequence[Record], axis: int, *, weighted: bool = True
     """Take each record as one window; for a record of unknown start see `before`."""
     windows = []
     for group, data in enumerate(records):
-        command = column(data.command, axis)
         memory, skip = before(data)
         windows.append(
-            Window(
-                command,
-                column(data.measurement, axis),
-                data.sample_time,
-                data.hold,
-                skip,
-                group,
+            replace(
+                as_window(data, axis, group),
+                skip=skip,
                 memory=None if memory is None else column(memory, axis),
                 weight=balanced_weights(data, axis) if weighted else None,
             )
         )
     return windows
+
+
+def as_window(data: Record, axis: int, group: int) -> Window:
+    """A record from its first row, without memory."""
+    return Window(column(data.command, axis), column(data.measurement, axis), data.sample_time, data.hold, 0, group)
 
 
 def with_sign(window: Window, sign: float) -> Window:
@@ -92,6 +92,32 @@ def closed_loop(data: Record) -> bool:
     return bool(np.all(gap < 0.03 * span))
 
 
+def cut(window: Window, begins: Iterable[int], size: int, settle: float) -> list[Window]:
+    """Stretches of `size` rows of a window, with the turning points before them that still matter.
+
+    Their beginning, up to the time `settle` (s), does not count: a linear transient is over by then.
+    """
+    n, turns = len(window.command), turning_points(window.command)
+    before_it = np.zeros(1) if window.memory is None else window.memory[turning_points(window.memory)]
+    found = []
+    for begin in begins:
+        rows = slice(begin, begin + size)
+        earlier = np.concatenate([before_it, window.command[turns[turns < begin]]])
+        found.append(
+            replace(
+                window,
+                command=window.command[rows],
+                measurement=window.measurement[rows],
+                skip=min(max(int(settle / window.sample_time) if begin else 0, window.skip - begin), size - 1),
+                begin=window.begin + window.share * begin / n,
+                share=window.share * size / n,
+                memory=earlier[surviving_turns(earlier)] if begin else window.memory,
+                weight=None if window.weight is None else window.weight[rows],
+            )
+        )
+    return found
+
+
 def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list[Window]:
     """Choose short stretches that are spread evenly over the records."""
     total = sum(len(window.command) for window in windows)
@@ -105,29 +131,52 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
         if count * size >= n:
             chosen.append(window)
             continue
-        turning = turning_points(window.command)
-        for begin in np.unique(np.linspace(0, n - size, count + 1).astype(int)) if count > 1 else np.array([(n - size) // 2]):
-            end = begin + size
-            settle = 0 if begin == 0 else int(SETTLE_TIME / window.sample_time)
-            skip = min(max(settle, window.skip - begin), size - 1)
-            memory = window.command[turning[turning < begin]] if begin else None
-            if window.memory is not None:
-                earlier = window.memory[turning_points(window.memory)]
-                memory = window.memory if memory is None else np.concatenate([earlier, memory])
-            part = slice(begin, end)
-            chosen.append(
-                replace(
-                    window,
-                    command=window.command[part],
-                    measurement=window.measurement[part],
-                    skip=skip,
-                    begin=begin / n,
-                    share=size / n,
-                    memory=memory,
-                    weight=None if window.weight is None else window.weight[part],
-                )
-            )
+        begins = np.unique(np.linspace(0, n - size, count + 1).astype(int)) if count > 1 else [(n - size) // 2]
+        chosen += cut(window, begins, size, SETTLE_TIME)
     return chosen
+
+
+def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
+    """Choose at least three short stretches of every window; creeping records stay whole, but coarser (`thinned`)."""
+    if sum(len(window.command) for window in windows) <= rows:
+        return list(windows)
+    whole = [(window, thinned(window)) for window in windows]
+    chosen = [thin for window, thin in whole if thin is not window]
+    quick = [window for window, thin in whole if thin is window]
+    rows -= sum(len(window.command) for window in chosen)
+    total = sum(len(window.command) for window in quick)
+    for window in quick:
+        n = len(window.command)
+        size = min(int(length / window.sample_time), n)
+        count = max(int(round(n * max(rows, total // 50) / total / size)), 3)
+        if count * size >= n:
+            chosen.append(window)
+        else:
+            chosen += cut(window, np.unique(np.linspace(0, n - size, count).astype(int)), size, settle)
+    return chosen
+
+
+def thinned(window: Window) -> Window:
+    """Thin a window whose command creeps to every n-th row, between which its motion is straight.
+
+    A held command is, at the coarse sample time, the mean of the values before and after the tick.
+    """
+    steps = np.abs(np.diff(window.command))
+    largest = float(steps.max()) if len(steps) else 0.0
+    factor = int(0.01 * float(np.ptp(window.command)) / largest) if largest > 0 else 1
+    if factor < 4 or window.memory is not None:
+        return window
+    command = window.command
+    if window.hold == "zoh":
+        command = 0.5 * (np.append(command[:1], command[:-1]) + command)
+    return replace(
+        window,
+        command=np.ascontiguousarray(command[::factor]),
+        measurement=np.ascontiguousarray(window.measurement[::factor]),
+        sample_time=window.sample_time * factor,
+        hold="foh",
+        skip=-(-window.skip // factor),
+    )
 
 
 def virgin_rows(command: Array) -> int:

@@ -7,8 +7,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
+from numba import njit
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.records.stream.row_store import blocks
 
 
@@ -25,3 +26,20 @@ def turning_points(command: Annotated[Array, "N"]) -> Array:
         turns.append(moving[ways != before] + part.start)
         way = float(ways[-1])
     return np.concatenate(turns)
+
+
+@njit(cache=True)
+def surviving_turns(values: Array) -> Integers:
+    """Find the turning points that no later excursion has passed: Madelung's rules remember no others."""
+    kept = np.empty(values.size, dtype=np.int64)
+    count = 0
+    for k in range(values.size):
+        if count >= 2 and (values[k] - values[kept[count - 1]]) * (values[kept[count - 1]] - values[kept[count - 2]]) >= 0.0:
+            count -= 1
+        kept[count] = k
+        count += 1
+        # The pair before the last point is wiped out when the last one lies past its beginning.
+        while count >= 4 and (values[k] - values[kept[count - 3]]) * (values[k] - values[kept[count - 2]]) >= 0.0:
+            count -= 2
+            kept[count - 1] = k
+    return kept[:count]

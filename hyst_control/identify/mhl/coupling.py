@@ -19,6 +19,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.identify.data.fit import ParameterRow
 from hyst_control.identify.data.fit_windows import before, first_motion, virgin_rows
+from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks as row_blocks
@@ -147,8 +148,6 @@ def regress(
     vector = np.append(found, -1.0)
     other = blocks[held_out].sum(axis=0)
     everything = blocks.sum(axis=0)
-    inverse = np.linalg.pinv(everything[:-1, :-1], rcond=1e-9)
-    final = inverse @ everything[:-1, -1]
-    scores = blocks[:, :-1, -1] - blocks[:, :-1, :-1] @ final
-    errors = np.sqrt(np.maximum(np.diag(inverse @ (scores.T @ scores) @ inverse), 0.0))
+    final = np.linalg.lstsq(everything[:-1, :-1], everything[:-1, -1], rcond=1e-9)[0]
+    errors = np.sqrt(np.maximum(np.diag(covariance(blocks, final)), 0.0))
     return final, errors, float(other[-1, -1]), float(vector @ other @ vector)

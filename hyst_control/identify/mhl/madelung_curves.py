@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -68,19 +69,24 @@ class Curves:
         """Number of parameters."""
         return 2 * self.count - 1
 
+    @cached_property
+    def maps(self) -> tuple[Array, Array, Array]:
+        """Matrices from a vector to both curves in the stage's form, and the row (size,) to the output at the upper end."""
+        up, down = np.eye(self.size)[: self.count], np.eye(self.size)[self.count :]
+        if self.knots is None:
+            full = up.sum(axis=0)
+            return up, np.vstack([down, full - down.sum(axis=0)]), full
+        zero = np.zeros((1, self.size))
+        return np.vstack([zero, up]), np.vstack([zero, down, up[-1]]), up[-1]
+
     def full(self, vector: Annotated[Array, "P"]) -> float:
         """Output at the upper end."""
-        return float(np.sum(vector[: self.count]) if self.knots is None else vector[self.count - 1])
+        return float(self.maps[2] @ vector[: self.size])
 
     def pair(self, vector: Annotated[Array, "P"]) -> tuple[Array, Array]:
         """Ascending and descending curve in the stage's form, scaled to end at 1."""
-        up, down = vector[: self.count], vector[self.count : self.size]
-        full = self.full(vector)
-        if self.knots is None:
-            up = up / full
-            down = np.append(down / full, up.sum() - np.sum(down / full))
-            return up, down
-        return np.concatenate([[0.0], up / full]), np.concatenate([[0.0], down / full, [1.0]])
+        up, down, full = (each @ vector[: self.size] for each in self.maps)
+        return up / full, down / full
 
     def stage(self, vector: Annotated[Array, "P"], ends: Ends, output_scale: float, inverse: bool = False) -> Madelung:
         """Construct the stage of a parameter vector."""
@@ -110,27 +116,14 @@ class Curves:
 
     def constraints(self) -> tuple[Array, Array]:
         """Constraints lhs (C, size) · vector >= rhs (C,) under which both curves rise, and go up by `MIN_TRAVEL`."""
-        rising = self._rising()
-        travel = np.array([self.full(unit) for unit in np.eye(self.size)])
+        *curves, travel = self.maps
+        if self.knots is None:
+            powers = np.arange(self.degree, 0, -1)
+            rise = powers * GRID[:, None] ** (powers - 1)
+        else:
+            rise = np.diff(np.eye(len(self.knots)), axis=0) / np.diff(self.knots)[:, None]
+        rising = np.concatenate([rise @ curve for curve in curves]) - MIN_SLOPE * travel
         return np.vstack([rising, travel]), np.append(np.zeros(len(rising)), MIN_TRAVEL)
-
-    def _rising(self) -> Array:
-        """Matrix (C, size) whose product with a vector is not negative where both curves rise."""
-        rows: list[Array] = []
-        if self.knots is not None:
-            steps = np.diff(self.knots)
-            up = np.eye(self.size)[: self.count]
-            down = np.vstack([np.eye(self.size)[self.count :], up[-1]])
-            for values in (up, down):
-                rows.append(np.diff(values, axis=0, prepend=np.zeros((1, self.size))) - MIN_SLOPE * steps[:, None] * up[-1])
-            return np.concatenate(rows)
-        powers = np.arange(self.degree, 0, -1)
-        slope = powers * GRID[:, None] ** (powers - 1)
-        full = np.concatenate([np.ones(self.degree), np.zeros(self.degree - 1)])
-        up = np.hstack([slope, np.zeros((len(GRID), self.degree - 1))])
-        # q_1 = Σ p - Σ q, and its slope is 1 everywhere.
-        down = np.hstack([np.ones((len(GRID), self.degree)), slope[:, :-1] - 1.0])
-        return np.concatenate([up, down]) - MIN_SLOPE * full
 
     def numbers(self, vector: Annotated[Array, "P"]) -> list[Number]:
         """Coefficients of both curves."""

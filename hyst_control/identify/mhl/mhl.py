@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.assess.assembly import chain_model, fit_of, side_by_side
 from hyst_control.identify.data.fit import Fit, check_records
-from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
+from hyst_control.identify.data.fit_windows import short_stretches, thinned, virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
@@ -41,18 +40,11 @@ from hyst_control.identify.mhl.pole_zero_pair import (
     with_numerator,
 )
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.identify.solve.simulation_error import (
-    Solution,
-    minimize_simulation_error,
-    short_stretches,
-    simulation_error,
-    thinned,
-)
+from hyst_control.identify.solve.simulation_error import SimulationError, Solution, minimize_simulation_error
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-T = TypeVar("T")
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
@@ -351,8 +343,8 @@ def with_parted_pair(model: Model, records: Sequence[Record], found: Found, inde
     best = fitted(min(trials, key=lambda trial: trial.fitted).parameters, PAIR_PASSES - PAIR_TRIAL)
     # On all rows: a sweep passes the frequency once, so a fit that misses this moment knows nothing of the pair, and one that has it
     # is not tested by the others.
-    plain = simulation_error(turned, axis.parametrization(), found.vector, nuisance)
-    if not simulation_error(turned, problem, best.parameters, nuisance) < (1.0 - WORTHWHILE) * plain:
+    plain, rich = (SimulationError(turned, each, nuisance) for each in (axis.parametrization(), problem))
+    if not rich.visit(best.parameters).fitted < (1.0 - WORTHWHILE) * plain.visit(found.vector).fitted:
         return found
     return replace(found, axis=richer, vector=best.parameters)
 

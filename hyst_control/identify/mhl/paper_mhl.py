@@ -13,8 +13,8 @@ delay removed, lags, and its inverse would have the other sign.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -30,9 +30,8 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.fit import check_records
-from hyst_control.identify.data.fit_windows import virgin_rows, whole_records
+from hyst_control.identify.data.fit_windows import as_window, cut, short_stretches, virgin_rows, whole_records, with_sign
 from hyst_control.identify.data.record_segmentation import moving_stretches
-from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse, response_sign
 from hyst_control.identify.mhl.madelung_curves import Ends
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
@@ -43,8 +42,6 @@ from hyst_control.identify.solve.simulation_error import (
     Solution,
     driving_signal,
     minimize_simulation_error,
-    short_stretches,
-    surviving_turns,
 )
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
@@ -63,16 +60,6 @@ REST_KEPT = 0.3
 ROWS = 60_000
 FASTEST, SLOWEST = 0.25, 50.0
 """Samples, between which k2' is looked for: below a quarter of one Tustin's rule makes an alternating filter of Ψ'."""
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """Windows of one axis by their role in the sequence."""
-
-    step: list[Window]
-    slow: list[Window]
-    medium: list[Window]
-    fast: list[Window]
 
 
 def _with_pair(windows: Sequence[Window], axis: Axis, whole: Array, plain: Solution, nuisance: str) -> tuple[Solution, Axis]:
@@ -104,23 +91,6 @@ def _dynamics_of(axis: Axis, whole: Array) -> Parametrization:
     return axis.parametrization().part(whole, slice(axis.curves.size + 2, -1))
 
 
-@dataclass(frozen=True)
-class Inverse:
-    """u = H_S^-1[y - zero] + (k1 ẏ + b1) / (k2 s + 1) of one axis (Eq. 6, 7), b2 = 1.
-
-    hysteresis: curves from y to V; zero: measurement unit; k1: V s per measurement unit; b1: V; k2: s. rms: V, of what Ψ' leaves on
-    the sweep; before: V, of what there is without it.
-    """
-
-    hysteresis: Madelung
-    zero: float
-    k1: float
-    k2: float
-    b1: float
-    rms: float
-    before: float
-
-
 def inverse_model(
     records: Sequence[Record], options: MhlOptions | None = None, k2: float | None = None, smoothing: int = 0
 ) -> Model:
@@ -131,26 +101,20 @@ def inverse_model(
     # smoothing: order of the N without phase behind which Ψ' is to stand (`mhl_inverse.composite`), and is identified; 0 for none
     check_records(records)
     options = options or MhlOptions()
-    first, axes = records[0], range(len(records[0].axes))
-    found = []
-    for index in axes:
+    first = records[0]
+    signs, zeros, curves, rates = [], [], [], []
+    for index in range(len(first.axes)):
         sign = response_sign(whole_records(records, index))
         pieces = sorted_pieces(records, index, sign)
-        ends = from_zero(records, index, options)
-        static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
-        found.append(
-            fit_inverse_correction(records, index, sign, fit_inverse(static.stage, options.curves), static.offset, k2, smoothing)
-        )
-
-    def per_axis(name: str) -> list[float]:
-        return [float(getattr(inverse, name)) for inverse in found]
-
-    rate = RateCorrection(per_axis("k1"), per_axis("k2"), per_axis("b1"))
-    stages: list[Stage] = [Offset([-zero for zero in per_axis("zero")])]
-    stages.append(Parallel((tuple(side_by_side([[inverse.hysteresis] for inverse in found])), (rate,))))
-    signs = [response_sign(whole_records(records, index)) for index in axes]
-    if min(signs) < 0:
-        stages.insert(0, Gain(signs))
+        static = fit_curves(pieces["slow"], options.curves, from_zero(records, index, options), options.nuisance)
+        hysteresis = fit_inverse(static.stage, options.curves)
+        rates.append(fit_inverse_correction(records, index, sign, hysteresis, static.offset, k2, smoothing))
+        signs.append(sign)
+        zeros.append(static.offset)
+        curves.append([hysteresis])
+    rate = RateCorrection(*map(list, zip(*rates, strict=True)))
+    turned = [Gain(signs)] if min(signs) < 0 else []
+    stages = [*turned, Offset([-zero for zero in zeros]), Parallel((tuple(side_by_side(curves)), (rate,)))]
     return Model(
         name="mhl_inverse",
         axes=first.axes,
@@ -169,8 +133,8 @@ def fit_inverse_correction(
     zero: float,
     k2: float | None = None,
     smoothing: int = 0,
-) -> Inverse:
-    """Fit Ψ' of one axis to u - H_S^-1[y] on the sweeps to 100 Hz as recorded; for every k2', k1' and b1' are linear.
+) -> tuple[float, float, float]:
+    """Fit k1', k2' and b1' of one axis to u - H_S^-1[y - zero] on the sweeps to 100 Hz as recorded; for every k2' the others are linear.
 
     Ψ' is discretized by Tustin's rule, as in the compensator.
     """
@@ -206,9 +170,8 @@ def fit_inverse_correction(
 
     bounds = np.log(np.array([FASTEST, SLOWEST]) * records[0].sample_time)
     best = np.log(k2) if k2 else minimize_scalar(lambda value: left(value)[0], bounds=bounds, method="bounded").x
-    power, (k1, b1) = left(best)
-    before = np.concatenate([target[part] for target, _, rows, _ in targets for part in rows])
-    return Inverse(hysteresis, zero, float(k1), float(np.exp(best)), float(b1), float(np.sqrt(power)), float(before.std()))
+    k1, b1 = left(best)[1]
+    return float(k1), float(np.exp(best)), float(b1)
 
 
 def _run(stages: Sequence[Stage], signal: Array, sampling: Sampling) -> Array:
@@ -241,22 +204,21 @@ def _fit_axis(records: Sequence[Record], index: int, options: MhlOptions) -> Fou
     structure = options.structure or PAPER_STRUCTURE
 
     # Step 1: the delay.
-    tau, tau_error = step_delay(pieces.step)
+    tau, tau_error = step_delay(pieces["step"])
 
     # Step 2: the curves, from loops so slow that nothing else matters.
-    static = fit_curves(pieces.slow, options.curves, ends, options.nuisance)
+    static = fit_curves(pieces["slow"], options.curves, ends, options.nuisance)
     curves = static.solution.parameters
-    inverse = fit_inverse_correction(records, index, sign, fit_inverse(static.stage, options.curves), sign * static.offset)
 
     # Steps 3 and 4: the rate correction without G, then G, everything before as it is.
     axis = Axis(options.curves, replace(structure, delay=True), ends, static.output_scale, sign, everything[0].sample_time)
     late = np.array([tau / TAU_UNIT])
-    medium = short_stretches(pieces.medium, ROWS, 0.3, 0.02)
+    medium = short_stretches(pieces["medium"], ROWS, 0.3, 0.02)
     rates = [np.array([share, np.log(k2 / K2_UNIT)]) for share in (-0.2, 0.2) for k2 in (3e-4, 1e-3, 3e-3)]
     bare = replace(axis, structure=Structure(delay=True)).parametrization()
     known = np.concatenate([curves, rates[0], late])
     rate = _best(medium, bare.part(known, slice(curves.size, curves.size + 2)), rates, options.nuisance)
-    fast = short_stretches(pieces.fast, ROWS, 0.3, 0.02)
+    fast = short_stretches(pieces["fast"], ROWS, 0.3, 0.02)
     starts = [structure.start(frequency) for frequency in (300.0, 1000.0, 3000.0) if frequency < 0.4 / axis.sample_time]
     known = np.concatenate([curves, rate.parameters, starts[0], late])
     dynamics = _best(fast, _dynamics_of(axis, known), starts, options.nuisance)
@@ -264,65 +226,37 @@ def _fit_axis(records: Sequence[Record], index: int, options: MhlOptions) -> Fou
         known = np.concatenate([curves, rate.parameters, dynamics.parameters, late])
         dynamics, axis = _with_pair(fast, axis, known, dynamics, options.nuisance)
     covariance = block_diag(static.solution.covariance, rate.covariance, dynamics.covariance, (tau_error / TAU_UNIT) ** 2)
-    steps: dict[str, dict[str, Any]] = {
-        "delay": {"tau": tau, "steps": len(pieces.step)},
-        "inverse": {
-            "ascending": list(inverse.hysteresis.ascending),
-            "descending": list(inverse.hysteresis.descending),
-            "input_scale": inverse.hysteresis.input_scale,
-            "output_scale": inverse.hysteresis.output_scale,
-            "k1": inverse.k1,
-            "k2": inverse.k2,
-            "b1": inverse.b1,
-            "rms": inverse.rms,
-            "rms_without": inverse.before,
-        },
-        "fitted_rms": {
-            name: float(np.sqrt(solution.fitted))
-            for name, solution in (("slow", static.solution), ("medium", rate), ("fast", dynamics))
-        },
-    }
+    steps = {"delay": {"tau": tau, "steps": len(pieces["step"])}}
     vector = np.concatenate([curves, rate.parameters, dynamics.parameters, late])
     return Found(axis, vector, covariance, static.offset, dynamics.held_out, steps)
 
 
-def sorted_pieces(records: Sequence[Record], index: int, sign: float) -> Pieces:
+def sorted_pieces(records: Sequence[Record], index: int, sign: float) -> dict[str, list[Window]]:
     """Sort the motions between rests by kind. Raises `InputError` naming an experiment that is missing."""
-    found = Pieces([], [], [], [])
+    found: dict[str, list[Window]] = {"step": [], "slow": [], "medium": [], "fast": []}
     group = 0
     for data in records:
-        command, measurement = data.command[:, index], sign * data.measurement[:, index]
-        virgin = virgin_rows(command)
-        for begin, moving, end in motions(command, data.sample_time):
+        whole = with_sign(as_window(data, index, 0), sign)
+        virgin = virgin_rows(whole.command)
+        for begin, moving, end in motions(whole.command, data.sample_time):
             jump = moving - begin <= 2
             lead = int(0.01 / data.sample_time) if jump else 1
             first = max(begin - lead, 0)
-            end = min(end, begin + int(STEP_TIME / data.sample_time) if jump else moving + int(REST_KEPT / data.sample_time))
-            turns = command[turning_points(command[: first + 1])] if first else np.zeros(0)
-            earlier = np.concatenate([[0.0], turns, command[first : first + 1]])
-            memory = earlier[surviving_turns(earlier)][:-1] if first else None
-            window = Window(
-                np.ascontiguousarray(command[first:end]),
-                np.ascontiguousarray(measurement[first:end]),
-                data.sample_time,
-                data.hold,
-                # A step stands by itself; the curves are those of the major loop, not the virgin one.
-                0 if jump else int(np.clip(virgin - first, 0, end - first - 1)),
-                group,
-                memory=memory,
-            )
-            group += 1
             bandwidth = command_bandwidth(data.command[begin:end, index : index + 1], data.sample_time)
-            kind = found.step if jump else found.slow if bandwidth <= SLOW else found.medium if bandwidth <= MEDIUM else found.fast
-            kind.append(window)
+            end = min(end, begin + int(STEP_TIME / data.sample_time) if jump else moving + int(REST_KEPT / data.sample_time))
+            # A step stands by itself; the curves are those of the major loop, not the virgin one.
+            [window] = cut(replace(whole, skip=0 if jump else virgin), [first], end - first, 0.0)
+            kind = "step" if jump else "slow" if bandwidth <= SLOW else "medium" if bandwidth <= MEDIUM else "fast"
+            found[kind].append(replace(window, begin=0.0, share=1.0, group=group))
+            group += 1
     names = ", ".join(data.name for data in records)
     for kind, words in (
-        (found.step, "a step between two rests"),
-        (found.slow, f"slow loops (up to {SLOW:g} Hz) of variable amplitude"),
-        (found.medium, "a sweep to 100 Hz"),
-        (found.fast, f"a sweep to beyond {MEDIUM:g} Hz"),
+        ("step", "a step between two rests"),
+        ("slow", f"slow loops (up to {SLOW:g} Hz) of variable amplitude"),
+        ("medium", "a sweep to 100 Hz"),
+        ("fast", f"a sweep to beyond {MEDIUM:g} Hz"),
     ):
-        if not kind:
+        if not found[kind]:
             raise InputError(
                 f"{names}: the paper's sequence needs {words} of axis {records[0].axes[index]}: add such a record or use the "
                 "joint method"

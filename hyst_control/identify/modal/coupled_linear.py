@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -18,12 +19,10 @@ from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.assembly import fit_of
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.fit import Fit, OrderRow
-from hyst_control.identify.data.record_drift import without_drift
 from hyst_control.identify.modal.linear_options import LinearOptions
-from hyst_control.identify.modal.modal_candidate import Candidate, equations, error_of, information, refined
+from hyst_control.identify.modal.modal_candidate import Candidate, axis_fit, equations, error_of, information, refined
 from hyst_control.identify.modal.modal_fit import subspace
 from hyst_control.identify.modal.modal_model import ModalModel, Spectra
-from hyst_control.identify.modal.modal_stages import axis_fit
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
@@ -41,7 +40,15 @@ NOTHING_HELD_OUT = (
     "No part of the records could be held out: the number of states was chosen by an information criterion. "
     "A second record, or a longer one with the same kind of excitation, would test it."
 )
+DRIFT_LAGS, DRIFT_ROWS = 64, 50_000
+"""Taps of the response that stands for the plant, and rows at most to which it is fitted."""
+WORTHWHILE_DRIFT = 0.03
+"""Share of what that response leaves of a record that the drift must explain to be removed."""
+DISTINCT = 0.2
+"""Share of a ramp that the command must not explain for a drift to be told from the plant's answer."""
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
+TRIAL_ITERATIONS = 12
+"""Most steps of the refinement of a model that is compared."""
 
 
 def fit(records: Sequence[Record], options: LinearOptions) -> Fit:
@@ -122,60 +129,10 @@ def _mean_square_step(command: Array) -> Array:
     return total / (len(command) - 1)
 
 
-def choose(
-    train: Sequence[Spectra],
-    held_out: Sequence[Spectra],
-    orders: Sequence[int],
-    hold: str,
-    delays: Sequence[Array],
-    *,
-    direct: bool = True,
-    free_delay: bool = False,
-    iterations: int = 12,
-) -> tuple[Candidate, list[OrderRow]]:
-    """Choose the smallest model that is as good as any on held-out data. Growing ends after three orders without a gain."""
-    negligible = negligible_improvement(held_out)
-    rows: list[OrderRow] = []
-    tried: list[tuple[float, Candidate]] = []
-    starts = {tuple(delay): subspace(train, orders, delay, hold, direct) for delay in delays}
-    stale = 0
-    for index, order in enumerate(orders):
-        scored: list[tuple[float, Candidate]] = []
-        for models in starts.values():
-            candidate = refined(train, models[index], direct, free_delay, iterations)
-            candidate = replace(candidate, held_out=error_of(candidate.model, held_out) if held_out else np.nan)
-            score = candidate.held_out if held_out else information(candidate, train)
-            if index and beyond_reach(candidate.model, train):
-                score = np.inf
-            rows.append(
-                {
-                    "order": order,
-                    "states": candidate.model.states,
-                    "parameters": candidate.model.parameters,
-                    "fitted": candidate.fitted,
-                    "held_out": candidate.held_out if held_out else None,
-                    "seconds": candidate.seconds,
-                    "delay_samples": [float(value) for value in candidate.model.delay],
-                }
-            )
-            scored.append((score, candidate))
-        best = min(scored, key=lambda each: each[0])
-        lowest = min((score for score, _ in tried), default=np.inf)
-        stale = 0 if best[0] < lowest * (1.0 - np.sign(lowest) * negligible) or not np.isfinite(lowest) else stale + 1
-        tried.append(best)
-        if stale >= 3:
-            break
-    lowest = min(score for score, _ in tried)
-    limit = lowest * (1.0 + negligible) if held_out else lowest
-    return next(candidate for score, candidate in tried if score <= limit), rows
-
-
 def negligible_improvement(held_out: Sequence[Spectra]) -> float:
-    """Share of the error on held-out data by which a larger model has to be better; 0 without such data.
-
-    `NEGLIGIBLE_IMPROVEMENT`, or the standard error of the error of few data: 1 / sqrt(2 E) of E equations with a white error.
-    """
+    """Share of the error on held-out data by which a larger model has to be better; 0 without such data."""
     count = equations(held_out)
+    # Of few data at least the standard error of the error: 1 / sqrt(2 E) of E equations with a white error.
     return max(NEGLIGIBLE_IMPROVEMENT, float(1.0 / np.sqrt(2.0 * count))) if count else 0.0
 
 
@@ -186,37 +143,52 @@ def beyond_reach(model: ModalModel, data: Sequence[Spectra]) -> bool:
 
 
 def _search(records: Sequence[Record], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
+    """The smallest model that is as good as any on held-out data, fitted to all; growing ends after three orders without a gain."""
     first = records[0]
     inputs = len(first.axes)
     kept, held = held_out_split(records)
     train, test = spectra_of_records(kept), spectra_of_records(held)
-    orders: Sequence[int] = [options.order] if options.order else COUPLED_ORDERS
     lines = sum(len(spectra.angle) * inputs for spectra in train)
+    orders: Sequence[int] = [options.order] if options.order else COUPLED_ORDERS
     orders = [order for order in orders if order * 2 * inputs + inputs * inputs < lines] or [1]
+    # Delay, direct path, and whether the delay is free. It can be separated from the modes' own lag where the model is strictly
+    # proper; the direct path would take its place.
+    variants = [(np.zeros(inputs), options.direct, False)]
     if options.delay == "estimate":
-        # The delay can be separated from the modes' own lag where the model is strictly proper; the direct path would take its
-        # place.
         late = dead_time(train, first.hold)
-        variants = [
-            ([np.zeros(inputs)], options.direct, False),
-            ([late, 0.5 * late] if np.any(late) else [late + 0.25], False, True),
-        ]
+        variants += [(delay, False, True) for delay in ([late, 0.5 * late] if np.any(late) else [late + 0.25])]
     else:
-        variants = [([np.full(inputs, float(options.delay) / first.sample_time)], options.direct, False)]
-    results = [choose(train, test, orders, first.hold, delays, direct=direct, free_delay=free) for delays, direct, free in variants]
-    rows = [row for _, table in results for row in table]
-
-    def score(candidate: Candidate) -> float:
-        return candidate.held_out if test else information(candidate, train)
-
-    lowest = min(score(candidate) for candidate, _ in results)
-    limit = lowest + negligible_improvement(test) * abs(lowest) if test else lowest
-    good = [(candidate.model.parameters, index) for index, (candidate, _) in enumerate(results) if score(candidate) <= limit]
-    index = min(good)[1]
-    delays, direct, free = variants[index]
-    everything = spectra_of_records(records)
-    final = refined(everything, results[index][0].model, direct, free, options.iterations)
-    return replace(final, held_out=results[index][0].held_out), rows
+        variants = [(np.full(inputs, float(options.delay) / first.sample_time), options.direct, False)]
+    starts = [subspace(train, orders, delay, first.hold, direct) for delay, direct, _ in variants]
+    negligible = negligible_improvement(test)
+    rows: list[OrderRow] = []
+    tried: list[tuple[float, int, Candidate]] = []
+    lowest, stale = np.inf, 0
+    for index, order in enumerate(orders):
+        for number, (_, direct, free) in enumerate(variants):
+            candidate = refined(train, starts[number][index], direct, free, TRIAL_ITERATIONS)
+            candidate = replace(candidate, held_out=error_of(candidate.model, test) if test else np.nan)
+            rows.append(
+                {
+                    "order": order,
+                    "states": candidate.model.states,
+                    "parameters": candidate.model.parameters,
+                    "fitted": candidate.fitted,
+                    "held_out": candidate.held_out if test else None,
+                    "seconds": candidate.seconds,
+                    "delay_samples": [float(value) for value in candidate.model.delay],
+                }
+            )
+            if not index or not beyond_reach(candidate.model, train):
+                tried.append((candidate.held_out if test else information(candidate, train), number, candidate))
+        before, lowest = lowest, min(score for score, _, _ in tried)
+        stale = stale + 1 if np.isfinite(before) and lowest >= before - negligible * abs(before) else 0
+        if stale >= 3:
+            break
+    good = [each for each in tried if each[0] <= lowest + negligible * abs(lowest)]
+    _, number, chosen = min(good, key=lambda each: (each[2].model.parameters, each[1]))
+    final = refined(spectra_of_records(records), chosen.model, *variants[number][1:], options.iterations)
+    return replace(final, held_out=chosen.held_out), rows
 
 
 def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
@@ -228,3 +200,36 @@ def dead_time(data: Sequence[Spectra], hold: str, order: int = 3) -> Array:
         model = subspace(data, [order * inputs], np.full(inputs, late), hold, direct=False)[0]
         costs.append(refined(data, model, False, False, 4).fitted)
     return np.full(inputs, grid[int(np.argmin(costs))])
+
+
+def without_drift(records: Sequence[Record]) -> list[Record]:
+    """Remove the drift of every record in which it shows.
+
+    A slow ramp has power at every low frequency, where a linear model takes it for poles of the plant.
+    """
+    cleaned = []
+    for data in records:
+        slope = drift(data.command, data.measurement)
+        ramp = np.linspace(-1.0, 1.0, len(data.command))[:, None] * slope
+        cleaned.append(data.with_values(measurement=data.measurement - ramp) if np.any(slope) else data)
+    return cleaned
+
+
+def drift(command: Annotated[Array, "N A"], measurement: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:
+    """Drift of a record, beside what follows the command."""
+    lags = min(DRIFT_LAGS, max(len(command) // 8, 1))
+    rows = np.unique(np.linspace(lags, len(command) - 1, min(DRIFT_ROWS, len(command) - lags)).astype(int))
+    taps = [command[rows - lag] for lag in range(lags)]
+    time = (2.0 * rows / (len(command) - 1) - 1.0)[:, None]
+    plain = np.hstack([*taps, np.ones((len(rows), 1))])
+    # The ramp, and the measurement, without what the command and a constant explain of them.
+    left = np.hstack([time, measurement[rows]])
+    left = left - plain @ np.linalg.lstsq(plain, left, rcond=1e-9)[0]
+    ramp, rest = left[:, 0], left[:, 1:]
+    energy = float(ramp @ ramp)
+    if energy < DISTINCT * float(np.sum((time - time.mean()) ** 2)):
+        return np.zeros(measurement.shape[1])
+    slope = ramp @ rest / energy
+    explained = slope**2 * energy
+    found: Array = np.where(explained > WORTHWHILE_DRIFT * np.sum(rest**2, axis=0), slope, 0.0)
+    return found

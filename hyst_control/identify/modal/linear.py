@@ -21,6 +21,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
+from hyst_control.identify.data.fit_windows import as_window
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.linear_options import LinearOptions
@@ -29,7 +30,6 @@ from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, ve
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.records.record import Record
-from hyst_control.records.stream.row_store import column
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
@@ -111,7 +111,7 @@ class Linear(Estimator[LinearOptions]):
         table: list[OrderRow] = []
         states = 0
         for axis, name in enumerate(first.axes):
-            candidate, rows = search([_window(data, axis, number) for number, data in enumerate(records)], options)
+            candidate, rows = search([as_window(data, axis, number) for number, data in enumerate(records)], options)
             fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
             table += [{**row, "axis": name} if axes > 1 else row for row in rows]
             states += candidate.sections.order
@@ -265,10 +265,6 @@ def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) ->
         "seconds": candidate.seconds,
         "delay_samples": [sections.tau(solution.parameters) / sample_time],
     }
-
-
-def _window(data: Record, axis: int, number: int) -> Window:
-    return Window(column(data.command, axis), column(data.measurement, axis), data.sample_time, data.hold, 0, number)
 
 
 def _parts(windows: Sequence[Window]) -> list[Window]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.base.arrays import Array, Mask
+from hyst_control.base.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,12 @@ class ModalModel:
     def response(self, angle: Annotated[Array, "F"]) -> np.ndarray:
         """Frequency response of the sampled system."""
         z = np.exp(1j * np.asarray(angle, dtype=float))
-        total: np.ndarray = np.einsum("kj,oj->koj", self._direct(z), self.feedthrough.astype(complex))
+        total: np.ndarray = np.einsum("kj,oj->koj", direct_response(self.delay, self.hold, z), self.feedthrough.astype(complex))
         for pole, c, b in zip(self.poles, self.outputs, self.inputs, strict=True):
             pairs = [(pole, c, b)] if pole.imag == 0 else [(pole, c, b), (np.conj(pole), np.conj(c), np.conj(b))]
             for value, left, right in pairs:
                 total += np.einsum("o,j,kj->koj", left, right, mode_response(value, self.delay, self.hold, z))
         return total
-
-    def _direct(self, z: np.ndarray) -> np.ndarray:
-        return direct_response(self.delay, self.hold, z)
 
     def moved(self, change: Annotated[Array, "P"], layout: Layout, slowest: float = -np.inf) -> ModalModel:
         """Move the model along a step in its parameters."""
@@ -211,12 +208,6 @@ class Layout:
             {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)},
             int(ends[-1]),
         )
-
-    def belongs(self, index: Annotated[Array, "Q"], name: str) -> Mask:
-        """Report which positions in the vector are of a kind of parameter."""
-        part = self.slices[name]
-        found: Mask = (index >= part.start) & (index < part.stop)
-        return found
 
     def indices(self, name: str, *shape: int) -> Array:
         """Return the positions of a kind of parameter."""

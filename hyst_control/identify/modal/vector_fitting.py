@@ -53,12 +53,9 @@ def residues_of(windows: Sequence[Window], poles: np.ndarray, delay: float, dire
     """The residues that fit best for given poles."""
     parts = []
     for window in windows:
-        columns = _driven(window, poles, delay, direct)
+        columns = driven(window, poles, delay, direct)
         parts.append(_without_session(window, poles, [*columns, window.measurement]))
-    triangle = _triangle(parts)
-    scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
-    found = np.linalg.lstsq(triangle[:, :-1] / scale, triangle[:, -1], rcond=1e-11)[0] / scale
-    left = triangle[:, -1] - triangle[:, :-1] @ found
+    found, left = _solved(parts, 1e-11)
     residues, at = [], 0
     for pole in poles:
         residues.append(complex(found[at], found[at + 1] if pole.imag else 0.0))
@@ -75,22 +72,15 @@ def spread_poles(order: int, rows: int) -> np.ndarray:
     return np.concatenate([-0.3 * angle + 1j * angle, np.array(lag, dtype=complex)])
 
 
-def responses_of(window: Window, poles: np.ndarray) -> list[Array]:
-    """Real columns (N,) of the responses of poles to the command of a window."""
-    return _driven(window, poles, 0.0, False)
-
-
 def _relocated(windows: Sequence[Window], poles: np.ndarray, delay: float, direct: bool) -> np.ndarray:
-    parts, driven = [], 0
+    parts, own_from = [], 0
     for window in windows:
-        columns = _driven(window, poles, delay, direct)
-        driven = len(columns)
+        columns = driven(window, poles, delay, direct)
+        own_from = len(columns)
         own = _real(poles, _responses(poles, window.measurement - window.measurement[0], 0.0, "foh"))
         parts.append(_without_session(window, poles, [*columns, *(-column for column in own), window.measurement]))
-    triangle = _triangle(parts)
-    scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
-    found = np.linalg.lstsq(triangle[:, :-1] / scale, triangle[:, -1], rcond=1e-12)[0] / scale
-    states = len(found) - driven
+    found, _ = _solved(parts, 1e-12)
+    states = len(found) - own_from
     transition, entry, at = np.zeros((states, states)), np.ones(states), 0
     for pole in poles:
         if pole.imag:
@@ -100,7 +90,7 @@ def _relocated(windows: Sequence[Window], poles: np.ndarray, delay: float, direc
         else:
             transition[at, at] = pole.real
             at += 1
-    return _admissible(np.linalg.eigvals(transition - np.outer(entry, found[driven:])), max(len(w.command) for w in windows))
+    return _admissible(np.linalg.eigvals(transition - np.outer(entry, found[own_from:])), max(len(w.command) for w in windows))
 
 
 def _admissible(poles: np.ndarray, rows: int) -> np.ndarray:
@@ -113,7 +103,8 @@ def _admissible(poles: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([pairs, np.sort(lags)])
 
 
-def _driven(window: Window, poles: np.ndarray, delay: float, direct: bool) -> list[Array]:
+def driven(window: Window, poles: np.ndarray, delay: float = 0.0, direct: bool = False) -> list[Array]:
+    """Real columns (N,) of the responses of poles, and of a direct path, to the command of a window."""
     command = window.command - window.command[0]
     columns = _real(poles, _responses(poles, command, delay, window.hold))
     if direct:
@@ -158,7 +149,9 @@ def _without_session(window: Window, poles: np.ndarray, columns: Sequence[Array]
     return found[window.skip :]
 
 
-def _triangle(parts: Sequence[Array]) -> Array:
-    """Triangular factor of all rows, which has their least-squares solutions."""
-    found: Array = qr(np.vstack(parts), mode="r", check_finite=False)[0]
-    return found[: found.shape[1]]
+def _solved(parts: Sequence[Array], rcond: float) -> tuple[Array, Array]:
+    """Least-squares solution of all rows [columns, target], by their triangular factor, and what it leaves of the latter's target."""
+    triangle = qr(np.vstack(parts), mode="r", check_finite=False)[0][: parts[0].shape[1]]
+    scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
+    found = np.linalg.lstsq(triangle[:, :-1] / scale, triangle[:, -1], rcond=rcond)[0] / scale
+    return found, triangle[:, -1] - triangle[:, :-1] @ found

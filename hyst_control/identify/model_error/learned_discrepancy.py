@@ -90,19 +90,6 @@ class LearnedDiscrepancy:
         return cls(features, mean, factor, rest, correlation)
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Products that a regression needs, of some rows: ΦᵀΦ, Φᵀe, eᵀe and the number of rows."""
-
-    gram: Array
-    right: Array
-    energy: float
-    count: int
-
-    def __add__(self, other: _Sums) -> _Sums:
-        return _Sums(self.gram + other.gram, self.right + other.right, self.energy + other.energy, self.count + other.count)
-
-
 def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float) -> LearnedDiscrepancy | None:
     """Learn what a model leaves on baseline records of one axis."""
     groups = _groups(commands, sample_time)
@@ -120,7 +107,8 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
     size = float(np.sqrt(sum(float(target @ target) for target in targets) / rows))
     if not size > 0:
         return None
-    whole = _total([_sums(design, target, count) for design, target, count in zip(designs, targets, counts, strict=True)])
+    grams = [_gram(design, target, count) for design, target, count in zip(designs, targets, counts, strict=True)]
+    whole = np.sum(grams, axis=0)
     length, rest, alpha = 1.0, size, size
     for _ in range(ROUNDS):
         alpha = max((share * size for share in SIZES), key=lambda value: _evidence(whole, value, rest, length))
@@ -128,7 +116,7 @@ def learn(commands: Sequence[Array], errors: Sequence[Array], sample_time: float
         left = [target - design @ mean for design, target in zip(designs, targets, strict=True)]
         length = max(_mean_length(rows, count) for rows, count in zip(left, counts, strict=True))
         rest = max(*(float(np.sqrt(np.mean(rows**2))) for rows in left), 1e-6 * size)
-    energy, further = _crossed(designs, targets, counts, groups, alpha, rest, length)
+    energy, further = _crossed(designs, targets, grams, groups, alpha, rest, length)
     if energy > (1.0 - WORTH) * size**2:
         return None
     mean, covariance = _posterior(whole, alpha, rest, length)
@@ -219,32 +207,23 @@ def _mean_length(rows: Array, count: int) -> float:
     return float(np.mean([correlation_length(piece[:, None]) for piece in pieces]))
 
 
-def _sums(design: Array, target: Array, count: int) -> _Sums:
-    """Products over some rows (n, F) and (n,) that stand for `count`; of many every few are taken."""
+def _gram(design: Array, target: Array, count: int) -> Array:
+    """Gram matrix of [Φ, e] over some rows (n, F) and (n,) that stand for `count`; of many every few are taken."""
     step = max(len(target) // ROWS, 1)
-    phi, e = design[::step], target[::step]
-    each = step * count / len(target)
-    return _Sums(each * (phi.T @ phi), each * (phi.T @ e), each * float(e @ e), round(each * len(e)))
+    rows = np.column_stack([design[::step], target[::step]])
+    return np.asarray(step * count / len(target) * (rows.T @ rows), dtype=np.float64)
 
 
-def _total(sums: Sequence[_Sums]) -> _Sums:
-    first, *others = sums
-    for other in others:
-        first = first + other
-    return first
-
-
-def _posterior(sums: _Sums, alpha: float, rest: float, length: float) -> tuple[Array, Array]:
+def _posterior(gram: Array, alpha: float, rest: float, length: float) -> tuple[Array, Array]:
     weight = 1.0 / (length * rest**2)
-    covariance = np.linalg.inv(weight * sums.gram + np.eye(len(sums.right)) / alpha**2)
-    return weight * (covariance @ sums.right), np.asarray(covariance, dtype=np.float64)
+    covariance = np.linalg.inv(weight * gram[:-1, :-1] + np.eye(len(gram) - 1) / alpha**2)
+    return weight * (covariance @ gram[:-1, -1]), np.asarray(covariance, dtype=np.float64)
 
 
-def _evidence(sums: _Sums, alpha: float, rest: float, length: float) -> float:
-    weight = 1.0 / (length * rest**2)
-    mean, covariance = _posterior(sums, alpha, rest, length)
+def _evidence(gram: Array, alpha: float, rest: float, length: float) -> float:
+    mean, covariance = _posterior(gram, alpha, rest, length)
     determinant = -np.linalg.slogdet(covariance)[1] + 2.0 * len(mean) * np.log(alpha)
-    return 0.5 * float(weight * (sums.right @ mean) - determinant)
+    return 0.5 * float(gram[:-1, -1] @ mean / (length * rest**2) - determinant)
 
 
 def _groups(commands: Sequence[Array], sample_time: float) -> list[list[int]]:
@@ -264,17 +243,17 @@ def _groups(commands: Sequence[Array], sample_time: float) -> list[list[int]]:
 def _crossed(
     designs: Sequence[Array],
     targets: Sequence[Array],
-    counts: Sequence[int],
+    grams: Sequence[Array],
     groups: Sequence[Sequence[int]],
     alpha: float,
     rest: float,
     length: float,
 ) -> tuple[float, float]:
     """Predict the records of every command from those of the others."""
-    sums = [_total([_sums(designs[i], targets[i], counts[i]) for i in group]) for group in groups]
+    sums = [np.sum([grams[i] for i in group], axis=0) for group in groups]
     energy, foreseen, count = 0.0, 0.0, 0
     for index, group in enumerate(groups):
-        mean, covariance = _posterior(_total([one for other, one in enumerate(sums) if other != index]), alpha, rest, length)
+        mean, covariance = _posterior(np.sum(sums[:index] + sums[index + 1 :], axis=0), alpha, rest, length)
         for i in group:
             energy += float(np.sum((targets[i] - designs[i] @ mean) ** 2))
             foreseen += float(np.sum((designs[i] @ covariance) * designs[i])) + rest**2 * len(targets[i])

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
@@ -28,6 +29,8 @@ from hyst_control.records.stream.row_store import largest_change, largest_size
 SELECTION_ROWS = 60_000
 MIN_FOR_LOADING = 6
 """Number of operators below which the first loading gets none."""
+PRECISION = 1e-3
+"""Share of the bracket to which the widening with the rate is found."""
 MIN_IMPROVEMENT = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
@@ -161,7 +164,7 @@ def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
 
 
 def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:
-    """The weights of one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by a golden-section search on the error."""
+    """The weights of one axis whose thresholds are r_i + β |du/dt|, without dynamics; β by a bounded search on the error."""
     fastest = max(largest_change(window.command) / window.sample_time for window in problem.windows)
     largest = 2.0 * float(problem.operators.thresholds[-1]) / fastest
 
@@ -174,12 +177,6 @@ def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:
     grid = largest * np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 13)])
     at = int(np.argmin(list(map_forked(lambda i: error(grid[i]), len(grid)))))
     low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
-    golden = (np.sqrt(5.0) - 1.0) / 2.0
-    for _ in range(12):
-        left, right = high - golden * (high - low), low + golden * (high - low)
-        if error(left) < error(right):
-            high = right
-        else:
-            low = left
-    best = widened(0.5 * (low + high))
+    found = minimize_scalar(error, bounds=(low, high), method="bounded", options={"xatol": PRECISION * (high - low)})
+    best = widened(float(found.x))
     return best, *fit_static(best)

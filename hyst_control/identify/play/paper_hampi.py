@@ -11,14 +11,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify.data.fit_windows import whole_records
-from hyst_control.identify.data.record_segmentation import Stretch, select_stretches
-from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.data.fit_windows import as_window, cut, whole_records
+from hyst_control.identify.data.record_segmentation import select_stretches
 from hyst_control.identify.play.hammerstein import HammersteinOptions, default_operators
-from hyst_control.identify.solve.bounded_least_squares import cost
+from hyst_control.identify.solve.bounded_least_squares import cost, solve_bounded
 from hyst_control.identify.solve.gram_sums import Operators, Window, gram_matrices
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
@@ -75,11 +73,8 @@ def _dynamic_weights(windows: Sequence[Window], operators: Operators, static: So
     free[:count, 3] = 1.0
     fixed = np.concatenate([static.theta, np.zeros(len(gram) - 1 - count)])
     normal, target = free.T @ gram[:-1, :-1] @ free, free.T @ (gram[:-1, -1] - gram[:-1, :-1] @ fixed)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values, vectors = np.linalg.eigh(normal / scale[:, None] / scale)
-    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    lower = np.concatenate([[0.0, 0.0], np.full(len(scale) - 2, -np.inf)])
-    found = lsq_linear(root[:, None] * vectors.T, (vectors.T @ (target / scale)) / root, (lower, np.inf)).x / scale
+    upper = np.full(len(target), np.inf)
+    found = solve_bounded(normal, target, np.array([0.0, 0.0, -np.inf, -np.inf]), upper)
     vector = fixed + free @ found
     fitted = cost(gram, vector) / max(sum(grams.rows), 1)
     return replace(
@@ -99,23 +94,8 @@ def _windows(records: Sequence[Record], axis: int, kind: str, words: str, freque
             f"{', '.join(data.name for data in records)}: the paper's sequence needs {words}: add such a record or "
             "use the joint method"
         )
-    return [_window(records[stretch.record], axis, stretch) for stretch in chosen]
-
-
-def _window(data: Record, axis: int, stretch: Stretch) -> Window:
-    command = np.ascontiguousarray(data.command[:, axis])
-    begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
-    turning = turning_points(command[: begin + 1])
-    memory = command[turning[turning < begin]] if begin else None
-    part = slice(begin, stretch.end)
-    return Window(
-        command[part],
-        np.ascontiguousarray(data.measurement[part, axis]),
-        data.sample_time,
-        data.hold,
-        0,
-        stretch.record,
-        begin / len(command),
-        (stretch.end - begin) / len(command),
-        memory,
-    )
+    found = []
+    for stretch in chosen:
+        begin = max(stretch.begin - (20 if stretch.kind == "step" else 0), 0)
+        found += cut(as_window(records[stretch.record], axis, stretch.record), [begin], stretch.end - begin, 0.0)
+    return found

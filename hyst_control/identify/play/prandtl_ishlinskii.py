@@ -1,13 +1,20 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The families of play operators: pi, hapi, rdpi and hampi."""
+"""The families of play operators: pi, hapi, rdpi and hampi; chain, numbers and notes of their fits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.chain import Stage
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
+from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
-from hyst_control.identify.data.fit import Fit, check_records
+from hyst_control.identify.data.excited_band import REACH
+from hyst_control.identify.data.fit import Fit, Number, ParameterRow, StructureRow, check_records
 from hyst_control.identify.families.estimator import Estimator, O, register
 from hyst_control.identify.play import paper_hampi
 from hyst_control.identify.play.hammerstein import (
@@ -19,8 +26,14 @@ from hyst_control.identify.play.hammerstein import (
     fit_rate_dependent,
     fit_static,
 )
-from hyst_control.identify.play.prandtl_ishlinskii_model import SENSOR_OFFSET, axis_fit
+from hyst_control.identify.solve.bounded_least_squares import covariance
+from hyst_control.identify.solve.gram_sums import Operators
+from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.identify.solve.variable_projection import Solution
 from hyst_control.records.record import Record
+
+SENSOR_OFFSET = 0.01
+"""Share of the range from which an offset is the sensor's; a smaller one is as well the session's remanence or an error of the model."""
 
 
 class _Operators(Estimator[O]):
@@ -93,3 +106,123 @@ class ModifiedHammerstein(_Hammerstein):
     name = "hampi"
     sentence = "as hapi, with weights that follow the command's rate and level (m1, m2, k, b)"
     dynamic = True
+
+
+def axis_fit(
+    records: Sequence[Record],
+    index: int,
+    operators: Operators,
+    solution: Solution,
+    held_out: float,
+    tried: Sequence[Solution] = (),
+    *,
+    dynamics: bool = True,
+) -> AxisFit:
+    """The fit of one axis; tried: solutions of the structures that were compared; dynamics: whether any were looked for."""
+    unit, name, span = records[0].unit, records[0].axes[index], max(float(data.span[index]) for data in records)
+    linear, structure = len(solution.theta), solution.structure
+    vector = np.concatenate([solution.theta, solution.parameters])
+    coefficients = np.concatenate([solution.theta, np.zeros(structure.size), solution.nuisances])
+    spread = covariance(solution.grams.blocks, coefficients)[: len(vector), : len(vector)]
+    # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
+    power = np.sqrt(np.maximum(np.diag(solution.grams.fitted + solution.grams.held_out), 0.0))
+    sizes = power[-1] / np.maximum(power[:linear], 1e-12 * power[:linear].max()) / linear
+
+    def notes(rows: Sequence[ParameterRow]) -> list[str]:
+        told = _unresolved_weights(name, rows)
+        if dynamics and not structure.modes and np.isfinite(structure.highest):
+            told.append(
+                f"axis {name}: no resonance is identifiable ({structure.describe()}): the command moves the stage up to "
+                f"{structure.highest / REACH:.3g} Hz"
+            )
+        return told + (_unresolved_rates(solution, operators, name, rows, span) if operators.dynamic else [])
+
+    return AxisFit(
+        lambda at: [_hysteresis(operators, at[:linear]), *structure.stages(at[linear:])],
+        vector,
+        spread,
+        lambda at: _numbers(operators, structure, at, unit),
+        held_out,
+        np.concatenate([sizes, np.ones(structure.size)]),
+        structure=structure.describe(),
+        structures=_structure_rows(solution, tried, name, span),
+        notes=notes,
+    )
+
+
+def _hysteresis(operators: Operators, theta: Array) -> Stage:
+    thresholds, weights = operators.thresholds, theta[: len(operators.thresholds)]
+    if operators.dynamic:
+        m1, m2, k = theta[len(thresholds) :]
+        # b adds to every weight alike, so the data cannot separate it from them: it is set so that k u + b vanishes at mid-drive,
+        # where the weights then are the static ones.
+        return ModifiedPrandtlIshlinskii(
+            thresholds, weights, m1=m1, m2=m2, k=k, b=-k * operators.center, one_sided=operators.one_sided
+        )
+    if operators.rate_gain is not None:
+        # With rate-dependent thresholds the operator that starts at 0 is not a straight line: it stays an operator.
+        return RateDependentPrandtlIshlinskii(thresholds, weights, beta=operators.rate_gain)
+    straight = int(thresholds[0] == 0.0)
+    return PrandtlIshlinskii(
+        thresholds[straight:], weights[straight:], w0=weights[0] if straight else 0.0, one_sided=operators.one_sided
+    )
+
+
+def _numbers(operators: Operators, structure: Structure, vector: Array, unit: str) -> list[Number]:
+    count = len(operators.thresholds)
+    slope = f"{unit}/V"
+    found = [Number(f"weights[{i}]", vector[i], slope, threshold=float(operators.thresholds[i])) for i in range(count)]
+    if operators.dynamic:
+        m1, m2, k = vector[count : count + 3]
+        found += [Number("m1", m1, f"{unit} s/V^2"), Number("m2", m2, f"{unit} s/V^2"), Number("k", k, f"{unit}/V^2")]
+        found.append(Number("b", -k * operators.center, slope, estimated=False))
+    if operators.rate_gain is not None:
+        found.append(Number("beta", operators.rate_gain, "s", estimated=False))
+    return found + structure.numbers(vector[operators.columns :])
+
+
+def _structure_rows(solution: Solution, tried: Sequence[Solution], name: str, span: float) -> list[StructureRow]:
+    """The structures of G(s) that were compared, each with its best solution."""
+    best: dict[Structure, Solution] = {}
+    for each in tried:
+        known = best.get(each.structure)
+        if known is None or each.held_out < known.held_out:
+            best[each.structure] = each
+    return [
+        {
+            "axis": name,
+            "structure": structure.describe(),
+            "parameters": len(each.theta) + structure.size,
+            "held_out_nrmse": 100.0 * float(np.sqrt(each.held_out)) / span,
+            "chosen": structure == solution.structure,
+        }
+        for structure, each in best.items()
+    ]
+
+
+def _unresolved_weights(name: str, rows: Sequence[ParameterRow]) -> list[str]:
+    weights = [row for row in rows if row["name"].startswith("weights")]
+    whole = abs(sum(row["value"] for row in weights))
+    unsure = [row for row in weights if (row["standard_error"] or 0.0) > max(abs(row["value"]), 1e-3 * whole)]
+    if not unsure:
+        return []
+    listed = ", ".join(f"{row['name']} {row['value']:.2g} ± {row['standard_error']:.2g}" for row in unsure[:3])
+    more = f" and {len(unsure) - 3} more" if len(unsure) > 3 else ""
+    return [f"axis {name}: {len(unsure)} of {len(weights)} weights are not identifiable: {listed}{more} {weights[0]['unit']}"]
+
+
+def _unresolved_rates(solution: Solution, operators: Operators, name: str, rows: Sequence[ParameterRow], span: float) -> list[str]:
+    """Rate weights m1, m2 that the data cannot determine, with the effect that they can have; span: range of the measurement."""
+    notes = []
+    left = 100.0 * np.sqrt(solution.fitted) / span
+    moved = np.sqrt(np.diag(solution.grams.fitted + solution.grams.held_out) / max(sum(solution.grams.rows), 1)) / span
+    for index, key in enumerate(("m1", "m2"), len(operators.thresholds)):
+        row = next(row for row in rows if row["name"] == key)
+        error = row["standard_error"] or 0.0
+        if row["value"] == 0.0 or error > abs(row["value"]):
+            effect = 100.0 * float(moved[index]) * max(abs(row["value"]), error)
+            notes.append(
+                f"axis {name}: {key} is not identifiable: {row['value']:.2g} ± {error:.2g} {row['unit']}, an effect of at most "
+                f"{effect:.2g} % of the range where {left:.2g} % are left"
+            )
+    return notes

@@ -94,11 +94,15 @@ def uncertainty_of(
     """Carry the covariance of a fit's parameters over to the numbers of its model."""
     known = chain_coordinates(stages_of(vector), axes)
     steps = STEP * (np.ones(len(vector)) if sizes is None else sizes)
-    jacobian = np.array([_slope(stages_of, vector, step * unit, known, axes) for step, unit in zip(steps, np.eye(len(vector)))]).T
+
+    def values_at(there: Array) -> dict[str, float]:
+        return {name: each.value for name, each in chain_coordinates(stages_of(there), axes).items()}
+
+    jacobian = np.nan_to_num(derivatives(values_at, vector, steps))
     moving = [i for i in range(len(known)) if np.any(jacobian[i])]
     names = [list(known)[i] for i in moving]
     values = np.array([known[name].value for name in names])
-    spread = (jacobian[moving] / steps) @ covariance @ (jacobian[moving] / steps).T
+    spread = jacobian[moving] @ covariance @ jacobian[moving].T
     # A number that is 0 has no size of its own: what the data say is all there is.
     sizes = np.array([known[name].size for name in names])
     scale = np.where(sizes > 0.0, PRIOR * sizes, np.sqrt(np.maximum(np.diag(spread), 1e-300)))
@@ -124,13 +128,18 @@ def limited_root(covariance: Annotated[Array, "P P"]) -> tuple[Array, Array]:
     return root, directions
 
 
-def _slope(stages_of: Callable[[Array], Sequence[Stage]], vector: Array, step: Array, known: Any, axes: Sequence[str]) -> Array:
-    """Difference (P,) of the numbers over one step; central, or to one side where the chain on the other is of another form."""
-    found = []
-    for moved in (vector + step, vector - step):
-        there = chain_coordinates(stages_of(moved), axes)
-        found.append(None if there.keys() != known.keys() else np.array([there[name].value for name in known]))
-    nominal = np.array([coordinate.value for coordinate in known.values()])
-    changes = [sign * (values - nominal) for sign, values in zip((1.0, -1.0), found, strict=True) if values is not None]
-    slope: Array = np.mean(changes, axis=0) if changes else np.zeros(len(known))
-    return slope
+def derivatives(
+    values_at: Callable[[Array], dict[str, float]], vector: Annotated[Array, "Q"], steps: Array
+) -> Annotated[Array, "P Q"]:
+    """Central differences of named numbers; to one side, or not a number, where a step makes other ones of them."""
+    nominal = values_at(vector)
+    columns = []
+    for step, unit in zip(steps, np.eye(len(vector)), strict=True):
+        there = [(sign, values_at(vector + sign * step * unit)) for sign in (1.0, -1.0)]
+        changes = [
+            sign * np.array([found[name] - value for name, value in nominal.items()])
+            for sign, found in there
+            if found.keys() == nominal.keys()
+        ]
+        columns.append(np.mean(changes, axis=0) / step if changes else np.full(len(nominal), np.nan))
+    return np.array(columns).reshape(len(vector), len(nominal)).T

@@ -13,13 +13,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
-from hyst_control.base.arrays import Array, Integers
+from hyst_control.base.arrays import Array
 from hyst_control.chain import Sampling, Stage
-from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.chain_batch import Bundle
@@ -61,17 +59,6 @@ class Parametrization:
 
 
 @dataclass(frozen=True)
-class Session:
-    """Effects of a session: sensor offset and drift (a name of `NUISANCES`), and an unknown state of the dynamics.
-
-    All of it is eliminated record by record, so a fit does not grow with the number of its records. The drift has a prior of its size.
-    """
-
-    nuisance: str = "linear"
-    unknown_state: bool = False
-
-
-@dataclass(frozen=True)
 class Solution:
     """Solution of a simulation-error fit."""
 
@@ -83,7 +70,6 @@ class Solution:
     """Mean square errors on the rows fitted and held out."""
     grams: Grams
     """Gram matrices of [derivatives, error], the session effects eliminated."""
-    passes: int
     linearized: Array
     """Parameters at which the derivatives in `grams` were taken: these, or those one step before."""
 
@@ -111,7 +97,7 @@ def minimize_simulation_error(
     of the cost that a step must gain for the search to go on; everything: fit also the rows held out for choosing structures.
     """
     origin = parametrization.limit(np.asarray(start, dtype=float))
-    search = _Search(windows, parametrization, origin, Session(nuisance, unknown_state), everything)
+    problem = SimulationError(windows, parametrization, nuisance, unknown_state, everything, origin)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
@@ -122,149 +108,124 @@ def minimize_simulation_error(
         highest=1e4,
         min_move=1e-8,
     )
-    found = gauss_newton.minimize(search, search.visit(origin, derivatives=True), rules)
-    solution = found.point if found.linearized or found.end is End.BUDGET else search.linearize(found.point)
-    return replace(solution, passes=found.steps + 1)
+    found = gauss_newton.minimize(problem, problem.visit(origin, derivatives=True), rules)
+    return found.point if found.linearized or found.end is End.BUDGET else problem.linearize(found.point)
 
 
 @dataclass(frozen=True)
-class _Search:
-    """The least-squares problem of `minimize_simulation_error`; a point is a `Solution`, whose Gram matrices hold the derivatives."""
+class SimulationError:
+    """The error of a chain on records as a least-squares problem; a point is a `Solution`, whose Gram matrices hold the derivatives.
+
+    Effects of a session, an offset and a drift (a name of `NUISANCES`) and an unknown state of the dynamics, are eliminated record by
+    record, so a fit does not grow with the number of its records. The drift has a prior of its size.
+    """
 
     windows: Sequence[Window]
     parametrization: Parametrization
-    origin: Array
-    session: Session
-    everything: bool
-
-    def visit(self, parameters: Array, *, derivatives: bool) -> Solution:
-        return simulated(
-            self.windows, self.parametrization, parameters, self.session, derivatives=derivatives, everything=self.everything
-        )
+    nuisance: str = "linear"
+    unknown_state: bool = False
+    everything: bool = True
+    """Whether cost and session effects are those of all rows, not of the fitted ones alone."""
+    origin: Array | float = 0.0
+    """Parameters that the prior pulls to."""
 
     def cost(self, point: Solution) -> float:
+        """Return the mean square error of the `point`."""
         return point.fitted
 
     def linearize(self, point: Solution) -> Solution:
+        """Return the `point` with the derivatives there."""
         return replace(point, grams=self.visit(point.parameters, derivatives=True).grams, linearized=point.parameters)
 
     def step(self, point: Solution, damping: float) -> Trial[Solution]:
+        """Return the trial of the step with `damping` from a linearized `point`."""
         grams = point.grams
         gram = grams.fitted + grams.held_out if self.everything else grams.fitted
         step = bounded_step(gram, self.parametrization, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
-        found = self.visit(self.parametrization.limit(point.parameters + step), derivatives=False)
+        found = self.visit(self.parametrization.limit(point.parameters + step))
         return Trial(replace(found, grams=grams, linearized=point.parameters), float(np.max(np.abs(step))))
 
+    def visit(self, parameters: Array, *, derivatives: bool = False) -> Solution:
+        """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out."""
+        windows, size = self.windows, len(parameters) * derivatives
+        vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
+        chains = [tuple(self.parametrization.stages(vector)) for vector in vectors]
+        clocks = {
+            sampling: Bundle(chains, sampling) for sampling in {Sampling(window.sample_time, 1, window.hold) for window in windows}
+        }
+        everywhere = sum(len(window.command) for window in windows)
+        length = int(np.clip(everywhere // HELD_OUT_BLOCKS, 1, BLOCK))
+        together = -(-everywhere // (length * MAX_BLOCKS))
+        grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
+        blocks: list[Array] = []
+        nuisances: list[Array] = []
+        extra = NUISANCES[self.nuisance]
+        for group in range(max(window.group for window in windows) + 1):
+            record = [window for window in windows if window.group == group]
+            if not record:  # a record of which no stretch was chosen
+                nuisances.append(np.zeros(extra))
+                continue
+            running = [clocks[Sampling(window.sample_time, 1, window.hold)] for window in record]
+            columns = extra + running[0].states * len(record) * self.unknown_state
+            total = size + columns + 1
+            sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
+            pieces: list[Array] = []
+            for number, window in enumerate(record):
+                for block in self._blocks(window, running[number], size, columns, number, length):
+                    product = block.T @ block
+                    if (count - first) % together:
+                        pieces[-1] += product
+                    else:
+                        pieces.append(product)
+                    count += 1
+                    which = 1 if count % 3 == 0 else 0
+                    sums[which] += product
+                    own[which] += len(block)
+            known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
+            drift = DRIFT * max(float(np.ptp(window.measurement)) for window in record) * (extra > 1)
+            effects, penalty = _eliminated(known, size, columns, drift, int(used))
+            keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
+            grams[0] += keep.T @ sums[0] @ keep + penalty
+            grams[1] += keep.T @ sums[1] @ keep
+            blocks += [keep.T @ piece @ keep for piece in pieces]
+            nuisances.append(effects[:extra, -1])
+            rows += own
+        chosen, counted = (grams.sum(axis=0), rows.sum()) if self.everything else (grams[0], rows[0])
+        return Solution(
+            parameters,
+            np.concatenate(nuisances),
+            max(float(chosen[-1, -1]), 0.0) / max(int(counted), 1),
+            max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
+            Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
+            parameters,
+        )
 
-def simulation_error(windows: Sequence[Window], parametrization: Parametrization, parameters: Array, nuisance: str) -> float:
-    """Mean square of the simulation error over all rows, beside the nuisances that reduce it most."""
-    return simulated(windows, parametrization, parameters, Session(nuisance), derivatives=False, everything=True).fitted
-
-
-def simulated(
-    windows: Sequence[Window],
-    parametrization: Parametrization,
-    parameters: Array,
-    session: Session,
-    *,
-    derivatives: bool,
-    everything: bool,
-) -> Solution:
-    """Simulate the records once: errors, and the Gram matrices of [derivatives (P), error]; every third block is held out.
-
-    everything: the session effects of a record are those of all its rows, not of the fitted ones alone.
-    """
-    size = len(parameters) * derivatives
-    vectors = [parameters, *(parameters + STEP * unit for unit in np.eye(len(parameters))[:size])]
-    chains = [tuple(parametrization.stages(vector)) for vector in vectors]
-    clocks: dict[Sampling, Bundle] = {}
-    everywhere = sum(len(window.command) for window in windows)
-    length = int(np.clip(everywhere // HELD_OUT_BLOCKS, 1, BLOCK))
-    together = -(-everywhere // (length * MAX_BLOCKS))
-    grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
-    blocks: list[Array] = []
-    nuisances: list[Array] = []
-    for group in range(max(window.group for window in windows) + 1):
-        record = [window for window in windows if window.group == group]
-        if not record:  # a record of which no stretch was chosen
-            nuisances.append(np.zeros(NUISANCES[session.nuisance]))
-            continue
-        columns = _session_columns(record, chains[0], session)
-        total = size + columns + 1
-        sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
-        pieces: list[Array] = []
-        for number, window in enumerate(record):
-            sampling = Sampling(window.sample_time, 1, window.hold)
-            if sampling not in clocks:
-                clocks[sampling] = Bundle(chains, sampling)
-            for block in _blocks(window, clocks[sampling], size, session, columns, number, length):
-                product = block.T @ block
-                if (count - first) % together:
-                    pieces[-1] += product
-                else:
-                    pieces.append(product)
-                count += 1
-                which = 1 if count % 3 == 0 else 0
-                sums[which] += product
-                own[which] += len(block)
-        known, used = (sums.sum(axis=0), own.sum()) if everything else (sums[0], own[0])
-        drift = DRIFT * max(float(np.ptp(window.measurement)) for window in record) * (NUISANCES[session.nuisance] > 1)
-        effects, penalty = _eliminated(known, size, columns, drift, int(used))
-        keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
-        grams[0] += keep.T @ sums[0] @ keep + penalty
-        grams[1] += keep.T @ sums[1] @ keep
-        blocks += [keep.T @ piece @ keep for piece in pieces]
-        nuisances.append(effects[: NUISANCES[session.nuisance], -1])
-        rows += own
-    chosen, counted = (grams.sum(axis=0), rows.sum()) if everything else (grams[0], rows[0])
-    return Solution(
-        parameters,
-        np.concatenate(nuisances),
-        max(float(chosen[-1, -1]), 0.0) / max(int(counted), 1),
-        max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
-        Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
-        1,
-        parameters,
-    )
-
-
-def _session_columns(record: Sequence[Window], chain: Sequence[Stage], session: Session) -> int:
-    """Number of columns of a record's session effects: offset and drift, and the states of every window's dynamics."""
-    states = 0
-    if session.unknown_state:
-        window = record[0]
-        states = Bundle([chain], Sampling(window.sample_time, 1, window.hold)).states
-    return NUISANCES[session.nuisance] + states * len(record)
-
-
-def _blocks(
-    window: Window, running: Bundle, size: int, session: Session, columns: int, number: int, length: int
-) -> Iterator[Array]:
-    """Blocks of rows of [derivatives, session effects, error] of a window, the `number`-th of its record."""
-    signal, first = driving_signal(window)
-    running.settle(float(signal[0, 0]))
-    for earlier in row_blocks(first):
-        running.process(signal[earlier])
-    n, extra = len(window.command), NUISANCES[session.nuisance]
-    decay = running.decay() if session.unknown_state else None
-    for chunk in range(0, n, CHUNK):
-        stop = min(chunk + CHUNK, n)
-        rows = np.zeros((stop - chunk, size + columns + 1), order="F")
-        nominal, *neighbours = running.process(signal[first + chunk : first + stop])
-        for i, neighbour in enumerate(neighbours):
-            np.subtract(neighbour, nominal, out=rows[:, i])
-        rows[:, :size] /= STEP
-        share = window.begin + window.share * np.arange(chunk, stop) / n
-        for power in range(extra):
-            rows[:, size + power] = (share - 0.5) ** power
-        if decay is not None:
-            place = size + extra + number * decay.states
-            rows[:, place : place + decay.states] = decay.rows(stop - chunk)
-        np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
-        for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
-            yield rows[begin : begin + length]
+    def _blocks(self, window: Window, running: Bundle, size: int, columns: int, number: int, length: int) -> Iterator[Array]:
+        """Blocks of rows of [derivatives, session effects, error] of a window, the `number`-th of its record."""
+        signal, first = driving_signal(window)
+        running.settle(float(signal[0, 0]))
+        for earlier in row_blocks(first):
+            running.process(signal[earlier])
+        n, extra = len(window.command), NUISANCES[self.nuisance]
+        decay = running.decay() if self.unknown_state else None
+        for chunk in range(0, n, CHUNK):
+            stop = min(chunk + CHUNK, n)
+            rows = np.zeros((stop - chunk, size + columns + 1), order="F")
+            nominal, *neighbours = running.process(signal[first + chunk : first + stop])
+            for i, neighbour in enumerate(neighbours):
+                np.subtract(neighbour, nominal, out=rows[:, i])
+            rows[:, :size] /= STEP
+            share = window.begin + window.share * np.arange(chunk, stop) / n
+            for power in range(extra):
+                rows[:, size + power] = (share - 0.5) ** power
+            if decay is not None:
+                place = size + extra + number * decay.states
+                rows[:, place : place + decay.states] = decay.rows(stop - chunk)
+            np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
+            for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
+                yield rows[begin : begin + length]
 
 
 def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:
@@ -301,7 +262,7 @@ def driving_signal(window: Window) -> tuple[Array, int]:
     return signal.reshape(-1, 1), len(before)
 
 
-def bounded_step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float) -> Array:
+def bounded_step(gram: Array, parametrization: Parametrization, present: Array, origin: Array | float, damping: float) -> Array:
     """The step of least cost within the limits: what would leave them stays upon them, and the others move as is best beside it."""
     held = np.full(len(present), np.nan)
     while True:
@@ -313,7 +274,9 @@ def bounded_step(gram: Array, parametrization: Parametrization, present: Array, 
         held[leaving] = allowed[leaving]
 
 
-def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array, damping: float, held: Array) -> Array:
+def _step(
+    gram: Array, parametrization: Parametrization, present: Array, origin: Array | float, damping: float, held: Array
+) -> Array:
     """Minimum of the linearized cost; `held`: steps that are given, NaN where they are free."""
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
     diagonal = np.maximum(np.diag(normal), 0.0)
@@ -364,84 +327,3 @@ def _root(matrix: Array) -> Array:
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(matrix)
         return np.asarray(np.linalg.cholesky((vectors * np.maximum(values, 1e-10 * values[-1])) @ vectors.T), dtype=float)
-
-
-@njit(cache=True)
-def surviving_turns(values: Array) -> Integers:
-    """Find the turning points that no later excursion has passed: Madelung's rules remember no others."""
-    kept = np.empty(values.size, dtype=np.int64)
-    count = 0
-    for k in range(values.size):
-        if count >= 2 and (values[k] - values[kept[count - 1]]) * (values[kept[count - 1]] - values[kept[count - 2]]) >= 0.0:
-            count -= 1
-        kept[count] = k
-        count += 1
-        # The pair before the last point is wiped out when the last one lies past its beginning.
-        while count >= 4 and (values[k] - values[kept[count - 3]]) * (values[k] - values[kept[count - 2]]) >= 0.0:
-            count -= 2
-            kept[count - 1] = k
-    return kept[:count]
-
-
-def thinned(window: Window) -> Window:
-    """Thin a window whose command creeps to every n-th row, between which its motion is straight.
-
-    A held command is, at the coarse sample time, the mean of the values before and after the tick.
-    """
-    steps = np.abs(np.diff(window.command))
-    largest = float(steps.max()) if len(steps) else 0.0
-    factor = int(0.01 * float(np.ptp(window.command)) / largest) if largest > 0 else 1
-    if factor < 4 or window.memory is not None:
-        return window
-    command = window.command
-    if window.hold == "zoh":
-        command = 0.5 * (np.append(command[:1], command[:-1]) + command)
-    return replace(
-        window,
-        command=np.ascontiguousarray(command[::factor]),
-        measurement=np.ascontiguousarray(window.measurement[::factor]),
-        sample_time=window.sample_time * factor,
-        hold="foh",
-        skip=-(-window.skip // factor),
-    )
-
-
-def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
-    """Choose short stretches that are spread evenly over the windows.
-
-    Creeping records stay whole, but coarser (`thinned`). A stretch includes the turning points before it that still matter.
-    """
-    if sum(len(window.command) for window in windows) <= rows:
-        return list(windows)
-    whole = [(window, thinned(window)) for window in windows]
-    chosen = [thin for window, thin in whole if thin is not window]
-    quick = [window for window, thin in whole if thin is window]
-    rows -= sum(len(window.command) for window in chosen)
-    total = sum(len(window.command) for window in quick)
-    for window in quick:
-        n = len(window.command)
-        size = min(int(length / window.sample_time), n)
-        count = max(int(round(n * max(rows, total // 50) / total / size)), 3)
-        if count * size >= n:
-            chosen.append(window)
-            continue
-        turns = turning_points(window.command)
-        remembered = np.zeros(1) if window.memory is None else window.memory[turning_points(window.memory)]
-        for begin in np.unique(np.linspace(0, n - size, count).astype(int)):
-            end = begin + size
-            earlier = np.concatenate([remembered, window.command[turns[turns < begin]]]) if begin else None
-            memory = window.memory if earlier is None else earlier[surviving_turns(earlier)]
-            skip = min(max(int(settle / window.sample_time) if begin else 0, window.skip - begin), size - 1)
-            chosen.append(
-                replace(
-                    window,
-                    command=window.command[begin:end],
-                    measurement=window.measurement[begin:end],
-                    skip=skip,
-                    begin=window.begin + window.share * begin / n,
-                    share=window.share * size / n,
-                    memory=memory,
-                    weight=None,
-                )
-            )
-    return chosen

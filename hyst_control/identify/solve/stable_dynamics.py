@@ -19,7 +19,6 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_stages import (
     Delay,
     Discretised,
-    LinearSystem,
     TransferFunction,
     discretise,
     transfer_function_system,
@@ -50,11 +49,6 @@ class Structure:
     def size(self) -> int:
         """Number of parameters."""
         return 2 * self.modes + self.lags + self.zeros + 2 * self.slow_pair + self.delay
-
-    @property
-    def static(self) -> bool:
-        """Absence of any dynamics."""
-        return self.size == 0
 
     def describe(self) -> str:
         """The structure in words."""
@@ -180,10 +174,7 @@ class Structure:
         """Discretize the dynamics exactly."""
         samples = self.tau(parameters) / sampling.sample_time
         whole = int(np.floor(samples + 1e-9))
-        if self.modes + self.lags + self.slow_pair:
-            system = transfer_function_system(*self.rational(parameters))
-        else:
-            system = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+        system = transfer_function_system(*self.rational(parameters))
         return discretise(system, np.array([max(samples - whole, 0.0)]), sampling), whole
 
     def limit(self, parameters: Annotated[Array, "P"], sample_time: float) -> Annotated[Array, "P"]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -71,7 +71,6 @@ class Solution:
     fitted: float
     held_out: float
     grams: Grams  # Gram matrices of the last pass
-    passes: int  # Number of passes over the records
 
 
 def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, blocks: float) -> tuple[Array, Array]:
@@ -117,22 +116,19 @@ def solve(
     search = _Search(problem, structure, everything)
     present = structure.limit(start, search.sample_time)
     best = search.visit(present, np.zeros(problem.operators.columns) if theta is None else theta)
-    passed = 1
-    if structure.size and theta is None:
-        best = search.visit(present, best.theta)
-        passed = 2
     if not structure.size:
-        return replace(best, passes=passed)
+        return best
+    if theta is None:
+        best = search.visit(present, best.theta)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
         eased=lambda damping: max(0.2 * damping, 1e-9),
         small=lambda before, after: 1.0 - after / before < tolerance,
-        trials=passes - passed,
+        trials=passes - (2 if theta is None else 1),
         min_move=1e-6,
     )
-    found = gauss_newton.minimize(search, best, rules)
-    return replace(found.point, passes=passed + found.trials)
+    return gauss_newton.minimize(search, best, rules).point
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,6 @@ class _Search:
             cost(gram, vector) / max(rows, 1),
             cost(grams.held_out, vector) / max(grams.rows[1], 1),
             grams,
-            1,
         )
 
     def cost(self, point: Solution) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.records.stream.row_store import blocks
 
 LONGEST = 2**20
 """Samples, from the beginning, that are looked at."""
@@ -113,7 +114,9 @@ def simultaneous_gaps(command: Array, measured: Array) -> int:
         # Beside a gap both slopes are those of the motion: the step between them is several of it.
         around = 0.25 * (steps[:-4] + steps[1:-3] + steps[3:-1] + steps[4:])
         own = steps[2:-2] - around
-        rough = np.sort(np.abs(np.stack([own[shift : len(own) - 12 + shift] for shift in (0, 1, 2, 4, 8, 10, 11, 12)])), axis=0)[4]
+        # Block by block: of a long record the eight rows around every row would be the largest that a fit holds in memory.
+        parts = blocks(max(len(own) - 12, 0))
+        rough = np.concatenate([np.zeros(0), *(_median_around(np.abs(own[part.start : part.stop + 12])) for part in parts)])
         rows = np.zeros(len(own), bool)
         rows[6 : len(own) - 6] = np.abs(own[6 : len(own) - 6]) > JUMP * rough + 1e-6 * np.ptp(values)
         rows &= own * around > 0.0
@@ -122,6 +125,13 @@ def simultaneous_gaps(command: Array, measured: Array) -> int:
     chance = float(jumps[0].mean() * jumps[1].mean() * len(both))
     count = int(both.sum())
     return count if count >= max(MIN_GAPS, 5.0 * chance) else 0
+
+
+def _median_around(sizes: Array) -> Array:
+    """Upper median (N - 12,) of eight of the 13 sizes (N,) around every row: those next to it, where a gap shows, are left out."""
+    near = np.stack([sizes[shift : len(sizes) - 12 + shift] for shift in (0, 1, 2, 4, 8, 10, 11, 12)])
+    near.sort(axis=0)
+    return np.asarray(near[4], dtype=np.float64)
 
 
 def implausible(command: Array, measured: Array, unit: str) -> tuple[str, str] | None:

@@ -97,8 +97,11 @@ def averaged(rows: Array, together: int) -> Array:
         return rows
     # Plain means fold what is faster than the new rate, and a plant's lag of a part of a new row is causal only for what is slower.
     for _ in range(2):
-        sums = np.cumsum(np.concatenate([np.zeros((1, rows.shape[1])), rows - rows[0]]), axis=0)
-        rows = rows[0] + (sums[2 * together :] - sums[: -2 * together]) / (2 * together)
+        first, sums = rows[0].copy(), np.zeros((len(rows) + 1, rows.shape[1]))
+        np.cumsum(np.subtract(rows, first, out=sums[1:]), axis=0, out=sums[1:])  # in place: long records are looked at whole
+        rows = sums[2 * together :] - sums[: -2 * together]
+        rows /= 2 * together
+        rows += first
     return np.ascontiguousarray(rows[::together])
 
 
