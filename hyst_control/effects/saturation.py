@@ -13,9 +13,10 @@ from hyst_control.effects.effect import Effect, Parameter
 def limits(unit: str, low: float, high: float, beyond: float, together: bool) -> tuple[Parameter, ...]:
     """Limits within a range and `beyond` it by a share, at once or over a knee; `together`: fits begin with one inside, or both."""
     reach = max(high - low, 1e-9)
-    inside, most, beyond = 0.1 * reach, 0.45 * reach, beyond * reach
+    # One limit may lie anywhere: a loop drives the command far beyond it.
+    inside, most, beyond = 0.1 * reach, 0.9 * reach, beyond * reach
     starts = (
-        ((low, high - inside), (low + inside, high), (low + inside, high - inside))
+        ((low, high - inside), (low, low + 0.3 * reach), (low + inside, high), (low + inside, high - inside))
         if together
         else ((low, high), (low + inside, high - inside))
     )
