@@ -147,10 +147,11 @@ def _times(matrices: Array, value: Array) -> Array:
 
 def _blocks(a: Array) -> list[tuple[int, int]]:
     """First and past-the-last state of the blocks along the diagonal of matrices (S, n, n); few states are one block."""
-    acting, n = np.any(a != 0.0, axis=0), a.shape[1]
-    ends = range(1, n + 1) if n > FEW else [n] * (n > 0)
-    edges = [0, *(end for end in ends if not (acting[:end, end:].any() or acting[end:, :end].any()))]
-    return list(pairwise(edges))
+    n = a.shape[1]
+    if n <= FEW:
+        return [(0, n)] * (n > 0)
+    acting = np.any(a != 0.0, axis=0)
+    return list(pairwise([0, *(k for k in range(1, n + 1) if not (acting[:k, k:].any() or acting[k:, :k].any()))]))
 
 
 def _groups(a: Array) -> list[tuple[int, int, int]]:
@@ -169,8 +170,8 @@ def _groups(a: Array) -> list[tuple[int, int, int]]:
 def reach_of(a: Array) -> Integers:
     """First and past-the-last column (S, n, 2) that acts, of every row of matrices (S, n, n); in small blocks all that there are."""
     there, n = a != 0.0, a.shape[2]
-    if not n:
-        return np.zeros((*a.shape[:2], 2), np.int64)
+    if n <= FEW:
+        return np.tile(np.array([0, n]), (*a.shape[:2], 1))
     first, last = there.argmax(axis=2), n - there[:, :, ::-1].argmax(axis=2)
     reach = np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
     for begin, end in _blocks(a):
