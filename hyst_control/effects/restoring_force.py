@@ -10,11 +10,12 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.linear.discretization import discretise
-from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, TransferFunction
+from hyst_control.chain.linear.linear_filter import reach_of
+from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, TransferFunction, realization
 from hyst_control.chain.stage import Filter, Sampling, Stage
 from hyst_control.effects.modifiers import beside_mechanics
 
@@ -55,7 +56,7 @@ class MovedByForce(Stage):
         return (TransferFunction([0.0], [1.0]),)
 
     def filter(self, sampling: Sampling) -> Filter:
-        return ForceFilter(self.base.systems(sampling.axes), self, sampling)
+        return ForceFilter([realization(system) for system in self.base.systems(sampling.axes)], self, sampling)
 
 
 class ForceFilter(Filter):
@@ -76,6 +77,7 @@ class ForceFilter(Filter):
                 self.rate[s, :, :order] = system.C
             else:
                 self.rate[s, :, :order], self.direct[s] = _where_it_goes(system, step.A, step.B.sum(axis=0), sampling.sample_time)
+        self.acting = reach_of(self.a)
         # Change of that by a unit force that is held over a step.
         self.reach = np.einsum("smi,sim->sm", self.rate, self.push) + np.einsum("smm->sm", self.direct)
         gains = np.concatenate([reference_gains(system) for system in systems])
@@ -95,7 +97,7 @@ class ForceFilter(Filter):
     def process(self, block: Array) -> Array:
         output, memory = np.empty_like(block), (self.free, self.moved, self.last, self.taken)
         system = self.a, self.b, self.push, self.c, self.rate, self.direct, self.reach
-        advance_force(block, system, (self.law, self.force, self.size), memory, output)
+        advance_force(block, system, self.acting, (self.law, self.force, self.size), memory, output)
         return output
 
     def c_code(self) -> CCode:
@@ -201,6 +203,7 @@ def settle_force(
 def advance_force(
     block: Annotated[Array, "N A"],
     system: tuple[Array, ...],
+    acting: Annotated[Integers, "S n 2"],
     force_law: tuple[int, Array, Array],
     memory: tuple[Array, ...],
     output: Annotated[Array, "N A"],
@@ -215,7 +218,7 @@ def advance_force(
             for k in range(n):
                 ahead[k] = 0.0
                 shift[k] = 0.0
-                for q in range(n):
+                for q in range(acting[s, k, 0], acting[s, k, 1]):
                     ahead[k] += a[s, k, q] * free[s, q]
                     shift[k] += a[s, k, q] * moved[s, q]
                 for j in range(m):

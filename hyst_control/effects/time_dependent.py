@@ -60,8 +60,8 @@ class TimedFilter(Filter):
         return first
 
     def process(self, block: Array) -> Array:
-        ticks = self.count + self.ahead + np.arange(len(block))
-        times = (ticks * self.sample_time).astype(np.float64)
+        begin = self.count + self.ahead
+        times = np.arange(begin, begin + len(block)) * self.sample_time
         self.count += len(block)
         return self.function(block, times[:, None])
 

@@ -56,9 +56,9 @@ def test_a_fit_that_stops_far_from_its_minimum_is_gone_on_with(monkeypatch):
     members = [member for member in prepared.members(False) if member.name in ("delay", "gain")]
 
     def stopped(linearized, begun, rival):
-        return [(one.candidate, fit(linearized, one.candidate.unknowns(), 0.7 * one.ends[0].x, rounds=0)) for one in begun]
+        return fit(linearized, begun.candidate.unknowns(), 0.7 * begun.ends[0].x, rounds=0)
 
-    monkeypatch.setattr("hyst_control.diagnose.search.beam_search.finish", stopped)
+    monkeypatch.setattr("hyst_control.diagnose.search.beam_search.gone_on", stopped)
     best = search(prepared.linearized, members, 10.0, prepared.floor, prepared.leaves).singles[0]
     assert best.names == ("delay",)
     assert best.candidate.members[0].values(best.solution.x)["tau"] == pytest.approx(1e-4, rel=0.02)
@@ -78,8 +78,20 @@ def test_only_a_fit_that_promises_less_than_its_rival_is_stopped_on_its_way(monk
 
     monkeypatch.setattr(candidate_fits, "fit", told)
     for other in (1.01 * begun.misfit, 0.99 * begun.misfit):
-        candidate_fits._gone_on(prepared.linearized, replace(begun, ends=begun.ends[:1]), other)
+        candidate_fits.gone_on(prepared.linearized, replace(begun, ends=begun.ends[:1]), other)
     assert rivals == [np.inf, 0.99 * begun.misfit]
+
+
+@pytest.mark.parametrize(("frequency", "damping", "gain"), [(310.0, 0.02, 0.03), (1292.0, 0.05, -0.01), (4078.0, 0.013, 0.06)])
+def test_a_scan_over_frequencies_keeps_those_next_to_the_mode(frequency, damping, gain):
+    mode = {"name": "resonance", "frequency": frequency, "damping": damping, "gain": gain}
+    record = record_of("pea_published", [mode])
+    prepared = prepare(*with_clean([record], nominal("pea_published"), 0.0, CONFIGURATION, ())[3][0][:2], (), CONFIGURATION)
+    member = next(member for member in prepared.members(False) if member.name == "resonance")
+    unknowns = Candidate((member,)).unknowns()
+    kept = candidate_fits.best_scaled(prepared.linearized, unknowns, member.starts(), 8)
+    nearest = min(member.starts(), key=lambda start: abs(start[0] - np.log(frequency)))
+    assert len(kept) == 8 and nearest[0] in [start[0] for start in kept]
 
 
 def test_an_effect_that_is_hardly_there_is_not_beyond_its_range():

@@ -19,7 +19,7 @@ from hyst_control.diagnose.search.beam_search import search
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import TAIL, Linearized, fit
-from hyst_control.diagnose.search.starts import Begun, begin, finish
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on
 from hyst_control.effects.added_mass import AddedMass
 from hyst_control.effects.slew_limit import SlewLimit
 from hyst_control.model_file import Model
@@ -103,7 +103,7 @@ def test_the_truth_leads_and_its_fit_of_the_chain_leaves_the_noise():
     begun = begin(linearized, [(one, one.starts()) for one in candidates], CONFIGURATION.search)
     assert begun[0].candidate.names == ("sensor_lowpass",)
     assert [one.misfit for one in begun] == sorted(one.misfit for one in begun)
-    ((_, solution),) = finish(linearized, begun[:1], np.inf)
+    solution = gone_on(linearized, begun[0], np.inf)
     assert 2.0 * solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
 
 
@@ -124,7 +124,7 @@ def test_effects_of_two_parameters_are_found_however_large(name, truth):
     linearized = linearised_of(*truth)
     candidates = [Candidate((one,)) for one in catalogue(linearized.problem, {}) if one.name == name]
     begun = begin(linearized, [(one, one.starts()) for one in candidates], CONFIGURATION.search, linearized_misfit(linearized))
-    left = min(solution.misfit for _, solution in finish(linearized, begun, np.inf))
+    left = min(gone_on(linearized, one, np.inf).misfit for one in begun)
     assert 2.0 * left / ROWS == pytest.approx(1.0, abs=0.1)
 
 
@@ -142,6 +142,23 @@ def test_a_large_effect_alone_needs_no_second_one_for_what_linear_coefficients_l
     found = search(linearized, members, 10.0, 0.0)
     assert found.singles[0].names == ("sensor_lowpass",)
     assert not found.combinations
+    assert 2.0 * found.singles[0].solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_effect_that_does_not_lead_by_its_linear_fit_is_fitted_before_it_gets_a_second_one(monkeypatch):
+    linearized = linearised_of(PLANT, LAG)
+    members = [candidate_of(linearized, name).members[0] for name in ("sensor_lowpass", "gain", "offset")]
+
+    misfits = {("gain",): 1e6, ("offset",): 1.2e6, ("sensor_lowpass",): 7.813e6}  # no better than what others end at
+
+    def behind(*arguments):
+        found = begin(*arguments)
+        seen = [(one.ends[0], misfits.get(one.candidate.names, one.misfit), one) for one in found]
+        return sorted((replace(one, ends=(replace(end, misfit=of),)) for end, of, one in seen), key=lambda one: one.misfit)
+
+    monkeypatch.setattr("hyst_control.diagnose.search.beam_search.begin", behind)
+    found = search(linearized, members, 10.0, 0.0)
+    assert found.singles[0].names == ("sensor_lowpass",) and not found.combinations
     assert 2.0 * found.singles[0].solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
 
 
@@ -166,7 +183,7 @@ def test_coefficients_that_the_chain_cannot_follow_are_shortened():
     candidate = candidate_of(linearized, "offset")
     end = fit(linearized, candidate.unknowns(), np.zeros(1), linear=True)
     wild = Begun(candidate, (replace(end, z=np.full(linearized.count, -1e3)),))
-    ((_, solution),) = finish(linearized, [wild], np.inf)
-    ((_, usual),) = finish(linearized, [Begun(candidate, (end,))], np.inf)
+    solution = gone_on(linearized, wild, np.inf)
+    usual = gone_on(linearized, Begun(candidate, (end,)), np.inf)
     assert np.isfinite(solution.misfit)
     assert solution.misfit < 10.0 * usual.misfit

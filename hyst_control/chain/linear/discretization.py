@@ -35,12 +35,12 @@ def discretise(system: LinearSystem, fraction: Array, sampling: Sampling) -> Dis
     ts = sampling.sample_time
     n, m = system.B.shape
     b_taps, d_taps = np.zeros((3, n, m)), np.zeros((2, len(system.D), m))
-    transition = expm(system.A * ts)
-    carried = {f: expm(system.A * (1.0 - f) * ts) for f in set(fraction.tolist()) if f}
+    transition = np.eye(n)
     for j, f in enumerate(fraction.tolist()):
         column, direct = system.B[:, j : j + 1], system.D[:, j]
-        newer = _held_input(system.A, column, (1.0 - f) * ts)
-        older = carried[f] @ _held_input(system.A, column, f * ts) if f else np.zeros((n, 2))
+        until, older = _held_input(system.A, column, f * ts)
+        carried, newer = _held_input(system.A, column, (1.0 - f) * ts)
+        transition, older = carried @ until, carried @ older
         if sampling.hold == "zoh":
             b_taps[0, :, j] = newer.sum(axis=1)
             b_taps[1, :, j] = older.sum(axis=1)
@@ -68,18 +68,16 @@ def discretise_average(system: LinearSystem, fraction: Array, sampling: Sampling
     return replace(step, A=fresh)
 
 
-def _held_input(a: Array, b: Array, time: float) -> Array:
-    """State reached from rest over `time` for an input that runs straight from 1 to 0, and from 0 to 1: two columns (n, 2)."""
+def _held_input(a: Array, b: Array, time: float) -> tuple[Array, Array]:
+    """Transition (n, n), and states (n, 2) reached from rest for an input that runs straight from 1 to 0, and from 0 to 1."""
     n = len(a)
-    found = np.zeros((n, 2))
     if time <= 0.0 or n == 0:
-        return found
+        return np.eye(n), np.zeros((n, 2))
     # Van Loan: the exponential of [[A, B, 0], [0, 0, 1/T], [0, 0, 0]] holds the step and the ramp response.
     block = np.zeros((n + 2, n + 2))
     block[:n, :n] = a
     block[:n, n : n + 1] = b
     block[n, n + 1] = 1.0 / time
     exponential = expm(block * time)
-    found[:, 1] = exponential[:n, n + 1]
-    found[:, 0] = exponential[:n, n] - found[:, 1]
-    return found
+    rising = exponential[:n, n + 1]
+    return exponential[:n, :n], np.stack([exponential[:n, n] - rising, rising], axis=1)

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.chain.c_code.c_code import CCode, integers, reals
 from hyst_control.chain.linear.discretization import Discretised
 from hyst_control.chain.linear.linear_kernels import (
-    CLOSE,
     FEW,
     QUAD,
     SETTLE,
@@ -45,7 +46,7 @@ class LinearFilter(Filter):
             self.c[s, :, :order], self.d[s] = system.C, system.D
         self.bias = np.concatenate([system.bias for system in systems])
         # Modes that do not act on each other leave most of a matrix empty: only what is there is computed.
-        self.reach = _reach(self.a) if n > CLOSE else np.zeros((count, n, 2), dtype=np.int64)  # of few states all are computed
+        self.reach = reach_of(self.a)
         self.late: Mask = np.any(self.b[:, 1:] != 0.0, axis=(1, 2, 3))
         if m > 1:
             self.quads, self.acting, self.ends = quads_of(self.a)
@@ -55,6 +56,11 @@ class LinearFilter(Filter):
         self.rest = np.linalg.solve(np.eye(n) - self.a, self.b.sum(axis=1))
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
         self.whole = whole.astype(np.int64)
+        self.groups = [
+            (begin, width, *(np.ascontiguousarray(part) for part in parts))
+            for begin, end, width in _groups(self.a)
+            for parts in [(self.a[:, begin:end, begin:end], self.b[:, :, begin:end], self.c[:, :, begin:end])]
+        ]
         self._begin()
 
     def _begin(self) -> None:
@@ -80,14 +86,19 @@ class LinearFilter(Filter):
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
-        n, is_single, is_long = self.a.shape[1], self.c.shape[1] == 1, len(block) >= TOGETHER
+        is_single, is_long = self.c.shape[1] == 1, len(block) >= TOGETHER
         system = self.late, self.c, self.d, self.bias, self.whole, self.state
         end = self.history, self.position, output
         if is_long and not is_single:
             work = np.empty(self.by_input.shape[3])
             self.position = advance_block(block, self.quads, self.acting, self.ends, self.by_input, *system, work, *end)
-        elif is_long and 0 < n <= FEW:
-            self.position = advance_few(block, self.a, self.b, *system, (0.0,) * n, *end)
+        elif is_long and self.groups:
+            for begin, width, a, b, c in self.groups:
+                few = self.late, c, self.d, self.bias, self.whole, self.state, begin, (0.0,) * a.shape[1], (0.0,) * width
+                is_last = begin + a.shape[1] == self.a.shape[1]
+                past = self.history if is_last else self.history.copy()  # every group begins with the inputs before the block
+                position = advance_few(block, a, b, *few, past, self.position, output)
+            self.position = position
         elif is_single:
             self.position = advance_single(block, self.a, self.reach, self.b, *system, self.scratch, *end)
         else:
@@ -96,7 +107,6 @@ class LinearFilter(Filter):
 
     def c_code(self) -> CCode:
         count, _, n, m = self.b.shape
-        reach = self.reach if n > CLOSE else np.broadcast_to([0, n], (count, n, 2))
         slowest = max((float(np.abs(np.linalg.eigvals(a)).max()) for a in self.a if n), default=0.0)
         wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest))
         columns = (int(self.whole.max()) + 3, count * m)
@@ -113,7 +123,7 @@ class LinearFilter(Filter):
                 "bias": reals(self.bias, "output unit", wide),
                 "rest": reals(self.rest, "state at rest for a unit input", wide),
                 "gain": reals(self.static_gain, "output at rest for a unit input", wide),
-                "reach": integers(reach, "first and past-the-last column of a that acts"),
+                "reach": integers(self.reach, "first and past-the-last column of a that acts"),
                 "late": integers(self.late, "whether any but the newest input acts"),
                 "whole": integers(self.whole, "samples of delay"),
             },
@@ -135,10 +145,36 @@ def _times(matrices: Array, value: Array) -> Array:
     return total
 
 
-def _reach(a: Array) -> Integers:
-    """First and past-the-last nonzero column (S, n, 2) of every row of matrices (S, n, n)."""
+def _blocks(a: Array) -> list[tuple[int, int]]:
+    """First and past-the-last state of the blocks along the diagonal of matrices (S, n, n); few states are one block."""
+    n = a.shape[1]
+    if n <= FEW:
+        return [(0, n)] * (n > 0)
+    acting = np.any(a != 0.0, axis=0)
+    return list(pairwise([0, *(k for k in range(1, n + 1) if not (acting[:k, k:].any() or acting[k:, :k].any()))]))
+
+
+def _groups(a: Array) -> list[tuple[int, int, int]]:
+    """First and past-the-last state of groups of `FEW` states at most, and the size of their blocks; none where a block is larger."""
+    found = list[tuple[int, int, int]]()
+    for begin, end in _blocks(a):
+        width = end - begin
+        if width > FEW:
+            return []
+        if found and found[-1][2] == width and end - found[-1][0] <= FEW:
+            begin = found.pop()[0]
+        found.append((begin, end, width))
+    return found
+
+
+def reach_of(a: Array) -> Integers:
+    """First and past-the-last column (S, n, 2) that acts, of every row of matrices (S, n, n); in small blocks all that there are."""
     there, n = a != 0.0, a.shape[2]
-    if not n:
-        return np.zeros((*a.shape[:2], 2), np.int64)
+    if n <= FEW:
+        return np.tile(np.array([0, n]), (*a.shape[:2], 1))
     first, last = there.argmax(axis=2), n - there[:, :, ::-1].argmax(axis=2)
-    return np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
+    reach = np.stack([first, np.where(there.any(axis=2), last, first)], axis=2)
+    for begin, end in _blocks(a):
+        if end - begin <= FEW:
+            reach[:, begin:end] = begin, end
+    return reach

@@ -18,10 +18,8 @@ STEP, SETTLE = (C[name] for name in ("STEP", "SETTLE"))
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
-CLOSE = 8
-"""States up to which empty entries of a matrix are computed too: leaving them out costs more than it saves."""
 FEW = 6
-"""States up to which they are kept in the processor's registers."""
+"""States that fit into the processor's registers; of up to so many, empty entries of a matrix are computed too."""
 QUAD = 4
 """Rows of a matrix that are computed side by side."""
 TOGETHER = 64
@@ -62,7 +60,7 @@ def advance_linear(
                 taps[0, j] = history[first, s * m + j]
                 taps[1, j] = history[second, s * m + j]
                 taps[2, j] = history[third, s * m + j]
-            older, apart = late[s], n > CLOSE
+            older, apart = late[s], n > FEW
             for i in range(n):
                 value = 0.0
                 if apart:
@@ -114,7 +112,7 @@ def advance_single(
     begin = position
     for s in range(systems):
         position = begin
-        delay, older, apart, offset = whole[s], late[s], n > CLOSE, bias[s]
+        delay, older, apart, offset = whole[s], late[s], n > FEW, bias[s]
         matrix, x, columns, past = a[s], state[s], reach[s], history[:, s]
         newest_b, middle_b, oldest_b, gain = b[s, 0, :, 0], b[s, 1, :, 0], b[s, 2, :, 0], c[s, 0]
         newest_d, middle_d = d[s, 0, 0, 0], d[s, 1, 0, 0]
@@ -158,24 +156,28 @@ def advance_few(
     bias: Array,
     whole: Integers,
     state: Array,
+    begin_state: int,
     zeros: tuple[float, ...],
+    block_zeros: tuple[float, ...],
     history: Array,
     position: int,
     output: Array,
 ) -> int:
-    """As `advance_single`, for long blocks and up to `FEW` states: it is compiled for each number of states, with its loops unrolled.
+    """As `advance_single`, for long blocks and `FEW` states at most: one group after the other, each of diagonal blocks of one size.
 
-    The states are a tuple, which the compiler keeps in registers; an array would be written and read in every row.
+    It is compiled for each number of states and size of blocks, with its loops unrolled. The states are a tuple, which the compiler
+    keeps in registers; an array would be written and read in every row. A group's output is added to that of the groups before it.
     """
-    length, begin = history.shape[0], position
+    length, begin, n, width = history.shape[0], position, len(zeros), len(block_zeros)
+    is_first, is_last = begin_state == 0, begin_state + n == state.shape[1]
     for s in range(state.shape[0]):
         position = begin
         delay, older, offset, past = whole[s], late[s], bias[s], history[:, s]
         matrix, gain, newest_d, middle_d = a[s], c[s, 0], d[s, 0, 0, 0], d[s, 1, 0, 0]
         newest_b, middle_b, oldest_b = b[s, 0, :, 0], b[s, 1, :, 0], b[s, 2, :, 0]
         x = zeros
-        for i in range(len(zeros)):
-            x = tuple_setitem(x, i, state[s, i])  # type: ignore[call-arg]
+        for i in range(n):
+            x = tuple_setitem(x, i, state[s, begin_state + i])  # type: ignore[call-arg]
         for row in range(block.shape[0]):
             past[position] = block[row, s]
             first = position - delay
@@ -184,23 +186,24 @@ def advance_few(
             third = second - 1 if second > 0 else length - 1
             newest, middle, oldest = past[first], past[second], past[third]
             following = zeros
-            for i in range(len(zeros)):
+            for i in range(n):
                 value = 0.0
-                for j in range(len(zeros)):
-                    value += matrix[i, j] * x[j]
+                first_of_block = i // width * width
+                for j in range(width):
+                    value += matrix[i, first_of_block + j] * x[first_of_block + j]
                 if older:
                     value += newest_b[i] * newest + middle_b[i] * middle + oldest_b[i] * oldest
                 else:
                     value += newest_b[i] * newest
                 following = tuple_setitem(following, i, value if abs(value) > TINY else 0.0)  # type: ignore[call-arg]
             x = following
-            value = offset
-            for i in range(len(zeros)):
+            value = offset if is_first else output[row, s]
+            for i in range(n):
                 value += gain[i] * x[i]
-            output[row, s] = value + (newest_d * newest + middle_d * middle)
+            output[row, s] = value + (newest_d * newest + middle_d * middle) if is_last else value
             position = position + 1 if position + 1 < length else 0
-        for i in range(len(zeros)):
-            state[s, i] = x[i]
+        for i in range(n):
+            state[s, begin_state + i] = x[i]
     return position
 
 

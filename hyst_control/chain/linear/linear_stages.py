@@ -25,6 +25,7 @@ from hyst_control.chain.linear.discretization import discretise as discretise
 from hyst_control.chain.linear.discretization import discretise_average as discretise_average
 from hyst_control.chain.linear.linear_filter import FLOAT_LOSS as FLOAT_LOSS
 from hyst_control.chain.linear.linear_filter import LinearFilter as LinearFilter
+from hyst_control.chain.linear.linear_kernels import FEW
 from hyst_control.chain.linear.linear_system import LinearSystem as LinearSystem
 from hyst_control.chain.linear.linear_system import stacked as stacked
 from hyst_control.chain.linear.linear_system import transfer_function_system as transfer_function_system
@@ -411,6 +412,12 @@ class CrossCoupling(LinearStage):
         return [LinearSystem(-w, w @ (matrix - direct), np.eye(axes), direct, np.zeros(axes))]
 
 
+def realization(system: LinearSystem) -> LinearSystem:
+    """A system in the states that it runs in: few are kept in registers as they are, many act on each other only within their mode."""
+    balanced = system.balanced()
+    return balanced if len(balanced.A) <= FEW else balanced.by_modes()
+
+
 def linear_filter(run: list[Stage], sampling: Sampling, averaged: bool = False) -> LinearFilter:
     """One filter for a run of linear stages and delays, the delays taken at its input; of delays only, a pure delay."""
     return _prepared(tuple(run), sampling, averaged).another()
@@ -445,7 +452,7 @@ def _prepared(run: tuple[Stage, ...], sampling: Sampling, averaged: bool) -> Lin
     fraction = np.maximum(samples - whole, 0.0).reshape(len(systems), -1)
     try:
         advance = discretise_average if averaged else discretise
-        discretised = [advance(system.balanced(), fraction[s], sampling) for s, system in enumerate(systems)]
+        discretised = [advance(realization(system), fraction[s], sampling) for s, system in enumerate(systems)]
         result = LinearFilter(discretised, whole)
     except (np.linalg.LinAlgError, ValueError, OverflowError):
         names = ", ".join(stage.name for stage in run)

@@ -15,6 +15,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 
+MOST_SKEW = 1e6
+"""Condition number of a system's modes up to which they are its states: rounding errors grow by it."""
+
 
 @dataclass(frozen=True)
 class LinearSystem:
@@ -55,6 +58,19 @@ class LinearSystem:
         # LAPACK itself: the checks of `scipy.linalg.matrix_balance` take ten times as long as the balancing.
         a, _, _, scale, _ = dgebal(np.asarray_chkfinite(self.A), scale=1, permute=0)
         return LinearSystem(a, self.B / scale[:, None], self.C * scale, self.D, self.bias)
+
+    def by_modes(self) -> LinearSystem:
+        """The same system with its real modes as states, which do not act on each other; as it is where its modes are too much alike."""
+        poles, vectors = np.linalg.eig(self.A)
+        pairs, real = np.flatnonzero(poles.imag > 0.0), np.flatnonzero(poles.imag == 0.0)
+        parts = [np.column_stack([vector.real, vector.imag]) for vector in vectors[:, pairs].T] + [vectors[:, real].real]
+        basis = np.hstack(parts)
+        basis = basis / np.linalg.norm(basis, axis=0)
+        if np.linalg.cond(basis) > MOST_SKEW:
+            return self
+        within = block_diagonal(*(np.ones((2, 2)) for _ in pairs), np.eye(len(real)))
+        a, b = np.linalg.solve(basis, self.A @ basis) * within, np.linalg.solve(basis, self.B)
+        return LinearSystem(a, b, self.C @ basis, self.D, self.bias)
 
 
 def block_diagonal(*blocks: NDArray[np.floating[Any]]) -> Array:

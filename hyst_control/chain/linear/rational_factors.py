@@ -15,6 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.parameter import Coordinate
 
 CLOSE = 4.0
@@ -24,6 +25,7 @@ LEAST = 0.05
 """Least share of its nominal value to which a frequency or damping scatters, so that no pole leaves its half-plane."""
 
 
+@remembered
 def factors(num: Array, den: Array) -> dict[str, Coordinate]:
     """Factor num(s) / den(s)."""
     num, den = np.trim_zeros(np.asarray(num, dtype=float), "f"), np.trim_zeros(np.asarray(den, dtype=float), "f")
@@ -73,9 +75,9 @@ def rational(num: Array, den: Array, values: Mapping[str, float]) -> tuple[Array
         else:
             continue
         if kind.startswith(("zero", "lead")):
-            upper = np.polymul(upper, factor)
+            upper = np.convolve(upper, factor)
         else:
-            lower = np.polymul(lower, factor)
+            lower = np.convolve(lower, factor)
     upper, lower = (np.append(each, np.zeros(len(poly) - len(each))) for each, poly in ((upper, num), (lower, den)))
     scale = den[0] / lower[0]
     return upper * scale, lower * scale

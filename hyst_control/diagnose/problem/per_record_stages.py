@@ -68,7 +68,13 @@ class SessionZero(TimedStage):
         sizes = np.asarray(self.known, dtype=float)[self.record] + scale * shares
         if not sizes.any():
             return lambda u, t: u
-        return lambda u, t: u + np.polynomial.legendre.legval(2.0 * t[:, 0] / duration - 1.0, sizes.T).T
+        zero, drift, curvature = sizes.T
+
+        def shifted(u: Array, t: Array) -> Array:
+            x = 2.0 / duration * t - 1.0
+            return np.asarray(u + (zero - 0.5 * curvature + x * (drift + 1.5 * curvature * x)), dtype=np.float64)
+
+        return shifted
 
 
 class CarriedError(Stage):
@@ -188,6 +194,9 @@ class SeriesAdder(Filter):
         return np.asarray(value + self.series[0], dtype=np.float64)
 
     def process(self, block: Array) -> Array:
-        rows = self.count + self.ahead + np.arange(len(block))
+        begin = self.count + self.ahead
         self.count += len(block)
-        return np.asarray(block + self.series[np.minimum(rows, len(self.series) - 1)], dtype=np.float64)
+        known = self.series[begin : begin + len(block)]
+        output = block + self.series[-1]
+        output[: len(known)] = block[: len(known)] + known
+        return np.asarray(output, dtype=np.float64)

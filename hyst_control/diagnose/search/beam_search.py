@@ -32,7 +32,7 @@ from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.search.starts import Begun, begin, finish, merged_start, misfit_of, promising_pairs
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_of, promising_pairs
 from hyst_control.records.correlation import correlation_length
 
 
@@ -111,6 +111,10 @@ def search(
         progress(one.candidate.names[0])
     size = len(linearized.measured)
     leading, waiting, finished = _leading(begun, size), begun, list[tuple[Candidate, Solution]]()
+
+    def explained(best: Solution, excess: float) -> bool:
+        return any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished)))
+
     for size_reached in range(1, depth):
         if not leading:
             break
@@ -120,7 +124,11 @@ def search(
         # exact fits are made first: beside linear coefficients a large effect leaves an error that looks like a second effect.
         if not whitened:
             finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
-            if any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished))):
+            if size_reached == 1 and not explained(
+                best, excess
+            ):  # one that does not lead by its linear fit may still be all that there is
+                finished += _completed(linearized, _rest(leading[:beam], finished), without, threshold, configuration)
+            if explained(best, excess):
                 break  # nothing but noise is left, and no coefficients were strained for it
         if whitened and without - best.misfit < threshold:
             break  # there is no gap to explain
@@ -240,14 +248,18 @@ def _contenders(
         near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found or finished else begun[:1])
         if not near:
             break
-        ends = _restart_from_grid_minimum(linearized, finish(linearized, near, best), without, configuration)
-        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
-        limit = best if found else within
-        hopeful = [min(one.misfit, solution.misfit) <= limit for one, (_, solution) in zip(near, ends, strict=True)]
-        found += _refined(linearized, ends, hopeful, configuration.policy)
+        found += _fitted(linearized, near, best, best if found else within, without, configuration)
         best = min([best, *(solution.misfit for _, solution in found)])
         begun = begun[len(near) :]
     return found
+
+
+def _completed(
+    linearized: Linearized, begun: Sequence[Begun], without: float, threshold: float, configuration: Configuration
+) -> list[tuple[Candidate, Solution]]:
+    """Fits of the chain as it is of all candidates that gain enough, each gone on with."""
+    enough = [one for one in begun if one.misfit <= without - configuration.search.promise * threshold]
+    return _fitted(linearized, enough, without, np.inf, without, configuration)
 
 
 def _within(best: float, without: float, settings: SearchSettings) -> float:
@@ -342,14 +354,21 @@ def settled(linearized: Linearized, z: Array | None = None) -> Solution:
     return refined(linearized, None, fit(linearized, z=z))
 
 
-def _refined(
-    linearized: Linearized, found: Sequence[tuple[Candidate, Solution]], hopeful: Sequence[bool], thresholds: Thresholds
+def _fitted(
+    linearized: Linearized, begun: Sequence[Begun], rival: float, limit: float, without: float, configuration: Configuration
 ) -> list[tuple[Candidate, Solution]]:
-    """The fits, the hopeful ones gone on with."""
-    chosen = [i for i, one in enumerate(hopeful) if one]
-    better = map_forked(lambda i: _settled(linearized, *found[chosen[i]], thresholds), len(chosen))
-    gone_on = dict(zip(chosen, better, strict=True))
-    return [(candidate, gone_on.get(i, solution)) for i, (candidate, solution) in enumerate(found)]
+    """Fits of the chain as it is, gone on with where they are not behind the limit."""
+    policy = configuration.policy
+
+    def ended(index: int) -> Solution:
+        one = begun[index]
+        solution = gone_on(linearized, one, rival)
+        if len(solution.x) == 1 and (solution.misfit > without or _strained(solution, policy)):
+            solution = _from_grid_minimum(linearized, one.candidate, solution, configuration.search.scanned)
+        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
+        return _settled(linearized, one.candidate, solution, policy) if min(one.misfit, solution.misfit) <= limit else solution
+
+    return list(zip([one.candidate for one in begun], map_forked(ended, len(begun)), strict=True))
 
 
 def _settled(linearized: Linearized, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
@@ -373,35 +392,17 @@ def _held(linearized: Linearized) -> Linearized:
     return held
 
 
-def _restart_from_grid_minimum(
-    linearized: Linearized, fits: list[tuple[Candidate, Solution]], without: float, configuration: Configuration
-) -> list[tuple[Candidate, Solution]]:
-    """The fits, of which some of one parameter begin again, where it alone does best.
+def _from_grid_minimum(linearized: Linearized, candidate: Candidate, solution: Solution, count: int) -> Solution:
+    """A fit of one parameter, begun again where the effect alone does best, if that comes closer.
 
     Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there,
     worse than without the effect or with strained coefficients.
     """
-    settings = configuration.search
-    stuck = [
-        i
-        for i, (candidate, solution) in enumerate(fits)
-        if len(candidate.unknowns().lower) == 1 and (solution.misfit > without or _strained(solution, configuration.policy))
-    ]
-
-    alone = list(map_forked(lambda i: _best_alone(linearized, fits[stuck[i]][0], settings.scanned), len(stuck)))
-    again = map_forked(lambda i: _begun_again(linearized, fits[stuck[i]][0], alone[i]), len(stuck))
-    freed = dict(zip(stuck, again, strict=True))
-    return [
-        (candidate, min((solution, freed.get(i) or solution), key=lambda one: one.misfit))
-        for i, (candidate, solution) in enumerate(fits)
-    ]
-
-
-def _begun_again(linearized: Linearized, candidate: Candidate, start: Array) -> Solution | None:
     try:
-        return fit(linearized, candidate.unknowns(), start)
+        again = fit(linearized, candidate.unknowns(), _best_alone(linearized, candidate, count))
     except InputError:
-        return None
+        return solution
+    return min(solution, again, key=lambda one: one.misfit)
 
 
 def _best_alone(linearized: Linearized, candidate: Candidate, count: int) -> Array:

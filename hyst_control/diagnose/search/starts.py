@@ -50,12 +50,6 @@ def begin(
     return sorted((found[i] for i in sorted(found)), key=lambda one: one.misfit)
 
 
-def finish(linearized: Linearized, begun: Sequence[Begun], rival: float) -> list[tuple[Candidate, Solution]]:
-    """Fit candidates from where they were begun, the chain with all its coefficients as it is."""
-    found = map_forked(lambda i: _gone_on(linearized, begun[i], rival), len(begun))
-    return [(one.candidate, solution) for one, solution in zip(begun, found, strict=True)]
-
-
 def _begun(
     linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings, rival: float
 ) -> list[Solution]:
@@ -83,8 +77,11 @@ def _promising(
     These are the ends of the most promising linear steps. In a large gap such a step may lead to the end of a range. So an effect of one
     parameter begins also at the start that comes closest to the record, and one of two parameters at every start that is not far off.
     """
-    nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
-    near = _near(linearized, unknowns, starts, nominal, settings)
+    if len(starts) > settings.screened and len(starts[0]) > 2 and not candidate.members[0].is_linear:
+        near = best_scaled(linearized, unknowns, starts, settings.screened)
+    else:
+        nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
+        near = _near(linearized, unknowns, starts, nominal, settings)
     if len(starts[0]) == 2:
         return near
     ranked: list[tuple[float, int, Array]] = []
@@ -113,6 +110,23 @@ def _near(
     return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
 
 
+def best_scaled(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], count: int) -> list[Array]:
+    """Of many starts, a scan over frequencies, those at which the effect explains most, whatever its size."""
+    gap = linearized.measured - linearized.nominal
+
+    def explained(start: Array) -> float:
+        try:
+            change = linearized.simulate(np.zeros(linearized.count), unknowns, start) - linearized.nominal
+        except InputError:
+            return 0.0
+        if not is_bounded(change):
+            return 0.0
+        (own, along), _ = linearized.unexplained_products(np.column_stack([change, gap]))
+        return float(along**2 / own) if own > 0.0 else 0.0
+
+    return sorted(starts, key=explained, reverse=True)[:count]
+
+
 def _misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> float:
     """Misfit of an effect as it is, coefficients marginalized about the nominal ones; infinite where it cannot be simulated."""
     try:
@@ -121,7 +135,7 @@ def _misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> floa
         return np.inf
 
 
-def _gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
+def gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
     """The best of the fits that were begun, each gone on with while it may reach the best other one.
 
     One that promises less than the other leaves is not stopped on its way, however far behind its coefficients begin.

@@ -159,7 +159,9 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
     if share > -0.999 * MOST * abs(axis.curves.full(found.vector[: axis.curves.size])):
         return found
     free = refined(turned, replace(found, axis=replace(axis, cancelling=True)), options.nuisance, passes=12)
-    errors = [simulation_error(turned, each.axis.parametrization(), each.vector, options.nuisance) for each in (found, free)]
+    errors = [
+        SimulationError(turned, each.axis.parametrization(), options.nuisance).visit(each.vector).fitted for each in (found, free)
+    ]
     return free if errors[1] < (1.0 - WORTHWHILE) * errors[0] else found
 
 
