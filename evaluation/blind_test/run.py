@@ -41,7 +41,7 @@ from hyst_control.records.record import Record
 from hyst_control.records.tables.importing import write_bag
 from hyst_control.reporting.tables import Table
 
-CONFUSABLE: tuple[tuple[str, ...], ...] = FILE["confusable"]
+CONFUSABLE: dict[str, tuple[str, ...]] = FILE["confusable"]
 """Effects of nearly the same signature, which are left out together."""
 
 MADE: dict[str, Callable[[Case], Made]] = {"simulated": simulated.made, "injected": injected.made, "withheld": withheld.made}
@@ -195,7 +195,7 @@ def _jobs(batch: Batch, absolute: bool) -> list[Job]:
         name = (case.answer.names or ("",))[0]
         if left_out and case.answer.kind == "single" and case.excitation == "rich" and EFFECTS[name].waveform:
             left_out -= 1
-            hidden = (name, *(other for group in CONFUSABLE if name in group for other in group if other != name))
+            hidden = (name, *(other for group in CONFUSABLE.values() if name in group for other in group if other != name))
             jobs.append((place, str(folder / "reports_left_out" / file), hidden, batch.core))
     return [job for job in jobs if not Path(job[1]).exists()]
 
