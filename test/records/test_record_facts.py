@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, sosfilt
+from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.validity.checks import check_records, examined
@@ -99,6 +99,31 @@ def test_rate_and_unit_beside_a_model():
     assert found(COMMAND) == set()
     assert found(COMMAND, 0.1 * STEP) == found(COMMAND, 2.0 * STEP) == {"wrong_rate"}
     assert found(1e3 * COMMAND) == {"scaled_command"}
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_rate_is_told_by_the_octaves_that_know_of_it(factor):
+    """A mode of a hundredth of the motion's power beside an error of the model of 8 % of it, which is slow."""
+    random = np.random.default_rng(3)
+    command = (
+        50.0 + 40.0 * np.sin(2 * np.pi * 0.5 * TIME) + 3.0 * sosfilt(butter(2, 0.2, output="sos"), random.standard_normal(6000))
+    )
+    slow = 0.1 * 0.08 * (command - 50.0) ** 2 / 40.0
+
+    def simulate(command, step, frequency=30.0):
+        pole = 2 * np.pi * frequency
+        top, bottom = bilinear([pole**2], [1.0, 0.2 * pole, pole**2], 1.0 / step)
+        return 0.1 * (command[:1] + lfilter(top, bottom, command - command[:1], axis=0))
+
+    def found(measured, stated):
+        rows = command[:, None], measured + slow[:, None] + NOISE[:, None]
+        return {
+            each.name for each in check_records([Trial("made", *rows, stated, ("x",), simulate(rows[0], stated), "um", simulate)])
+        }
+
+    assert found(simulate(command[:, None], STEP), STEP) == set()
+    assert found(simulate(command[:, None], STEP, 24.0), STEP) == set()  # a heavier payload
+    assert found(simulate(command[:, None], STEP), factor * STEP) == {"wrong_rate"}
 
 
 def test_rails_are_told_from_plateaus_that_belong_to_the_command():
