@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What periods of a command differ by, beside a model discrepancy of which the size alone is known: that comes back with every period."""
+"""Differences between periods of a command, beside a model discrepancy of which the size alone is known: it returns with every period."""
 
 from __future__ import annotations
 
