@@ -159,10 +159,13 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
     if share > -0.999 * MOST * abs(axis.curves.full(found.vector[: axis.curves.size])):
         return found
     free = refined(turned, replace(found, axis=replace(axis, cancelling=True)), options.nuisance, passes=12)
-    errors = [
-        SimulationError(turned, each.axis.parametrization(), options.nuisance).visit(each.vector).fitted for each in (found, free)
-    ]
+    errors = [square_error(turned, each, options.nuisance) for each in (found, free)]
     return free if errors[1] < (1.0 - WORTHWHILE) * errors[0] else found
+
+
+def square_error(turned: Sequence[Window], found: Found, nuisance: str) -> float:
+    """Mean square of an axis' simulation error over all rows, beside the nuisances that reduce it most."""
+    return SimulationError(turned, found.axis.parametrization(), nuisance).visit(found.vector).fitted
 
 
 def refined(turned: Sequence[Window], found: Found, nuisance: str, passes: int) -> Found:
@@ -345,10 +348,8 @@ def with_parted_pair(model: Model, records: Sequence[Record], found: Found, inde
     best = fitted(min(trials, key=lambda trial: trial.fitted).parameters, PAIR_PASSES - PAIR_TRIAL)
     # On all rows: a sweep passes the frequency once, so a fit that misses this moment knows nothing of the pair, and one that has it
     # is not tested by the others.
-    plain, rich = (SimulationError(turned, each, nuisance) for each in (axis.parametrization(), problem))
-    if not rich.visit(best.parameters).fitted < (1.0 - WORTHWHILE) * plain.visit(found.vector).fitted:
-        return found
-    return replace(found, axis=richer, vector=best.parameters)
+    rich = replace(found, axis=richer, vector=best.parameters)
+    return rich if square_error(turned, rich, nuisance) < (1.0 - WORTHWHILE) * square_error(turned, found, nuisance) else found
 
 
 def extensions(structure: Structure) -> list[Structure]:
