@@ -31,7 +31,7 @@ from hyst_control.identify.mhl.madelung import (
     response_sign,
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
-from hyst_control.identify.mhl.mhl_axis import K2_UNIT, MOST, Axis, Found, MhlOptions
+from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
 from hyst_control.identify.mhl.pole_zero_pair import (
     PAIR_DAMPINGS,
     WORTHWHILE,
@@ -153,14 +153,7 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
     else:
         axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
     found = Found(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
-    found = refined(turned, found, options.nuisance, passes=6)
-    share = axis.split(found.vector)[1][0]
-    # In data without much motion at high frequency the same response has a rate correction that can be inverted and one that cannot.
-    if share > -0.999 * MOST * abs(axis.curves.full(found.vector[: axis.curves.size])):
-        return found
-    free = refined(turned, replace(found, axis=replace(axis, cancelling=True)), options.nuisance, passes=12)
-    errors = [square_error(turned, each, options.nuisance) for each in (found, free)]
-    return free if errors[1] < (1.0 - WORTHWHILE) * errors[0] else found
+    return refined(turned, found, options.nuisance, passes=6)
 
 
 def square_error(turned: Sequence[Window], found: Found, nuisance: str) -> float:

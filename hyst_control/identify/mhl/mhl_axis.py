@@ -49,7 +49,6 @@ class Axis:
     output_scale: float  # Scale of the output (measurement unit)
     sign: float  # Sign of the response, 1 or -1
     sample_time: float  # Sample time, s
-    cancelling: bool = False  # Whether the rate correction may outweigh the slope at high frequency: such a model has no inverse
 
     @property
     def size(self) -> int:
@@ -81,7 +80,7 @@ class Axis:
         """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
         most = MOST * abs(self.curves.full(curves))
-        rate = np.clip(rate, [-5.0 if self.cancelling else -most, np.log(0.02)], [most, np.log(200.0)])
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [most, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrization(self) -> Parametrization:

@@ -141,7 +141,7 @@ class SimulationError:
         """Return the trial of the step with `damping` from a linearized `point`."""
         grams = point.grams
         gram = grams.fitted + grams.held_out if self.everything else grams.fitted
-        step = bounded_step(gram, self.parametrization, point.parameters, self.origin, damping)
+        step = _step(gram, self.parametrization, point.parameters, self.origin, damping)
         # Shortened as a whole, so that it stays between two vectors that satisfy the constraints.
         step /= max(1.0, float(np.max(np.abs(step))))
         found = self.visit(self.parametrization.limit(point.parameters + step))
@@ -262,36 +262,15 @@ def driving_signal(window: Window) -> tuple[Array, int]:
     return signal.reshape(-1, 1), len(before)
 
 
-def bounded_step(gram: Array, parametrization: Parametrization, present: Array, origin: Array | float, damping: float) -> Array:
-    """The step of least cost within the limits: what would leave them stays upon them, and the others move as is best beside it."""
-    held = np.full(len(present), np.nan)
-    while True:
-        step = _step(gram, parametrization, present, origin, damping, held)
-        allowed = parametrization.limit(present + step) - present
-        leaving = np.isnan(held) & (np.abs(allowed - step) > 1e-9 * np.maximum(1.0, np.abs(present)))
-        if not leaving.any():
-            return step
-        held[leaving] = allowed[leaving]
-
-
-def _step(
-    gram: Array, parametrization: Parametrization, present: Array, origin: Array | float, damping: float, held: Array
-) -> Array:
-    """Minimum of the linearized cost; `held`: steps that are given, NaN where they are free."""
+def _step(gram: Array, parametrization: Parametrization, present: Array, origin: Array | float, damping: float) -> Array:
     normal, gradient = gram[:-1, :-1].copy(), gram[:-1, -1].copy()
     diagonal = np.maximum(np.diag(normal), 0.0)
     prior = PRIOR * float(np.max(diagonal))
     normal[np.diag_indices_from(normal)] = (1.0 + damping) * diagonal + prior
     gradient += prior * (origin - present)
-    lhs, rhs = np.zeros((0, len(normal))), np.zeros(0)
-    if parametrization.lhs is not None and parametrization.rhs is not None:
-        lhs, rhs = parametrization.lhs, parametrization.rhs - parametrization.lhs @ present
-    free, step = np.isnan(held), np.nan_to_num(held)
-    if not free.any():
-        return step
-    gradient, rhs = gradient - normal @ step, rhs - lhs @ step
-    step[free] = constrained_minimum(normal[np.ix_(free, free)], gradient[free], lhs[:, free], rhs)
-    return step
+    if parametrization.lhs is None or parametrization.rhs is None:
+        return constrained_minimum(normal, gradient, np.zeros((0, len(normal))), np.zeros(0))
+    return constrained_minimum(normal, gradient, parametrization.lhs, parametrization.rhs - parametrization.lhs @ present)
 
 
 def constrained_minimum(normal: Array, gradient: Array, lhs: Array, rhs: Array) -> Array:
