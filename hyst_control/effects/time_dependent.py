@@ -63,7 +63,7 @@ class TimedFilter(Filter):
         begin = self.count + self.ahead
         times = np.arange(begin, begin + len(block)) * self.sample_time
         self.count += len(block)
-        return self.function(block, times[:, None])
+        return self.function(block, np.asarray(times[:, None], dtype=np.float64))
 
     def c_code(self) -> CCode:
         if self.code is None:

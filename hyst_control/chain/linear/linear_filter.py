@@ -57,9 +57,8 @@ class LinearFilter(Filter):
         self.static_gain = self.c @ self.rest + self.d.sum(axis=1)
         self.whole = whole.astype(np.int64)
         self.groups = [
-            (begin, width, *(np.ascontiguousarray(part) for part in parts))
+            (begin, width, self.a[:, begin:end, begin:end].copy(), self.b[:, :, begin:end].copy(), self.c[:, :, begin:end].copy())
             for begin, end, width in _groups(self.a)
-            for parts in [(self.a[:, begin:end, begin:end], self.b[:, :, begin:end], self.c[:, :, begin:end])]
         ]
         self._begin()
 
