@@ -48,7 +48,7 @@ from hyst_control.records.record import Record
 SELECTION_ROWS, FINAL_ROWS = 20_000, 100_000
 STRETCH, SETTLE = 0.06, 0.015
 """Length (s) of the stretches that stand for a long record, and of their beginning that does not count."""
-PAIR_PASSES, PAIR_TRIAL, LAST_PASSES = 12, 4, 6
+PAIR_PASSES, PAIR_TRIAL, LAST_PASSES = 12, 4, 3
 """Most passes of the fit of a further mode, of them those that compare its starts, and over all rows of all records in the end."""
 
 
@@ -312,7 +312,7 @@ def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
 
 
 def with_parted_pair(model: Model, records: Sequence[Record], found: Found, index: int, nuisance: str) -> Found:
-    """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the error enough.
+    """Add a mode and a nearby pair of zeros, a notch that misses its mode, to one axis where that lowers the held-out error enough.
 
     Both begin at the frequency where the command explains most of the residual of `model`, the zeros upon the mode. Neither alone
     lowers the error, so adding factor by factor never finds them. Cross-coupling must be removed before.
@@ -330,19 +330,18 @@ def with_parted_pair(model: Model, records: Sequence[Record], found: Found, inde
     turned = axis_windows(records, index, axis.sign)
     # Short stretches would miss the moment at which a sweep passes the frequency.
     many = short_stretches(turned, FINAL_ROWS, 3 * STRETCH, SETTLE)
+    plain = minimize_simulation_error(many, axis.parametrization(), found.vector, nuisance=nuisance, passes=3)
     pairs = [pole_zero_pair(axis.structure, dynamics, frequency, damping) for damping in PAIR_DAMPINGS]
-    richer = replace(axis, structure=pairs[0][0])
-    problem, before = richer.parametrization(), found.vector[: axis.curves.size + 2]
-
-    def fitted(start: Array, passes: int) -> Solution:
-        return minimize_simulation_error(many, problem, start, nuisance=nuisance, passes=passes, everything=True)
-
-    trials = [fitted(np.concatenate([before, upon]), PAIR_TRIAL) for _, upon in pairs]
-    best = fitted(min(trials, key=lambda trial: trial.fitted).parameters, PAIR_PASSES - PAIR_TRIAL)
-    # On all rows: a sweep passes the frequency once, so a fit that misses this moment knows nothing of the pair, and one that has it
-    # is not tested by the others.
-    rich = replace(found, axis=richer, vector=best.parameters)
-    return rich if square_error(turned, rich, nuisance) < (1.0 - WORTHWHILE) * square_error(turned, found, nuisance) else found
+    problem, before = replace(axis, structure=pairs[0][0]).parametrization(), found.vector[: axis.curves.size + 2]
+    starts_of = [np.concatenate([before, upon]) for _, upon in pairs]
+    trials = [minimize_simulation_error(many, problem, start, nuisance=nuisance, passes=PAIR_TRIAL) for start in starts_of]
+    first = min(trials, key=lambda trial: trial.fitted)
+    best = minimize_simulation_error(many, problem, first.parameters, nuisance=nuisance, passes=PAIR_PASSES - PAIR_TRIAL)
+    if not best.held_out < (1.0 - WORTHWHILE) * plain.held_out:
+        return found
+    # Stretches may miss the moments that would contradict: the whole records decide.
+    rich = replace(found, axis=replace(axis, structure=pairs[0][0]), vector=best.parameters)
+    return rich if square_error(turned, rich, nuisance) < square_error(turned, found, nuisance) else found
 
 
 def extensions(structure: Structure) -> list[Structure]:
