@@ -142,7 +142,7 @@ def returns(definition: Definition) -> bool:
 
 
 def public(name: str, definition: Definition) -> bool:
-    """Whether a definition of a file belongs to the public API."""
+    """True for a definition of a file that belongs to the public API."""
     module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
     members = API.get(module, [])
     return members is None or (definition.owner or definition.node).name in members

@@ -19,8 +19,15 @@ from hyst_control.export.compiled import c_compiler
 from hyst_control.export.controller import Controller
 from hyst_control.reporting.tables import Limit
 
-FREE = ("-fassociative-math", "-freciprocal-math", "-ffinite-math-only", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
-"""What -ffast-math allows, without the start code that takes subnormal numbers for 0 in the whole process."""
+FREE = (
+    "-fassociative-math",
+    "-freciprocal-math",
+    "-ffinite-math-only",
+    "-fno-signed-zeros",
+    "-fno-trapping-math",
+    "-fno-math-errno",
+)
+"""Flags of -ffast-math one by one: the flag itself adds start code by which the whole process takes subnormal numbers for 0."""
 FAST = ("-O3", "-march=native", *FREE)
 REPEATS, ROUNDS = 30, 20_000
 SECONDS = 3.0

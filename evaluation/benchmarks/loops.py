@@ -228,7 +228,7 @@ def measure(
 
 
 def missing_rows(bag: Path) -> tuple[dict[str, int], int]:
-    """Count the rows that are missing between the first and the last one of each topic of a bag, and all that are due.
+    """Count the rows missing between the first and the last one of each topic of a bag, and the rows due on all topics.
 
     Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
     publishes the command that it held.

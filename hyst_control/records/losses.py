@@ -83,12 +83,12 @@ def _of_topic(topic: str, signal: Signal) -> TopicAccount:
 
 
 def _gaps(topic: str, signal: Signal) -> _Gaps:
-    """What is missing between the rows of a topic, block by block: a record may be longer than the memory."""
+    """Gaps between the rows of a topic, counted block by block, as a record may be longer than the memory."""
     time = signal.time
     if len(time) < 2:
         return _Gaps(np.nan, 0, 0, 0.0)
     step = commonest_step(time)
-    if topic == APPLIED or not step > 0.0:  # what is on the actuator is told only while it does not follow the command
+    if topic == APPLIED or not step > 0.0:  # published only while the actuator does not follow the command
         return _Gaps(step, 0, 0, 0.0)
     missing = longest = 0
     irregular = 0.0

@@ -13,10 +13,10 @@ from hyst_control.diagnose.workflow import diagnosed
 from test.diagnose.conftest import all_but
 
 
-@pytest.mark.parametrize("upper", [11.7, 22.5])
-def test_a_limit_far_inside_the_command_that_a_loop_asks_for_is_named(upper):
-    case = Case("case", "pea_published", "single", "closed_loop", 5e-4, 203, ({"name": "saturation", "upper": upper},))
+@pytest.mark.parametrize(("end", "limit"), [("upper", 11.7), ("upper", 22.5), ("lower", 30.0)])
+def test_a_limit_far_inside_the_command_that_a_loop_asks_for_is_named(end, limit):
+    case = Case("case", "pea_published", "single", "closed_loop", 5e-4, 203, ({"name": "saturation", end: limit},))
     without = all_but("saturation", "output_saturation", "gain", "dead_zone", "hysteresis_shape")
     document, _, _ = diagnosed([record_of(case, run_case(case))], nominal("pea_published", 5e-4), without=without, cache=False)
     assert [one["name"] for one in document["effects"]] == ["saturation"]
-    assert document["effects"][0]["parameters"]["upper"]["value"] == pytest.approx(upper, abs=0.1)
+    assert document["effects"][0]["parameters"][end]["value"] == pytest.approx(limit, abs=0.1)

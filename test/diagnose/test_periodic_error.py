@@ -27,7 +27,7 @@ STEP, PERIOD, PERIODS, NOISE = 1e-3, 250, 8, 0.01
 TIME = STEP * np.arange(PERIOD * PERIODS)
 COMMAND = 10.0 * np.sin(2 * np.pi * TIME / (PERIOD * STEP))
 ERROR = 0.3 * (COMMAND / 10.0) ** 3 - 0.2 * np.cos(6 * np.pi * TIME / (PERIOD * STEP))
-"""What the model leaves on the healthy machine, 20 times the noise."""
+"""Model discrepancy on the healthy machine, 20 times the noise."""
 
 
 STATED = {"rms": [float(np.std(ERROR))], "correlation": 0.2}

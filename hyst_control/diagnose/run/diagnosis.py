@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -136,12 +137,13 @@ def diagnose(
         found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         # Only one effect by itself would be taken from a second look.
         singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
+        again = partial(_axis, sensor_side=bare, axes=axes, seed=seed, cache=cache, progress=progress, configuration=singles)
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             if _exceeds_own_error(by_spectrum, without, configuration):
-                again = _axis(part, by_spectrum, bare, axes, seed, without, cache, progress, singles)
-                found = again if _is_one_of(again, _line_effects()) else found
-        found = _between_periods(found, bare, seed, without, cache, progress, singles)
+                second = again(part, by_spectrum, without=without)
+                found = second if _is_one_of(second, _line_effects()) else found
+        found = _between_periods(found, without, singles, again)
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
@@ -313,13 +315,7 @@ def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration
 
 
 def _between_periods(
-    found: AxisDiagnosis,
-    bare: bool,
-    seed: int,
-    without: Sequence[str],
-    cache: bool,
-    progress: Callable[[str], None],
-    configuration: Configuration,
+    found: AxisDiagnosis, without: Sequence[str], configuration: Configuration, diagnosed: Callable[..., AxisDiagnosis]
 ) -> AxisDiagnosis:
     """The diagnosis, or that of what periods of the command differ by, where the stated error hides a gain that drifts."""
     baseline, evidence, drift = found.baseline, found.evidence, GAIN_DRIFT.name
@@ -329,9 +325,8 @@ def _between_periods(
     least = evidence.null + configuration.policy.margin
     if beside is None or gain_over_time(beside, found.linearized, found.found.none.solution) < least:
         return found
-    only = sorted(set(EFFECTS) - {drift})
-    again = _axis(beside.problem, beside, bare, found.axes, seed, only, cache, progress, configuration)
-    return again if _is_one_of(again, {drift}) else found
+    second = diagnosed(beside.problem, beside, without=sorted(set(EFFECTS) - {drift}))
+    return second if _is_one_of(second, {drift}) else found
 
 
 def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:

@@ -237,15 +237,15 @@ def sorted_pieces(records: Sequence[Record], index: int, sign: float) -> dict[st
     group = 0
     for data in records:
         whole = with_sign(as_window(data, index, 0), sign)
-        virgin = virgin_rows(whole.command)
+        loading = virgin_rows(whole.command)
         for begin, moving, end in motions(whole.command, data.sample_time):
             jump = moving - begin <= 2
             lead = int(0.01 / data.sample_time) if jump else 1
             first = max(begin - lead, 0)
             bandwidth = command_bandwidth(data.command[begin:end, index : index + 1], data.sample_time)
             end = min(end, begin + int(STEP_TIME / data.sample_time) if jump else moving + int(REST_KEPT / data.sample_time))
-            # A step stands by itself; the curves are those of the major loop, not the virgin one.
-            [window] = cut(replace(whole, skip=0 if jump else virgin), [first], end - first, 0.0)
+            # A step stands by itself; the curves are those of the major loop, not of the initial loading curve.
+            [window] = cut(replace(whole, skip=0 if jump else loading), [first], end - first, 0.0)
             kind = "step" if jump else "slow" if bandwidth <= SLOW else "medium" if bandwidth <= MEDIUM else "fast"
             found[kind].append(replace(window, begin=0.0, share=1.0, group=group))
             group += 1

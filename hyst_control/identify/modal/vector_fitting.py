@@ -150,7 +150,7 @@ def _without_session(window: Window, poles: np.ndarray, columns: Sequence[Array]
 
 
 def _solved(parts: Sequence[Array], rcond: float) -> tuple[Array, Array]:
-    """Least-squares solution of all rows [columns, target], by their triangular factor, and what it leaves of the latter's target."""
+    """Least-squares solution of all rows [columns, target], and the residual of their triangular factor, which has the same norm."""
     triangle = qr(np.vstack(parts), mode="r", check_finite=False)[0][: parts[0].shape[1]]
     scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
     found = np.linalg.lstsq(triangle[:, :-1] / scale, triangle[:, -1], rcond=rcond)[0] / scale

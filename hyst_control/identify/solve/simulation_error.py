@@ -125,7 +125,7 @@ class SimulationError:
     nuisance: str = "linear"
     unknown_state: bool = False
     everything: bool = True
-    """Whether cost and session effects are those of all rows, not of the fitted ones alone."""
+    """True: cost and session effects are those of all rows, the held-out ones included."""
     origin: Array | float = 0.0
     """Parameters that the prior pulls to."""
 

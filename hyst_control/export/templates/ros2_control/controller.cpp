@@ -1,6 +1,6 @@
 // Copyright 2026 The hyst_control authors
 // SPDX-License-Identifier: Apache-2.0
-// Chainable controller of ros2_control around {{ name }}_step. update_and_write_commands allocates nothing and waits for nobody.
+// Chainable controller of ros2_control around {{ name }}_step. update_and_write_commands allocates no memory and never blocks.
 #include "{{ name }}.h"
 
 #include <algorithm>
