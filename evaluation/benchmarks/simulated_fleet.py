@@ -1,9 +1,9 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated fleets: units drawn from a population, recorded night after night, effects that begin on some of them in some night.
+"""Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them at some run.
 
-Coefficients scatter from unit to unit, a little from night to night; the night's temperature changes every gain. On all units of one driver
-its low-pass becomes slower in one night: a cause that they share. Nothing has begun in the first nights, every record's clean records.
+Coefficients scatter from unit to unit, a little from run to run; the run's temperature changes every gain. On all units of one driver
+its low-pass becomes slower in one run: a cause that they share. Nothing has begun in the first runs, every record's clean records.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from hyst_control.records.tables.importing import write_bag
 PLANT = "pea_published"
 NOISE = 5e-4
 """Noise of the sensor, rms / stroke."""
-NIGHT_SCATTER = 5e-4
-"""Relative standard deviation of a coefficient of a night about the unit's."""
+RUN_SCATTER = 5e-4
+"""Relative standard deviation of a coefficient of a run about the unit's."""
 EXPANSION = 1e-3
 """Change of every gain, 1/K."""
-CLEAN_NIGHTS = 2
+CLEAN_RUNS = 2
 UNITS_PER_DRIVER = 16
 EFFECTS = (
     "gain", "delay", "amplifier_lowpass", "sensor_lowpass", "hysteresis_width", "creep", "backlash", "sensor_nonlinearity",
@@ -61,23 +61,23 @@ class Unit:
     driver: str  # Driver that it hangs on
     seed: int  # Seed of its coefficients and noise
     effect: Mapping[str, Any]  # Effect that begins on it; empty for none
-    begins: int  # First night of the effect
+    begins: int  # First run of the effect
     gap_rms: float = 0.0  # Rms of what the effect changes, in the measurement unit
 
 
 def make_fleet(
-    folder: Path, seed: int, units: int, nights: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
+    folder: Path, seed: int, units: int, runs: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
 ) -> Path:
     """Draw a fleet, record its runs, and write manifest and labels."""
-    if units < 1 or nights < CLEAN_NIGHTS + 2:
-        raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_NIGHTS + 2} nights, got {units} and {nights}")
+    if units < 1 or runs < CLEAN_RUNS + 2:
+        raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_RUNS + 2} runs, got {units} and {runs}")
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: holds files already: choose another folder")
     (folder / "bags").mkdir(parents=True, exist_ok=True)
     random = np.random.default_rng([seed, 7])
-    temperatures = 20.0 + 3.0 * np.sin(2.0 * np.pi * np.arange(nights) / 30.0) + random.standard_normal(nights)
+    temperatures = 20.0 + 3.0 * np.sin(2.0 * np.pi * np.arange(runs) / 30.0) + random.standard_normal(runs)
     save_model(nominal(PLANT, NOISE), folder / "model.yaml")
-    drawn = _draw(random, seed, units, nights, changed)
+    drawn = _draw(random, seed, units, runs, changed)
     jobs = [(unit, temperatures, str(folder / "bags")) for unit in drawn]
     for done, _ in enumerate(map_spawned(_record_unit, jobs), 1):
         note(f"{done}/{units} units recorded")
@@ -85,7 +85,7 @@ def make_fleet(
     labels, units_drawn = folder / "labels.json", [asdict(unit) for unit in drawn]
     shared = next((unit for unit in drawn if unit.effect.get("shared")), None)
     driver = None if shared is None else {"driver": shared.driver, "effect": SHARED, "begins": shared.begins}
-    head = {"seed": seed, "nights": nights, "scatter_rms": unit_scatter()}
+    head = {"seed": seed, "runs": runs, "scatter_rms": unit_scatter()}
     write_json(labels, {**head, "units": units_drawn, "driver": driver})
     return labels
 
@@ -104,11 +104,11 @@ def unit_scatter(draws: int = 8) -> float:
     return float(np.sqrt(np.mean(measured.var(axis=0, ddof=1))))
 
 
-def _draw(random: np.random.Generator, seed: int, units: int, nights: int, changed: float) -> list[Unit]:
+def _draw(random: np.random.Generator, seed: int, units: int, runs: int, changed: float) -> list[Unit]:
     """Draw the units with their effects, sized in unit-to-unit scatters."""
     drivers = max(1, -(-units // UNITS_PER_DRIVER))
     weak = int(random.integers(drivers)) if drivers > 1 else -1
-    shared_night = _first_night(random, nights)
+    shared_run = _first_run(random, runs)
     least = unit_scatter()
     shared = _sized({**draw_effect(SHARED, PLANT, NOISE, random), "shared": True}, least, random)
     own = set(random.choice(units, int(round(changed * units)), replace=False).tolist())
@@ -116,19 +116,19 @@ def _draw(random: np.random.Generator, seed: int, units: int, nights: int, chang
     for index in range(units):
         driver = index % drivers
         effect: dict[str, Any] = {}
-        begins = nights
+        begins = runs
         if driver == weak:
-            effect, begins = shared, shared_night
+            effect, begins = shared, shared_run
         elif index in own:
             effect = _sized(draw_effect(EFFECTS[len(found) % len(EFFECTS)], PLANT, NOISE, random), least, random)
-            begins = _first_night(random, nights)
+            begins = _first_run(random, runs)
         gap = _gap(effect) if effect else 0.0
         found.append(Unit(f"u{index:04d}", f"d{driver:02d}", int(random.integers(1 << 31)), effect, begins, gap))
     return found
 
 
-def _first_night(random: np.random.Generator, nights: int) -> int:
-    return int(random.integers(CLEAN_NIGHTS + 1, nights - 1))
+def _first_run(random: np.random.Generator, runs: int) -> int:
+    return int(random.integers(CLEAN_RUNS + 1, runs - 1))
 
 
 def _sized(effect: dict[str, Any], scatter_rms: float, random: np.random.Generator) -> dict[str, Any]:
@@ -157,21 +157,21 @@ def _measured(effect: Mapping[str, Any], coefficients: Mapping[str, Any], seed: 
 def _moved(value: Any, random: np.random.Generator) -> Any:
     if isinstance(value, list):
         return [_moved(each, random) for each in value]
-    return value * (1.0 + NIGHT_SCATTER * random.standard_normal())
+    return value * (1.0 + RUN_SCATTER * random.standard_normal())
 
 
 def _record_unit(job: tuple[Unit, Array, str]) -> str:
     """Record all runs of a unit."""
     unit, temperatures, folder = job
     coefficients = scatter(PLANT, unit.seed, SCATTER)
-    for night, temperature in enumerate(temperatures):
-        random = np.random.default_rng([unit.seed, night])
-        tonight = {name: _moved(value, random) for name, value in coefficients.items()}
-        effect = unit.effect if night >= unit.begins else {}
-        measured = _measured(effect, tonight, int(random.integers(1 << 31)), NOISE)
+    for run, temperature in enumerate(temperatures):
+        random = np.random.default_rng([unit.seed, run])
+        of_run = {name: _moved(value, random) for name, value in coefficients.items()}
+        effect = unit.effect if run >= unit.begins else {}
+        measured = _measured(effect, of_run, int(random.integers(1 << 31)), NOISE)
         measured = measured * (1.0 + EXPANSION * (temperature - 20.0))
         record = sampled_record(unit.name, command(), measured[:, None], SETUPS[PLANT].sample_time, ("x",), "um")
-        write_bag(Path(folder) / f"{unit.name}_{night:03d}", record)
+        write_bag(Path(folder) / f"{unit.name}_{run:03d}", record)
     return unit.name
 
 
@@ -180,9 +180,9 @@ def _write_manifest(folder: Path, units: list[Unit], temperatures: Array) -> Non
     table = csv.writer(text, lineterminator="\n")
     table.writerow(("bag", "unit", "time", "model", "baseline", "driver", "temperature"))
     for unit in units:
-        clean = ";".join(f"bags/{unit.name}_{night:03d}" for night in range(CLEAN_NIGHTS))
-        for night, temperature in enumerate(temperatures):
-            own = "" if night < CLEAN_NIGHTS else clean
-            bag = f"bags/{unit.name}_{night:03d}"
-            table.writerow((bag, unit.name, night, "model.yaml", own, unit.driver, f"{temperature:.2f}"))
+        clean = ";".join(f"bags/{unit.name}_{run:03d}" for run in range(CLEAN_RUNS))
+        for run, temperature in enumerate(temperatures):
+            own = "" if run < CLEAN_RUNS else clean
+            bag = f"bags/{unit.name}_{run:03d}"
+            table.writerow((bag, unit.name, run, "model.yaml", own, unit.driver, f"{temperature:.2f}"))
     write_text(folder / "manifest.csv", text.getvalue())

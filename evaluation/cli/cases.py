@@ -27,7 +27,7 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("--count", "number of cases (make; default 60)", {"type": int, "default": 60}),
     ("--output", "folder to write: cases/ and labels.json (make), pictures (figures)", {"required": True, "metavar": "FOLDER"}),
     ("--measured", "put known effects into records of machines, measured and simulated (make)", {"action": "store_true"}),
-    ("--fleet", "record a simulated fleet with its manifest (make)", {"nargs": 2, "type": int, "metavar": ("UNITS", "NIGHTS")}),
+    ("--fleet", "record a simulated fleet with its manifest (make)", {"nargs": 2, "type": int, "metavar": ("UNITS", "RUNS")}),
     ("--plants", "truth plants (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's", {"nargs": "+"}),
     ("--kinds", "content of the cases (make): single, pair, parameters, none, open_set (default: all)", {"nargs": "+"}),
     ("--excitations", "records (make): rich, multisine, sine, closed_loop (default: all)", {"nargs": "+"}),
@@ -65,10 +65,10 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         from evaluation.benchmarks.simulated_fleet import make_fleet
         from hyst_control.base import progress
 
-        units, nights = arguments.fleet
-        labels = make_fleet(folder, arguments.seed, units, nights, note=progress.step)
+        units, runs = arguments.fleet
+        labels = make_fleet(folder, arguments.seed, units, runs, note=progress.step)
         made = Artifacts("cases make", [labels.parent / "manifest.csv", labels])
-        made.add("", "records", "", units * nights)
+        made.add("", "records", "", units * runs)
         return made
     options = _options(arguments)
     labels = make(Batch("injected" if arguments.measured else "simulated", folder, arguments.seed, arguments.count, options))

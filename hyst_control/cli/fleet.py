@@ -11,7 +11,7 @@ version changed. A record that fails costs itself only; it is listed with its re
 
 examples:
   hyst fleet diagnose manifest.csv --output study
-  hyst fleet diagnose "nights/*/*.bag" --names "nights/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
+  hyst fleet diagnose "runs/*/*.bag" --names "runs/(?P<time>[^/]+)/(?P<unit>[^.]+).bag" --model model.yaml --output study
   hyst fleet identify manifest.csv --family hampi --output models --cluster tcp://10.0.0.1:8786
   hyst fleet diagnose manifest.csv --output study --pages --limit gap_rms=0.3
   hyst fleet diagnose manifest.csv --output study --only onsets          thousands of records: which units changed, and in which run

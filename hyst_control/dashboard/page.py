@@ -200,7 +200,7 @@ class _Window:
             if not names:
                 continue
             label = "" if len(subjects) > 1 else f"{subjects[0]} "
-            drawn = _figure("time (s)", f"{label}({_unit(names[0])})", 240 if len(subjects) > 1 else 170)
+            drawn = _figure("time [s]", f"{label}[{_unit(names[0])}]", 240 if len(subjects) > 1 else 170)
             drawn.name = subjects[-1]
             for name in names:
                 subject, axis = name.partition("[")[0].split("_", 1)
@@ -243,7 +243,7 @@ class _Window:
             self._beside.children = [drawn, *self._beside.children[1:]]
 
     def _draw_gap(self) -> None:
-        drawn = _figure("time (s)", "gap (% of the range)", 380)
+        drawn = _figure("time [s]", "gap [% of the range]", 380)
         drawn.name = "gap"
         drawn.y_range = DataRange1d(start=0.0)
         drawn.line("t", "nrmse[%]", source=self._gap.source, color=SUBJECTS["gap"], line_width=1.5)

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Changes in a fleet: which unit's quantity shifted, in which run, or drifts, with the number of false claims under control.
 
-A quantity x of a unit over T nights is its level, a random walk, white noise and, perhaps, a shift from one night on or a steady trend:
+A quantity x of a unit over T runs is its level, a random walk, white noise and, perhaps, a shift from one run on or a steady trend:
 
     x = mu + walk + noise + delta [t >= t0]   or   x = mu + walk + noise + delta (t - t1) / (tT - t1)
 
-The variances of noise and walk are the fleet's: their sum 2 sigma^2 + q^2 from the differences of successive nights, by the median.
+The variances of noise and walk are the fleet's: their sum 2 sigma^2 + q^2 from the differences of successive runs, by the median.
 q / sigma, the share of units that change and the size of changes are those that make the fleet's records most likely (empirical Bayes).
 A unit that changed is said to drift where a trend explains it better than any shift. Units are named, most probable first, as long as
 the mean probability of an error among them stays below the bound: the Bayesian false discovery rate (`course_fit.named_within`).
@@ -21,16 +21,16 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.fleet.course_fit import CourseFit, named_within, night_variance
+from hyst_control.fleet.course_fit import CourseFit, named_within, run_variance
 
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.3)
 """Shares of units that change, among which the fleet's records choose."""
 SHIFTS = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Sizes tau of a shift, in standard deviations of a night, likewise."""
+"""Sizes tau of a shift, in standard deviations of a run, likewise."""
 WALKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 """Standard deviations q of a walk's step, in those sigma of the noise, likewise."""
-MIN_NIGHTS = 4
-"""Nights of a unit from which on it is looked at."""
+MIN_RUNS = 4
+"""Runs of a unit from which on it is looked at."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Onset:
     unit: str  # The unit
     quantity: str  # The quantity that changed
     probability: float  # That it changed at all
-    moment: float  # Most probable first night of the change
-    # earliest, latest: Nights that hold the onset with 90 % probability
+    moment: float  # Most probable first run of the change
+    # earliest, latest: Runs that hold the onset with 90 % probability
     earliest: float
     latest: float
     # size, size_error: Shift and its standard error, in the quantity's unit
@@ -59,8 +59,8 @@ class Trend:
     # slope, slope_error: Change per unit of time and its standard error, in the quantity's unit
     slope: float
     slope_error: float
-    level: float  # Where the trend stands at the last night
-    last: float  # Time of the last night
+    level: float  # Where the trend stands at the last run
+    last: float  # Time of the last run
     walk: float  # Standard deviation that the random walk adds in a unit of time
     # crossing, earliest, latest: When the trend reaches the quantity's limit, and the times that hold it with 90 % probability;
     # None without a limit, or where it moves away from it. An end alone is None where the limit may never be reached
@@ -90,22 +90,22 @@ def find_changes(
     quantity: str, units: Sequence[str], moments: Annotated[Array, "T"], values: Annotated[Array, "U T"], false_share: float = 0.02
 ) -> tuple[list[Onset], list[Trend]]:
     """Find the units whose quantity shifted or drifts."""
-    looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= MIN_NIGHTS]
-    spread = night_variance(values[looked_at]) if looked_at else 0.0
+    looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= MIN_RUNS]
+    spread = run_variance(values[looked_at]) if looked_at else 0.0
     if spread <= 0.0:
         return [], []
     best: tuple[float, float, float, float, dict[int, _UnitFit]] = (-np.inf, SHARES[0], 0.0, 0.0, {})
     for ratio in WALKS:
         white = spread / (2.0 + ratio**2)
         fits = {index: _unit_fit(moments, values[index], white, ratio**2 * white) for index in looked_at}
-        night = float(np.sqrt(white * (1.0 + ratio**2)))
+        run = float(np.sqrt(white * (1.0 + ratio**2)))
         unchanged = sum(fit.shifts.likelihood for fit in fits.values())
         for shift in SHIFTS:
-            odds = np.array([fit.evidence(shift * night) for fit in fits.values()])
+            odds = np.array([fit.evidence(shift * run) for fit in fits.values()])
             for share in SHARES:
                 whole = unchanged + float(np.logaddexp(np.log1p(-share), np.log(share) + odds).sum())
                 if whole > best[0]:
-                    best = (whole, share, shift * night, ratio * float(np.sqrt(white)), fits)
+                    best = (whole, share, shift * run, ratio * float(np.sqrt(white)), fits)
     _, share, tau, step, fits = best
     claims = []
     for index, fit in fits.items():
@@ -121,7 +121,7 @@ def find_changes(
 def _unit_fit(moments: Array, values: Array, white: float, walk: float) -> _UnitFit:
     there = np.isfinite(values)
     t, x = moments[there], values[there]
-    steps = np.tril(np.ones((len(x), len(x))))[:, 1:]  # column t: 0 before night t + 1, then 1
+    steps = np.tril(np.ones((len(x), len(x))))[:, 1:]  # column t: 0 before run t + 1, then 1
     ramp = ((t - t[0]) / (t[-1] - t[0]))[:, None]
     return _UnitFit(t, CourseFit(x, steps, white, walk), CourseFit(x, ramp, white, walk))
 

@@ -3,8 +3,8 @@
 """Common causes of changes: a driver, a firmware, a run that units which changed share.
 
 Two tests, with the false discovery rate of each kept within a bound (Benjamini and Hochberg 1995): of the units that share a value of
-one of the manifest's columns, more changed than a draw from the whole fleet would have (hypergeometric distribution); in one night, more
-changes began than nights drawn at random would have (binomial distribution, all nights tried).
+one of the manifest's columns, more changed than a draw from the whole fleet would have (hypergeometric distribution); in one run, more
+changes began than runs drawn at random would have (binomial distribution, all runs tried).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class CommonCause:
     """Something that units which changed have in common."""
 
     quantity: str  # What changed
-    # column, value: Column of the manifest and its value; "first night" and the night where the changes began together
+    # column, value: Column of the manifest and its value; "first run" and the run where the changes began together
     column: str
     value: str
     changed: Sequence[str]  # Units with it that changed
-    of: int  # Units with it; for a night, all that changed
+    of: int  # Units with it; for a run, all that changed
     probability: float  # Adjusted p-value: the false discovery rate at which it would just be named
 
 
@@ -35,7 +35,7 @@ def find_common_causes(
     changed: Mapping[str, Mapping[str, float]],
     columns: Mapping[str, Mapping[str, str]],
     units: int,
-    nights: int,
+    runs: int,
     false_share: float = 0.01,
 ) -> list[CommonCause]:
     """Find what units that changed have in common."""
@@ -49,11 +49,11 @@ def find_common_causes(
                 if len(hit) >= MIN_UNITS and len(having) < units:
                     chance = float(hypergeom.sf(len(hit) - 1, units, len(begins), len(having)))
                     shared.append(CommonCause(quantity, column, value, hit, len(having), chance))
-        for night in sorted(set(begins.values())):
-            hit = sorted(unit for unit, begin in begins.items() if begin == night)
-            if len(hit) >= MIN_UNITS and nights > 1:
-                chance = min(1.0, nights * float(binom.sf(len(hit) - 1, len(begins), 1.0 / nights)))
-                together.append(CommonCause(quantity, "first night", f"{night:g}", hit, len(begins), chance))
+        for run in sorted(set(begins.values())):
+            hit = sorted(unit for unit, begin in begins.items() if begin == run)
+            if len(hit) >= MIN_UNITS and runs > 1:
+                chance = min(1.0, runs * float(binom.sf(len(hit) - 1, len(begins), 1.0 / runs)))
+                together.append(CommonCause(quantity, "first run", f"{run:g}", hit, len(begins), chance))
     return sorted(_kept(shared, false_share) + _kept(together, false_share), key=lambda cause: cause.probability)
 
 

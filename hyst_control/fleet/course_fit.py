@@ -57,7 +57,7 @@ class CourseFit:
         return float(self._level - size * self._means[index])
 
 
-def night_variance(values: Annotated[Array, "U T"]) -> float:
+def run_variance(values: Annotated[Array, "U T"]) -> float:
     """Variance of the differences of successive runs over a fleet; robust to a few units that change."""
     differences = np.diff(values, axis=1)
     known = differences[np.isfinite(differences)]

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Influence of a covariate such as temperature on a quantity of every unit, taken out before changes are looked for.
 
-Successive nights of a unit are compared: levels, shifts and slow drifts leave their differences nearly untouched. The fleet's slope is
-fitted to all differences with Huber's weights, its standard error allows for nights that all units share (clusters by night).
+Successive runs of a unit are compared: levels, shifts and slow drifts leave their differences nearly untouched. The fleet's slope is
+fitted to all differences with Huber's weights, its standard error allows for runs that all units share (clusters by run).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _slope(quantity: str, name: str, values: Array, covariate: Array) -> Covaria
     rise, change = np.diff(covariate, axis=1), np.diff(values, axis=1)
     known = np.isfinite(rise) & np.isfinite(change)
     x, y = rise[known], change[known]
-    night = np.nonzero(known)[1]
+    run = np.nonzero(known)[1]
     spread = MAD * np.median(np.abs(y - np.median(y))) if len(y) else 0.0
     if len(x) < MIN_DIFFERENCES or spread <= 0.0 or np.ptp(x) <= 0.0:
         return None
@@ -65,6 +65,6 @@ def _slope(quantity: str, name: str, values: Array, covariate: Array) -> Covaria
         rest = y - slope * x
         spread = max(MAD * float(np.median(np.abs(rest))), 1e-300)
         weights = np.minimum(1.0, HUBER * spread / np.maximum(np.abs(rest), 1e-300))
-    scores = np.bincount(night, weights * x * (y - slope * x))
+    scores = np.bincount(run, weights * x * (y - slope * x))
     error = float(np.sqrt(scores @ scores) / ((weights * x) @ x))
     return CovariateEffect(quantity, name, slope, error)

@@ -19,7 +19,7 @@ PROBABILITY = 0.9
 def forecast(trend: Trend, limits: Mapping[str, float]) -> Trend:
     """Add the time at which a trend reaches the limit of its quantity.
 
-    At a time d after the last night the quantity is normal about ``level + slope d`` with the variance of the slope, (slope_error d)^2,
+    At a time d after the last run the quantity is normal about ``level + slope d`` with the variance of the slope, (slope_error d)^2,
     and of the walk, walk^2 d. The interval holds the times between which the probability of being beyond the limit grows from 5 to
     95 %; an end is None where it never does.
     """

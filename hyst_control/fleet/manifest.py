@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Manifests: lists of a fleet's records, one row a record, from a CSV or Parquet file or from the names of bags.
 
-Columns: `bag` (path, relative to the manifest's folder), `unit` (which actuator), `time` (a number, such as a night's, or a date and
+Columns: `bag` (path, relative to the manifest's folder), `unit` (which actuator), `time` (a number, such as a run's, or a date and
 time in ISO 8601), `model` and `baseline` (paths; several separated by `;`). All but `bag` may be left out; any other column is kept.
 """
 

@@ -13,30 +13,30 @@ from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Table
 
 NEAR = 1.0
-"""Nights by which an onset may be off."""
+"""Runs by which an onset may be off."""
 
 
 def score_study(study: str | Path, labels: str | Path) -> Table:
     """Compare a study's changes with the labels of its fleet; a unit's run is that of its most probable shift."""
     found = _document(Path(study) / "fleet.json", ("onsets", "trends", "common_causes"))
-    truth = _document(Path(labels), ("units", "nights", "driver"))
+    truth = _document(Path(labels), ("units", "runs", "driver"))
     begins = {unit["name"]: float(unit["begins"]) for unit in truth["units"] if unit["effect"]}
     named: dict[str, float | None] = {}
     for claim in sorted([*found["onsets"], *found["trends"]], key=lambda claim: -claim["probability"]):
         if named.get(claim["unit"]) is None:
             named[claim["unit"]] = claim.get("moment")
     right = [unit for unit in named if unit in begins]
-    nights = [moment for unit in right if (moment := named[unit]) is not None and abs(moment - begins[unit]) <= NEAR]
+    runs = [moment for unit in right if (moment := named[unit]) is not None and abs(moment - begins[unit]) <= NEAR]
     table = Table("fleet score")
     count = len(truth["units"])
     for quantity, part, whole in (
         ("precision", len(right), len(named)),
         ("recall", len(right), len(begins)),
-        (f"night within {NEAR:g}", len(nights), len(right)),
+        (f"run within {NEAR:g}", len(runs), len(right)),
     ):
         if whole:
             table.add(
-                "onsets", f"{count} units, {truth['nights']} nights", "units with an effect", quantity, "1", part / whole, n=whole
+                "onsets", f"{count} units, {truth['runs']} runs", "units with an effect", quantity, "1", part / whole, n=whole
             )
     if truth["driver"] is not None:
         causes = {(cause["column"], cause["value"]) for cause in found["common_causes"]}

@@ -33,7 +33,7 @@ class Overview:
 
     kind: str  # "identify", "validate" or "diagnose"
     units: Sequence[str]  # Names of the units (U,)
-    moments: Annotated[Array, "T"]  # Times of the nights (T,)
+    moments: Annotated[Array, "T"]  # Times of the runs (T,)
     series: Mapping[str, Array]  # Values (U, T) by quantity, NaN where there is none
     verdicts: NDArray[np.object_]  # Verdicts (U, T) of a study of diagnoses, "" where there is none
     pages: NDArray[np.object_]  # Paths (U, T) of the records' own pages, "" where there is none
@@ -50,7 +50,7 @@ class Overview:
             "version": 1,
             "kind": self.kind,
             "units": len(self.units),
-            "nights": len(self.moments),
+            "runs": len(self.moments),
             "onsets": [asdict(onset) for onset in self.onsets],
             "trends": [asdict(trend) for trend in self.trends],
             "common_causes": [asdict(cause) for cause in self.causes],

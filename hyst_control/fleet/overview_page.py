@@ -176,12 +176,12 @@ def _course(found: Overview, unit: str, quantity: str, links: _Links) -> go.Figu
     """A quantity of one unit before those of all."""
     values = found.series[quantity]
     there = np.isfinite(values).any(axis=0)
-    nights = found.moments[there]
+    runs = found.moments[there]
     low, middle, high = np.nanpercentile(values[:, there], (5.0, 50.0, 95.0), axis=0)
     figure = go.Figure()
-    figure.add_trace(go.Scatter(x=nights, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
-    figure.add_trace(go.Scatter(x=nights, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor=BAND))
-    figure.add_trace(go.Scatter(x=nights, y=middle, name="median of all units", line={"color": COLORS[2]}))
+    figure.add_trace(go.Scatter(x=runs, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
+    figure.add_trace(go.Scatter(x=runs, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor=BAND))
+    figure.add_trace(go.Scatter(x=runs, y=middle, name="median of all units", line={"color": COLORS[2]}))
     own = values[list(found.units).index(unit)]
     figure.add_trace(
         go.Scatter(x=found.moments, y=own, customdata=links.of(unit), name=unit, mode="lines+markers", line={"color": COLORS[1]})

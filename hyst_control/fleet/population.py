@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Usual coefficients of a fleet: their center and scatter over its units, and those of one unit as far as all of them tell.
 
-The coefficients of a unit, identified in several nights, are taken for its level, which differs from unit to unit and walks from night
-to night, and an error of the night:
+The coefficients of a unit, identified in several runs, are taken for its level, which differs from unit to unit and walks from run
+to run, and an error of the run:
 
     x(u, t) = level(u, t) + e(u, t),   level(u, .) - mu ~ N(0, B) at first, its steps ~ N(0, rho C), e ~ N(0, (1 - rho) / 2 C)
 
-C is the covariance of the differences of successive nights, rho the share of it that grows with the distance of the nights. Both are
+C is the covariance of the differences of successive runs, rho the share of it that grows with the distance of the runs. Both are
 the fleet's. With them every unit's newest level has a closed form, a local level filter whose variances are multiples of C, and mu and B
 follow by the expectation-maximization of a normal population (empirical Bayes), in which units far out count less (Huber's weights), so
-that a faulty one does not make faults usual. A unit's own level is then drawn toward the fleet's as far as its own nights leave it open
+that a faulty one does not make faults usual. A unit's own level is then drawn toward the fleet's as far as its own runs leave it open
 (partial pooling).
 """
 
@@ -27,8 +27,8 @@ from scipy.stats import chi2
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
-FARTHEST_NIGHTS = 5
-"""Nights between two records up to which the growth of their difference is looked at."""
+FARTHEST_RUNS = 5
+"""Runs between two records up to which the growth of their difference is looked at."""
 WITHIN = 0.975
 """Quantile of the distances beyond which a unit counts less."""
 PASSES = 200
@@ -45,31 +45,31 @@ class Population:
 
     center: Annotated[Array, "K"]  # Means over the units (K,)
     between: Annotated[Array, "K K"]  # Covariance of the units' levels (K, K)
-    night: Annotated[Array, "K K"]  # Covariance C of the differences of successive nights (K, K)
+    run: Annotated[Array, "K K"]  # Covariance C of the differences of successive runs (K, K)
     walk: float  # Share rho of it that is a walk, 1
-    # Mean covariance of the identifications' own errors (K, K), which is a part of a night's error but none of the unit's
+    # Mean covariance of the identifications' own errors (K, K), which is a part of a run's error but none of the unit's
     error: Annotated[Array, "K K"]
     units: tuple[str, ...]  # Names of the units (U,)
-    levels: Annotated[Array, "U K"]  # Their newest levels by their own nights alone (U, K)
-    spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `night` (U,)
+    levels: Annotated[Array, "U K"]  # Their newest levels by their own runs alone (U, K)
+    spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `run` (U,)
 
     def usual(self) -> tuple[Array, Array]:
         """Mean (K,) and covariance (K, K) of the coefficients of any unit in any run."""
-        return self.center, self.between + self._single_night()
+        return self.center, self.between + self._single_run()
 
     def of_unit(self, unit: str) -> tuple[Array, Array]:
         """Mean and covariance of a unit's coefficients in its coming run, by its own runs and the fleet."""
         if unit not in self.units:
             raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
         index = self.units.index(unit)
-        share = np.linalg.solve(self.between + self.spreads[index] * self.night, self.between).T
+        share = np.linalg.solve(self.between + self.spreads[index] * self.run, self.between).T
         mean = self.center + share @ (self.levels[index] - self.center)
         left = self.between - share @ self.between
-        return mean, 0.5 * (left + left.T) + self.walk * self.night + self._single_night()
+        return mean, 0.5 * (left + left.T) + self.walk * self.run + self._single_run()
 
-    def _single_night(self) -> Array:
+    def _single_run(self) -> Array:
         """Covariance of what one run does to a unit, without the errors of its identification."""
-        return _positive(0.5 * (1.0 - self.walk) * self.night - self.error)
+        return _positive(0.5 * (1.0 - self.walk) * self.run - self.error)
 
 
 def find_population(
@@ -85,12 +85,12 @@ def find_population(
     ordered = [np.array(sorted(rows[name], key=lambda row: moments[row])) for name in names]
     scale = _scale(values)
     scaled, error = values / scale, errors.mean(axis=0) / np.outer(scale, scale)
-    night, walk = _nights([scaled[each] for each in ordered], error)
+    run, walk = _runs([scaled[each] for each in ordered], error)
     found = [_level(scaled[each], walk) for each in ordered]
     levels, spreads = np.array([level for level, _ in found]), np.array([spread for _, spread in found])
-    center, between = _between(levels, spreads, night)
+    center, between = _between(levels, spreads, run)
     square = np.outer(scale, scale)
-    return Population(center * scale, between * square, night * square, walk, error * square, names, levels * scale, spreads)
+    return Population(center * scale, between * square, run * square, walk, error * square, names, levels * scale, spreads)
 
 
 def _scale(values: Array) -> Array:
@@ -100,24 +100,24 @@ def _scale(values: Array) -> Array:
     return np.asarray(np.where(spread > 0.0, spread, 1.0))
 
 
-def _nights(series: Sequence[Array], error: Array) -> tuple[Array, float]:
+def _runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
     """Covariance of the differences of successive runs, and the share of it that is a walk.
 
-    Without a unit that was identified twice, nights are taken to differ by the errors of the identifications alone.
+    Without a unit that was identified twice, runs are taken to differ by the errors of the identifications alone.
     """
     differences = {
         lag: np.concatenate([each[lag:] - each[:-lag] for each in series if len(each) > lag] or [np.zeros((0, series[0].shape[1]))])
-        for lag in range(1, FARTHEST_NIGHTS + 1)
+        for lag in range(1, FARTHEST_RUNS + 1)
     }
     if len(differences[1]) < 2:
         return 2.0 * error, 0.0
-    night = _covariance(differences[1])
+    run = _covariance(differences[1])
     lags = [lag for lag in differences if len(differences[lag]) > 1]
     sizes = np.array([np.mean([_variance(column) for column in differences[lag].T]) for lag in lags])
     if len(lags) < 2:
-        return night, 0.0
+        return run, 0.0
     growth = np.polyfit(lags, sizes / sizes[0], 1)[0]
-    return night, float(np.clip(growth, 0.0, 1.0))
+    return run, float(np.clip(growth, 0.0, 1.0))
 
 
 def _variance(column: Array) -> float:
@@ -155,24 +155,24 @@ def _level(series: Array, walk: float) -> tuple[Array, float]:
     """Newest level of one unit by its own runs (K,), and its variance in multiples of C: a local level filter, diffuse at first."""
     error = 0.5 * (1.0 - walk)
     level, spread = series[0].copy(), error
-    for night in series[1:]:
+    for run in series[1:]:
         spread += walk
         gain = spread / (spread + error) if spread + error > 0.0 else 0.0
-        level = level + gain * (night - level)
+        level = level + gain * (run - level)
         spread *= 1.0 - gain
     return level, spread
 
 
-def _between(levels: Array, spreads: Array, night: Array) -> tuple[Array, Array]:
+def _between(levels: Array, spreads: Array, run: Array) -> tuple[Array, Array]:
     """Mean and covariance of the units' levels, whose errors are known, by expectation-maximization."""
     count, width = levels.shape
     center = np.median(levels, axis=0)
     between = np.diag(np.maximum(np.array([_variance(column) for column in (levels - center).T]), 1e-12))
-    alike = [np.flatnonzero(spreads == spread) for spread in np.unique(spreads)]  # of as many nights
+    alike = [np.flatnonzero(spreads == spread) for spread in np.unique(spreads)]  # of as many runs
     for _ in range(PASSES):
         weights, expected, second = np.zeros(count), np.zeros((count, width)), np.zeros((width, width))
         for rows in alike:
-            whole = between + spreads[rows[0]] * night
+            whole = between + spreads[rows[0]] * run
             off = levels[rows] - center
             weights[rows] = _weights(np.sum(off * np.linalg.solve(whole, off.T).T, axis=1), width)
             share = np.linalg.solve(whole, between).T

@@ -51,13 +51,13 @@ class PopulationModel:
             "left_out": self.left_out,
             "walk": self.population.walk,
             "parameters": [
-                {"name": name, "value": value, "deviation": deviation, "between_units": between, "between_nights": night}
-                for name, value, deviation, between, night in zip(
+                {"name": name, "value": value, "deviation": deviation, "between_units": between, "between_runs": run}
+                for name, value, deviation, between, run in zip(
                     self.names,
                     center.tolist(),
                     _deviations(covariance).tolist(),
                     _deviations(self.population.between).tolist(),
-                    _deviations(0.5 * self.population.night).tolist(),
+                    _deviations(0.5 * self.population.run).tolist(),
                 )
             ],
         }
@@ -72,7 +72,7 @@ class PopulationModel:
         width = max(map(len, self.names))
         lines += [
             f"  {row['name']:{width}s}  {row['value']:.5g} ± {row['deviation']:.2g}"
-            f"  (units {row['between_units']:.2g}, nights {row['between_nights']:.2g})"
+            f"  (units {row['between_units']:.2g}, runs {row['between_runs']:.2g})"
             for row in document["parameters"]
         ]
         return "\n".join([*lines, f"written: {self.path}"])

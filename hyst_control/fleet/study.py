@@ -153,7 +153,7 @@ class _Run:
             bag = job.entry.bag
             try:
                 marks[bag] = mark(job, self.version)
-                # A night that was diagnosed for a change needs no look again.
+                # A run that was diagnosed for a change needs no look again.
                 closer = mark(replace(job, options={**job.options, "only": GAPS}), self.version) if _is_onsets(job) else ""
             except OSError as error:
                 self.failed[bag] = f"{error.filename}: {error.strerror}"

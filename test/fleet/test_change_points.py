@@ -11,20 +11,20 @@ from hyst_control.fleet.change_points import find_changes
 from hyst_control.fleet.course_fit import CourseFit
 from hyst_control.fleet.outliers import find_outliers
 
-UNITS, NIGHTS = 200, 50
+UNITS, RUNS = 200, 50
 
 
 def fleet(seed, affected=20, shift=3.0, walk=0.05, missing=0.1):
-    """Levels that scatter by 1 between units; nights by 0.5; shifts of `shift` times the units' scatter from random nights on."""
+    """Levels that scatter by 1 between units; runs by 0.5; shifts of `shift` times the units' scatter from random runs on."""
     rng = np.random.default_rng(seed)
-    values = rng.standard_normal((UNITS, 1)) + 0.5 * rng.standard_normal((UNITS, NIGHTS))
-    values += np.cumsum(walk * rng.standard_normal((UNITS, NIGHTS)), axis=1)
-    nights = {}
+    values = rng.standard_normal((UNITS, 1)) + 0.5 * rng.standard_normal((UNITS, RUNS))
+    values += np.cumsum(walk * rng.standard_normal((UNITS, RUNS)), axis=1)
+    runs = {}
     for unit in rng.choice(UNITS, affected, replace=False):
-        nights[f"u{unit}"] = int(rng.integers(3, NIGHTS - 3))
-        values[unit, nights[f"u{unit}"] :] += shift * rng.choice([-1.0, 1.0])
+        runs[f"u{unit}"] = int(rng.integers(3, RUNS - 3))
+        values[unit, runs[f"u{unit}"] :] += shift * rng.choice([-1.0, 1.0])
     values[rng.random(values.shape) < missing] = np.nan
-    return values, nights
+    return values, runs
 
 
 def found_in(values):
@@ -32,16 +32,16 @@ def found_in(values):
     return find_changes("gain", units, np.arange(values.shape[1], dtype=float), values)[0]
 
 
-def test_units_and_nights_are_found():
+def test_units_and_runs_are_found():
     hits = named = true = near = inside = 0
     for seed in range(3):
-        values, nights = fleet(seed)
+        values, runs = fleet(seed)
         onsets = found_in(values)
-        named, true = named + len(onsets), true + len(nights)
-        right = [onset for onset in onsets if onset.unit in nights]
+        named, true = named + len(onsets), true + len(runs)
+        right = [onset for onset in onsets if onset.unit in runs]
         hits += len(right)
-        near += sum(abs(onset.moment - nights[onset.unit]) <= 1 for onset in right)
-        inside += sum(onset.earliest <= nights[onset.unit] <= onset.latest for onset in right)
+        near += sum(abs(onset.moment - runs[onset.unit]) <= 1 for onset in right)
+        inside += sum(onset.earliest <= runs[onset.unit] <= onset.latest for onset in right)
         assert all(abs(abs(onset.size) - 3.0) < 5 * onset.size_error + 0.3 for onset in right)
     assert hits / named >= 0.95 and hits / true >= 0.90
     assert near / hits >= 0.90 and inside / hits >= 0.85

@@ -40,13 +40,13 @@ def record(gain, seed):
 
 @pytest.fixture
 def fleet(tmp_path):
-    """Three units of two nights, the manifest beside them."""
+    """Three units of two runs, the manifest beside them."""
     lines = ["bag,unit,time,model,temperature"]
     shutil.copy(MODEL, tmp_path / "model.yaml")
     for unit in range(3):
-        for night in range(2):
-            write_bag(tmp_path / "bags" / f"u{unit}_{night}", record(1.0 + 0.05 * unit, 10 * unit + night))
-            lines.append(f"bags/u{unit}_{night},u{unit},{night},model.yaml,{20 + night}.5")
+        for run in range(2):
+            write_bag(tmp_path / "bags" / f"u{unit}_{run}", record(1.0 + 0.05 * unit, 10 * unit + run))
+            lines.append(f"bags/u{unit}_{run},u{unit},{run},model.yaml,{20 + run}.5")
     (tmp_path / "manifest.csv").write_text("\n".join(lines) + "\n")
     return tmp_path
 
@@ -155,9 +155,9 @@ def test_models_and_diagnoses(fleet):
 def test_manifests(fleet):
     entries = read_manifest([str(fleet / "manifest.csv")])
     assert [entry.unit for entry in entries] == ["u0", "u0", "u1", "u1", "u2", "u2"]
-    table = pa.table({"bag": [entry.bag for entry in entries], "unit": [entry.unit for entry in entries], "night": [1] * 6})
+    table = pa.table({"bag": [entry.bag for entry in entries], "unit": [entry.unit for entry in entries], "run": [1] * 6})
     pyarrow.parquet.write_table(table, fleet / "m.parquet")
-    assert [(entry.unit, entry.columns["night"]) for entry in read_manifest([str(fleet / "m.parquet")])][:1] == [("u0", "1")]
+    assert [(entry.unit, entry.columns["run"]) for entry in read_manifest([str(fleet / "m.parquet")])][:1] == [("u0", "1")]
     named = read_manifest([str(fleet / "bags" / "*")], r"(?P<unit>u\d)_(?P<time>\d)")
     assert [(entry.unit, entry.moment) for entry in named[:2]] == [("u0", 0.0), ("u0", 1.0)]
     assert moment("2026-03-01T12:00:00+00:00") == 1772366400.0

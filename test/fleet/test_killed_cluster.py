@@ -26,7 +26,7 @@ from hyst_control.model_file import load_model, simulate
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
 
-UNITS, NIGHTS, TS = 4, 8, 1e-4
+UNITS, RUNS, TS = 4, 8, 1e-4
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +39,11 @@ def entries(tmp_path_factory):
     clean = simulate(load_model(path), command, TS)
     bags = []
     for unit in range(UNITS):
-        for night in range(NIGHTS):
-            noise = 1e-3 * np.random.default_rng([unit, night]).standard_normal(clean.shape)
+        for run in range(RUNS):
+            noise = 1e-3 * np.random.default_rng([unit, run]).standard_normal(clean.shape)
             signals = {"command": Signal(time, command, ("x",), "V"), "measurement": Signal(time, clean + noise, ("x",), "um")}
-            bags.append(str(folder / f"u{unit}_{night}"))
-            write_bag(folder / f"u{unit}_{night}", Record(signals, "made"))
+            bags.append(str(folder / f"u{unit}_{run}"))
+            write_bag(folder / f"u{unit}_{run}", Record(signals, "made"))
     return read_manifest(bags, r"(?P<unit>u\d)_(?P<time>\d)", str(path))
 
 

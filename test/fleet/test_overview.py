@@ -13,25 +13,25 @@ import pytest
 from hyst_control.fleet.overview import overview
 from hyst_control.fleet.overview_page import _Links, _verdict_map, write_overview
 
-UNITS, NIGHTS = 200, 50
+UNITS, RUNS = 200, 50
 
 
-def rows(seed=3, units=UNITS, nights=NIGHTS):
+def rows(seed=3, units=UNITS, runs=RUNS):
     """Diagnoses; a delay that begins on eight units, and a gap that scatters."""
     rng = np.random.default_rng(seed)
-    begins = {f"u{unit:03d}": int(rng.integers(5, nights - 5)) for unit in rng.choice(units, 8, replace=False)}
+    begins = {f"u{unit:03d}": int(rng.integers(5, runs - 5)) for unit in rng.choice(units, 8, replace=False)}
     found = []
     for unit in (f"u{index:03d}" for index in range(units)):
         level = 0.1 + 0.01 * rng.standard_normal()
-        for night in range(nights):
-            delayed = night >= begins.get(unit, nights)
+        for run in range(runs):
+            delayed = run >= begins.get(unit, runs)
             tau = {"name": "tau", "value": 1e-4 * (1 + 0.05 * rng.standard_normal()), "low": 0.0, "high": 0.0, "unit": "s"}
             found.append(
                 {
                     "unit": unit,
-                    "time": str(night),
-                    "moment": float(night),
-                    "bag": f"{unit}_{night}",
+                    "time": str(run),
+                    "moment": float(run),
+                    "bag": f"{unit}_{run}",
                     "status": "done",
                     "reason": "",
                     "verdict": "effect" if delayed else "no_gap",
@@ -48,7 +48,7 @@ def test_a_page_of_ten_thousand_records(tmp_path):
     found = overview("diagnose", records)
     write_overview(found, records, tmp_path)
     delays = {onset.unit: onset.moment for onset in found.onsets if onset.quantity == "delay.tau"}
-    assert delays == {unit: float(night) for unit, night in begins.items()}
+    assert delays == {unit: float(run) for unit, run in begins.items()}
     document = json.loads((tmp_path / "fleet.json").read_text())
     assert document["units"] == UNITS and len(document["onsets"]) == len(found.onsets)
     page = (tmp_path / "fleet.html").read_text()
@@ -56,29 +56,26 @@ def test_a_page_of_ten_thousand_records(tmp_path):
     assert "<script>alert(1)" not in page and "&lt;script&gt;alert(1)" in page
 
 
-def test_a_page_of_ten_thousand_records_opens_in_three_seconds(tmp_path):
-    """By the processor time of the page's own thread, the least of some openings: what others do on the machine only adds to it."""
+def test_a_page_of_ten_thousand_records_stays_small_in_a_browser(tmp_path):
+    """What makes a page slow is counted, not timed: elements of the document, and points that are drawn as vectors."""
     if reason := browsers.missing():
         pytest.skip(reason)
     records, _ = rows()
     write_overview(overview("diagnose", records), records, tmp_path)
-    spent = []
     with browsers.chromium() as running:
-        for _ in range(3):
-            page = running.new_page(viewport={"width": 1200, "height": 1400})
-            page.set_default_timeout(browsers.PATIENCE)
-            session = page.context.new_cdp_session(page)
-            session.send("Performance.enable", {"timeDomain": "threadTicks"})
-            page.goto((tmp_path / "fleet.html").as_uri())
-            page.wait_for_selector("body[data-drawn]")
-            spent.append({each["name"]: each["value"] for each in session.send("Performance.getMetrics")["metrics"]}["TaskDuration"])
-            cells = page.evaluate("document.querySelector('figure.chart .js-plotly-plot').data[0].y.length")
-            (tmp_path / "page.png").write_bytes(page.screenshot())
-            page.close()
-            if spent[-1] < 3.0:
-                break
+        page = running.new_page(viewport={"width": 1200, "height": 1400})
+        page.set_default_timeout(browsers.PATIENCE)
+        page.goto((tmp_path / "fleet.html").as_uri())
+        page.wait_for_selector("body[data-drawn]")
+        cells = page.evaluate("document.querySelector('figure.chart .js-plotly-plot').data[0].y.length")
+        elements = page.evaluate("document.querySelectorAll('*').length")
+        points = page.evaluate(
+            "[...document.querySelectorAll('.js-plotly-plot')].flatMap(one => one._fullData)"
+            ".filter(trace => trace.type === 'scatter').reduce((sum, trace) => sum + trace.x.length, 0)"
+        )
+        (tmp_path / "page.png").write_bytes(page.screenshot())
     assert cells == UNITS and (tmp_path / "page.png").stat().st_size > 20_000
-    assert 0.1 < min(spent) < 3.0
+    assert elements < 5000 and points < 10_000
 
 
 def seen_page(folder, width):
@@ -90,7 +87,7 @@ def seen_page(folder, width):
 
 @pytest.mark.parametrize("width", [420, 1400])
 def test_a_browser_shows_the_page(width, tmp_path):
-    records, _ = rows(units=20, nights=15)
+    records, _ = rows(units=20, runs=15)
     write_overview(overview("diagnose", records), records, tmp_path)
     seen = seen_page(tmp_path, width)
     assert seen.figures >= 2 and "Changes" in seen.text and "Records that failed" in seen.text
@@ -99,14 +96,14 @@ def test_a_browser_shows_the_page(width, tmp_path):
 
 
 def test_a_fleet_without_changes_has_no_empty_table(tmp_path):
-    records = [{**row, "verdict": "no_gap", "effects": [], "status": "done"} for row in rows(units=8, nights=11)[0]]
+    records = [{**row, "verdict": "no_gap", "effects": [], "status": "done"} for row in rows(units=8, runs=11)[0]]
     write_overview(overview("diagnose", records), records, tmp_path)
     seen = seen_page(tmp_path, 800)
     assert not seen.empty_tables and "Changes" not in seen.text and "0 changes" in seen.text
 
 
 def test_the_map_has_a_color_for_each_verdict_and_none_between(tmp_path):
-    records, _ = rows(units=20, nights=15)
+    records, _ = rows(units=20, runs=15)
     figure = _verdict_map(found := overview("diagnose", records), _Links(found, tmp_path))
     (map_,) = figure.data
     assert list(map_.colorbar.ticktext) == ["effect", "no gap"] and (map_.zmin, map_.zmax) == (-0.5, 1.5)
@@ -114,18 +111,18 @@ def test_the_map_has_a_color_for_each_verdict_and_none_between(tmp_path):
     assert (low, end, begin, high) == (0.0, 0.5, 0.5, 1.0) and first == same != second == last
 
 
-def test_models_over_nights():
+def test_models_over_runs():
     rng = np.random.default_rng(0)
     records = [
         {
             "unit": f"u{unit}",
-            "time": str(night),
-            "moment": float(night),
+            "time": str(run),
+            "moment": float(run),
             "status": "done",
-            "parameters": [{"name": "0.gain.value", "value": 1.0 + 0.01 * rng.standard_normal() + 0.2 * (unit == 3 and night > 9)}],
+            "parameters": [{"name": "0.gain.value", "value": 1.0 + 0.01 * rng.standard_normal() + 0.2 * (unit == 3 and run > 9)}],
         }
         for unit in range(12)
-        for night in range(20)
+        for run in range(20)
     ]
     [onset] = overview("identify", records).onsets
     assert (onset.unit, onset.moment) == ("u3", 10.0) and abs(onset.size - 0.2) < 0.03
@@ -135,26 +132,26 @@ def test_a_click_opens_the_page_of_a_record(tmp_path):
     """In a real browser: a cell of the map, and a unit's name in the table, lead to the record's own page."""
     if reason := browsers.missing():
         pytest.skip(reason)
-    records, begins = rows(units=20, nights=15)
-    unit, night = next(iter(begins.items()))
+    records, begins = rows(units=20, runs=15)
+    unit, run = next(iter(begins.items()))
     (tmp_path / "reports").mkdir()
     own = tmp_path / "reports" / f"{unit} 1.html"
     own.write_text("<title>own page</title>")
     for record in records:
-        if record["unit"] == unit and record["moment"] == night:
+        if record["unit"] == unit and record["moment"] == run:
             record["page_file"] = str(own)
     write_overview(overview("diagnose", records), records, tmp_path)
-    place = """([unit, night]) => {
+    place = """([unit, run]) => {
         const chart = document.querySelector("figure.chart .js-plotly-plot");
         const box = chart.querySelector(".nsewdrag").getBoundingClientRect(), axes = chart._fullLayout;
-        return [box.x + axes.xaxis.d2p(night), box.y + axes.yaxis.d2p(unit)];
+        return [box.x + axes.xaxis.d2p(run), box.y + axes.yaxis.d2p(unit)];
     }"""
     with browsers.chromium() as running:
         page = running.new_page(viewport={"width": 1200, "height": 1400})
         page.set_default_timeout(browsers.PATIENCE)
         page.goto((tmp_path / "fleet.html").as_uri())
         page.wait_for_selector("body[data-drawn]")
-        page.mouse.click(*page.evaluate(place, [unit, night]))
+        page.mouse.click(*page.evaluate(place, [unit, run]))
         page.wait_for_url("**/reports/*")
         assert page.title() == "own page"
         page.go_back()
@@ -164,26 +161,26 @@ def test_a_click_opens_the_page_of_a_record(tmp_path):
         assert page.title() == "own page"
 
 
-def test_a_gap_that_grows_with_the_distance_from_the_clean_nights_is_no_change():
+def test_a_gap_that_grows_with_the_distance_from_the_clean_runs_is_no_change():
     """Temperature: a gap to clean records at 20 degrees grows as it gets warmer and as it gets colder."""
     rng = np.random.default_rng(8)
     temperature = 20.0 + np.concatenate([np.zeros(2), 3.0 * rng.standard_normal(24), np.full(4, -4.0)])
     records = [
         {
             "unit": f"u{unit:02d}",
-            "time": str(night),
-            "moment": float(night),
+            "time": str(run),
+            "moment": float(run),
             "status": "done",
             "verdict": "not_diagnosed",
-            "baseline": [] if night < 2 else [f"u{unit:02d}_0"],
+            "baseline": [] if run < 2 else [f"u{unit:02d}_0"],
             "temperature": str(degrees),
             "gap_rms": 0.5
-            if night < 2
-            else 0.01 + 0.002 * abs(degrees - 20.0) + 5e-4 * rng.standard_normal() + 0.05 * (unit == 5 and night > 14),
+            if run < 2
+            else 0.01 + 0.002 * abs(degrees - 20.0) + 5e-4 * rng.standard_normal() + 0.05 * (unit == 5 and run > 14),
             "effects": [],
         }
         for unit in range(20)
-        for night, degrees in enumerate(temperature)
+        for run, degrees in enumerate(temperature)
     ]  # fmt: skip
     found = overview("diagnose", records, ["temperature"])
     assert [(onset.unit, onset.moment) for onset in found.onsets] == [("u05", 15.0)] and not found.trends

@@ -29,21 +29,21 @@ MODEL = Path(__file__).resolve().parents[2] / "config" / "models" / "pea_hampi.y
 CENTER = np.array([1.0, 1000.0, 0.02, 3e-4])
 SIZE = 0.03 * CENTER
 CORRELATION = np.array([[1.0, 0.8, 0.0, 0.0], [0.8, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -0.6], [0.0, 0.0, -0.6, 1.0]])
-NIGHT = 0.5
-"""Standard deviation of the difference of successive nights, in that of the units."""
+RUN = 0.5
+"""Standard deviation of the difference of successive runs, in that of the units."""
 
 
-def drawn(units=150, nights=6, walk=0.0, seed=1):
-    """Units, moments and coefficients of a fleet, and the units' levels in the last night."""
+def drawn(units=150, runs=6, walk=0.0, seed=1):
+    """Units, moments and coefficients of a fleet, and the units' levels in the last run."""
     rng = np.random.default_rng(seed)
     level = CENTER + rng.multivariate_normal(np.zeros(4), CORRELATION * np.outer(SIZE, SIZE), units)
     found = []
-    for night in range(nights):
-        if night:
-            level = level + np.sqrt(walk) * NIGHT * SIZE * rng.standard_normal(level.shape)
-        found.append(level + np.sqrt(0.5 * (1.0 - walk)) * NIGHT * SIZE * rng.standard_normal(level.shape))
+    for run in range(runs):
+        if run:
+            level = level + np.sqrt(walk) * RUN * SIZE * rng.standard_normal(level.shape)
+        found.append(level + np.sqrt(0.5 * (1.0 - walk)) * RUN * SIZE * rng.standard_normal(level.shape))
     names = [f"u{unit:03d}" for unit in range(units)]
-    return names * nights, np.repeat(np.arange(float(nights)), units), np.concatenate(found), level
+    return names * runs, np.repeat(np.arange(float(runs)), units), np.concatenate(found), level
 
 
 def without_errors(values):
@@ -60,21 +60,21 @@ def test_center_and_scatter_are_those_that_were_drawn(faulty):
     np.testing.assert_allclose((found.center - CENTER) / SIZE, 0.0, atol=0.35)
     np.testing.assert_allclose(np.diag(scaled), 1.0, atol=0.4 if faulty else 0.3)
     np.testing.assert_allclose(scaled, CORRELATION, atol=0.5 if faulty else 0.3)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.night)), NIGHT * SIZE, rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.run)), RUN * SIZE, rtol=0.1)
 
 
 @pytest.mark.parametrize("walk", [0.0, 0.3, 0.8])
-def test_walks_are_told_from_the_scatter_of_nights(walk):
-    units, moments, values, _ = drawn(walk=walk, nights=10)
+def test_walks_are_told_from_the_scatter_of_runs(walk):
+    units, moments, values, _ = drawn(walk=walk, runs=10)
     assert find_population(units, moments, values, without_errors(values)).walk == pytest.approx(walk, abs=0.12)
 
 
 def test_a_unit_is_known_better_by_all_of_them():
-    """The level is nearer than the mean of its own two nights (Stein), and the stated covariance is that of the coming night."""
-    units, moments, values, level = drawn(nights=2)
+    """The level is nearer than the mean of its own two runs (Stein), and the stated covariance is that of the coming run."""
+    units, moments, values, level = drawn(runs=2)
     found = find_population(units, moments, values, without_errors(values))
     rng = np.random.default_rng(2)
-    coming = level + np.sqrt(0.5) * NIGHT * SIZE * rng.standard_normal(level.shape)
+    coming = level + np.sqrt(0.5) * RUN * SIZE * rng.standard_normal(level.shape)
     pooled, within = [], 0
     for index, unit in enumerate(found.units):
         mean, covariance = found.of_unit(unit)
@@ -87,13 +87,13 @@ def test_a_unit_is_known_better_by_all_of_them():
 
 
 def test_errors_of_the_identification_are_not_taken_for_the_units():
-    units, moments, values, _ = drawn(units=300, nights=1)
+    units, moments, values, _ = drawn(units=300, runs=1)
     rng = np.random.default_rng(3)
     noisy = values + SIZE * rng.standard_normal(values.shape)
     errors = np.broadcast_to(np.diag(SIZE**2), (len(values), 4, 4))
     found = find_population(units, moments, noisy, np.asarray(errors))
     spread = np.sqrt(np.diag(found.usual()[1])) / SIZE
-    np.testing.assert_allclose(spread, np.sqrt(1.0 + 0.5 * NIGHT**2), rtol=0.2)  # 1.5 with the errors
+    np.testing.assert_allclose(spread, np.sqrt(1.0 + 0.5 * RUN**2), rtol=0.2)  # 1.5 with the errors
 
 
 def unit_model(gain, error=0.002):

@@ -30,7 +30,7 @@ WITHOUT = {"without": tuple(name for name in EFFECTS if name not in RIVALS)}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Three units of six nights, one with an effect, and where it begins."""
+    """Three units of six runs, one with an effect, and where it begins."""
     folder = tmp_path_factory.mktemp("screened") / "fleet"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(simulated_fleet, "map_spawned", map)
@@ -62,8 +62,8 @@ def test_a_model_that_states_its_own_error_needs_no_search(made, tmp_path):
     stated = {"version": 1, "rms": [0.02], "correlation": 0.002}
     save_model(replace(load_model(entries[0].model), discrepancy=stated), tmp_path / "model.yaml")
 
-    def computed(unit, night, only):
-        [entry] = [entry for entry in entries if entry.bag.endswith(f"{unit}_{night:03d}")]
+    def computed(unit, run, only):
+        [entry] = [entry for entry in entries if entry.bag.endswith(f"{unit}_{run:03d}")]
         entry = replace(entry, baseline=(), model=str(tmp_path / "model.yaml"))
         return compute(RecordJob("diagnose", entry, WITHOUT if only is None else {**WITHOUT, "only": only}, str(tmp_path)))
 
@@ -82,7 +82,7 @@ def test_only_the_clearest_record_of_a_unit_that_changed_is_diagnosed_and_as_eve
     assert study.failed == {} and study.computed == len(entries)
     document = json.loads((tmp_path / "study" / "fleet.json").read_text())
     named = {claim["unit"]: claim["moment"] for claim in document["onsets"]}
-    assert named[changed] == begins  # six nights tell little: another unit may be named beside it
+    assert named[changed] == begins  # six runs tell little: another unit may be named beside it
     rows = pyarrow.parquet.read_table(tmp_path / "study" / "records.parquet").to_pylist()
     own = [each for each in rows if each["unit"] == changed and each["moment"] >= begins]
     [diagnosed] = [each for each in own if each["verdict"] != "not_diagnosed"]

@@ -31,8 +31,8 @@ def signals(axes, gains):
 
 def test_every_axis_is_a_unit(tmp_path):
     gains = 1.0 + 0.01 * np.arange(20)
-    write_bag(tmp_path / "night", Record(signals(AXES, gains), "night"))
-    lines = ["bag,unit,time,model", f"night,mirror,1,{MODEL}", f"gone,mirror,2,{MODEL}"]
+    write_bag(tmp_path / "run", Record(signals(AXES, gains), "run"))
+    lines = ["bag,unit,time,model", f"run,mirror,1,{MODEL}", f"gone,mirror,2,{MODEL}"]
     (tmp_path / "manifest.csv").write_text("\n".join(lines) + "\n")
     words = [
         "fleet",

@@ -12,13 +12,13 @@ from hyst_control.fleet.common_causes import find_common_causes, shared_columns
 from hyst_control.fleet.covariates import take_out
 from hyst_control.fleet.forecast import forecast
 
-UNITS, NIGHTS = 100, 40
+UNITS, RUNS = 100, 40
 NAMES = [f"u{index}" for index in range(UNITS)]
-MOMENTS = np.arange(NIGHTS, dtype=float)
+MOMENTS = np.arange(RUNS, dtype=float)
 
 
 def levels(rng, noise=0.3):
-    return rng.standard_normal((UNITS, 1)) + noise * rng.standard_normal((UNITS, NIGHTS))
+    return rng.standard_normal((UNITS, 1)) + noise * rng.standard_normal((UNITS, RUNS))
 
 
 def test_drifts_are_told_from_shifts():
@@ -59,7 +59,7 @@ def test_forecasts_without_an_end():
 
 def test_temperature_is_taken_out_and_shifts_stay():
     rng = np.random.default_rng(2)
-    temperature = np.tile(20.0 + 3.0 * rng.standard_normal(NIGHTS), (UNITS, 1))
+    temperature = np.tile(20.0 + 3.0 * rng.standard_normal(RUNS), (UNITS, 1))
     values = levels(rng)
     values[:6, 15:] += 0.8
     shifted = values + 0.5 * temperature
@@ -70,25 +70,25 @@ def test_temperature_is_taken_out_and_shifts_stay():
     assert take_out("gain", values, {"temperature": temperature})[1] == []
 
 
-def test_the_driver_and_the_night_that_units_share():
+def test_the_driver_and_the_run_that_units_share():
     rng = np.random.default_rng(3)
-    rows = [{"unit": unit, "driver": f"d{index // 10}", "firmware": "1.0", "night": night, "serial": unit}
-            for index, unit in enumerate(NAMES) for night in range(3)]  # fmt: skip
-    columns = shared_columns(rows, ["driver", "firmware", "night", "serial"])
+    rows = [{"unit": unit, "driver": f"d{index // 10}", "firmware": "1.0", "run": run, "serial": unit}
+            for index, unit in enumerate(NAMES) for run in range(3)]  # fmt: skip
+    columns = shared_columns(rows, ["driver", "firmware", "run", "serial"])
     assert list(columns) == ["driver"], "one value for all, one for each unit, and what differs within a unit group nothing"
-    begins = dict.fromkeys(NAMES[30:38], 17.0) | {str(unit): float(rng.integers(NIGHTS)) for unit in rng.choice(NAMES[50:], 8)}
-    causes = find_common_causes({"delay.tau": begins}, columns, UNITS, NIGHTS)
-    assert {(cause.column, cause.value) for cause in causes} == {("driver", "d3"), ("first night", "17")}
+    begins = dict.fromkeys(NAMES[30:38], 17.0) | {str(unit): float(rng.integers(RUNS)) for unit in rng.choice(NAMES[50:], 8)}
+    causes = find_common_causes({"delay.tau": begins}, columns, UNITS, RUNS)
+    assert {(cause.column, cause.value) for cause in causes} == {("driver", "d3"), ("first run", "17")}
     assert all(cause.probability < 1e-3 for cause in causes)
 
 
 def test_chance_is_no_cause():
-    """Changes drawn at random over units and nights: of 100 fleets hardly one has a cause."""
+    """Changes drawn at random over units and runs: of 100 fleets hardly one has a cause."""
     rng = np.random.default_rng(5)
     columns = {"driver": {unit: f"d{index // 10}" for index, unit in enumerate(NAMES)}}
     named = 0
     for _ in range(100):
         chosen = rng.choice(NAMES, 15, replace=False)
-        begins = {str(unit): float(rng.integers(NIGHTS)) for unit in chosen}
-        named += bool(find_common_causes({"gain": begins}, columns, UNITS, NIGHTS))
+        begins = {str(unit): float(rng.integers(RUNS)) for unit in chosen}
+        named += bool(find_common_causes({"gain": begins}, columns, UNITS, RUNS))
     assert named <= 4

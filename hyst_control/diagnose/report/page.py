@@ -203,7 +203,7 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
     x, half = _thinned_band(piece.time, piece.band[:, axis])
     look = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
     figure.add_scatter(x=x, y=-half, showlegend=False, **look, row=2, col=1)
-    name = "noise, tolerance and own error of the model, 90 %"
+    name = "noise, tolerance and model discrepancy, 90 %"
     figure.add_scatter(x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look, row=2, col=1)
     lines = [("measured", piece.measured, MEASURED), ("simulated", piece.simulated, SIMULATED)]
     if piece.augmented is not None:
@@ -216,9 +216,9 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
             figure.add_scatter(
                 x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": color, "width": 1.0}, row=2, col=1
             )
-    figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
-    figure.update_yaxes(title_text=f"residual ({unit})", row=2, col=1)
-    figure.update_xaxes(title_text="time (s)", row=2, col=1)
+    figure.update_yaxes(title_text=f"displacement [{unit}]", row=1, col=1)
+    figure.update_yaxes(title_text=f"residual [{unit}]", row=2, col=1)
+    figure.update_xaxes(title_text="time [s]", row=2, col=1)
     figure.update_layout(title=title, hovermode="x unified")
     return figure
 
@@ -291,8 +291,8 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
             mode="lines",
             line={"color": MEASURED, "dash": "dash"},
         )
-    figure.update_xaxes(type="log", title_text="frequency (Hz)")
-    figure.update_yaxes(type="log", title_text=f"residual ({unit}/√Hz)", exponentformat="power")
+    figure.update_xaxes(type="log", title_text="frequency [Hz]")
+    figure.update_yaxes(type="log", title_text=f"residual [{unit}/√Hz]", exponentformat="power")
     return figure
 
 
@@ -331,9 +331,9 @@ def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
             if name != "measured":
                 error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
                 figure.add_scatter(x=x, y=error, showlegend=False, **look, row=2, col=axis + 1)
-    figure.update_xaxes(title_text="command (V)", row=2)
-    figure.update_yaxes(title_text=f"displacement ({unit})", row=1, col=1)
-    figure.update_yaxes(title_text=f"measured − curve ({unit})", row=2, col=1)
+    figure.update_xaxes(title_text="command [V]", row=2)
+    figure.update_yaxes(title_text=f"displacement [{unit}]", row=1, col=1)
+    figure.update_yaxes(title_text=f"measured − curve [{unit}]", row=2, col=1)
     return figure
 
 
