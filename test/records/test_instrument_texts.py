@@ -7,6 +7,7 @@ import pytest
 
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
+from hyst_control.records.tables.header import stated_sample_time
 from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 from hyst_control.records.tables.listing import listed_columns
 
@@ -54,6 +55,22 @@ TEXTS = {
         "# REM E-712\n# VERSION = 1\n# TYPE = 1\n# SEPARATOR = 32\n# DIM = 2\n# SAMPLE_TIME = 0.001\n# NDATA = 80\n#\n"
         "# NAME0 = Target Position of axis X\n# NAME1 = Current Position of axis X\n#\n# END_HEADER\n" + body("{u:.4f} {y:.5f}\n"),
         "command=Target Position of axis X[V],measurement=Current Position of axis X[um]",
+    ),
+    "exponents of Fortran": (
+        body(" {t:.8E} {u:.8E} {y:.8E}\n").replace("E", "D"),
+        "time=1[s],command=2[V],measurement=3[um]",
+    ),
+    "digits in groups": (
+        '"t (us)","u (mV)","y (nm)"\n' + "".join(f'"{1e6 * t:,.1f}","{1e3 * u:,.1f}","{1e3 * y:,.2f}"\n' for t, u, y in ROWS),
+        "time=1[us],command=2[mV],measurement=3[nm]",
+    ),
+    "an increment below its name": (
+        "X,CH1,CH2,Start,Increment,\nSequence,Volt,Micron,-4.0e-02,1.0e-03\n" + body("{k},{u:.5f},{y:.5f},,\n"),
+        "command=2[V],measurement=3[um]",
+    ),
+    "a sampling period above the rows": (
+        '"MMI scope"\n"Sampling period, ms",1\n"Index";"DOUT(0)";"FPOS(0)"\n' + body("{k};{u:.5f};{y:.5f}\n"),
+        "command=2[V],measurement=3[um]",
     ),
     "moments": (
         "when,u,y\n" + "".join(f"2024-05-03 23:59:59.{k:03d},{u},{y}\n" for k, (_, u, y) in enumerate(ROWS)),
@@ -126,3 +143,22 @@ def test_what_was_imported_is_told(tmp_path, capsys):
     assert main(["import", str(path), *options]) == 0
     out = capsys.readouterr().out
     assert "command: 80 samples at 1000 Hz, 0.08 s, x -3 to 36.5 V" in out and "x -0.001 to 0.001 um" in out
+
+
+@pytest.mark.parametrize(
+    ("line", "sample_time"),
+    [
+        ("Sample Interval,Analog:1.000000E-04", 1e-4),
+        ("% Acquisition rate: 1.0e4 Sa/s", 1e-4),
+        ("Sampling Rate\t2.5 kHz", 4e-4),
+        ("SampleTime[ms];0.1;0.1", 1e-4),
+        ("Abtastzeit [µs]: 100", 1e-4),
+        ("Delta_X\t1.0E-4\t1.0E-4", 1e-4),
+        ("Samples\t8000\t8000", None),
+        ("Scan time: 10:00:30", None),
+        ("Sample rate", None),
+    ],
+)
+def test_settings_state_the_sample_time(line, sample_time):
+    found = stated_sample_time(line)
+    assert found == pytest.approx(sample_time) if sample_time else found is None

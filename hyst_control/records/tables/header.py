@@ -34,6 +34,13 @@ _COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?")
 _UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+))$")
 _UNIT_CELL = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
 _MOMENT = re.compile(r"(?P<day>\d{4}[-/]\d\d[-/]\d\d)?[T ]?(?P<time>\d{1,2}:\d\d.*)")
+_FORTRAN = re.compile(r"([-+]?[\d.]+)[dD]([-+]?\d+)")
+_GROUPED = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")
+_SAMPLING = re.compile(
+    r"(?:sampl\w*?|scan|acquisition|abtast)[ _]*(?P<what>interval|period|time|rate|freq|zeit)|(?P<step>delta_x|increment)"
+)
+_SETTING = re.compile(r"[\s,;:=\[\]()\"#%]+")
+_STEP_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "khz": 1e3, "mhz": 1e6, "ks/s": 1e3}
 _GCS = re.compile(r"#\s*(?P<key>[A-Z_]+?)(?P<number>\d*)\s*=\s*(?P<value>.*)")
 
 
@@ -65,7 +72,10 @@ class Form:
         try:
             return float(cell)
         except ValueError:
-            return _moment(cell)
+            if _GROUPED.fullmatch(cell):
+                return float(cell.replace(",", ""))
+            fortran = _FORTRAN.fullmatch(cell)
+            return _moment(cell) if fortran is None else float(f"{fortran[1]}e{fortran[2]}")
 
 
 def _moment(cell: str) -> float | None:
@@ -185,7 +195,23 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         found = _header_cells(comments[-1].lstrip("#% \t"), form, width)
         header = [found] if found and not any(map(form.is_number, found)) else []
     names = tuple(tuple(row[index] for row in header if index < len(row)) for index in range(width))
+    if sample_time is None:
+        settings = [*lines[:start], *(" ".join(reversed(cells)) for cells in names)]
+        sample_time = next((said for line in settings if (said := stated_sample_time(line)) is not None), None)
     return Layout(form, width, numeric, start, _unrepeated(names), sample_time, tuple(notes))
+
+
+def stated_sample_time(line: str) -> float | None:
+    """Seconds between samples that a line of settings states, as "Sample Interval,1e-4" or "Sampling rate: 10 kHz" do."""
+    said = _SAMPLING.search(line.lower())
+    words = _SETTING.split(line[said.end() :].lower()) if said else []
+    numbers = [index for index, word in enumerate(words) if re.fullmatch(r"\d*\.?\d+(e[-+]?\d+)?", word) and float(word) > 0]
+    if said is None or not numbers or re.search(r"\d:\d\d", line):
+        return None
+    at = numbers[0]
+    scale = next((_STEP_UNITS[word] for word in words[: at + 2] if word in _STEP_UNITS), 1.0)
+    value = float(words[at]) * scale
+    return 1.0 / value if said["what"] in ("rate", "freq") else value
 
 
 def _form(lines: Sequence[str]) -> Form:

@@ -41,7 +41,7 @@ RESPONSE_WORDS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Found:
     """A column: what it is asked for as, its name, its unit where one is said, and its numbers."""
 
@@ -102,9 +102,11 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     left = [one for one in left if len(one.values) == longest]
     time = next((one for one in left if _named(one, TIME_WORDS, False) and _increasing(one)), None)
     time = time or next((one for one in left if one.unit in TIME_UNITS), None)
-    if time is None and not sample_time:
-        time = next((one for one in left[:1] if _is_clock(one.values)), None)
     left = [one for one in left if one is not time]
+    left = [one for one in left if not _counts_or_rests(one.values)] or left
+    if time is None and len(left) > 2 and _is_clock(left[0].values) and not _named(left[0], COMMAND_WORDS):
+        time = None if sample_time else left[0]
+        left = left[1:]
     command = _first(left, COMMAND_WORDS, ("V", "A", "%"))
     left = [one for one in left if one is not command]
     measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
@@ -132,6 +134,12 @@ def _named(one: _Found, words: tuple[str, ...], within: bool = True) -> bool:
 
 def _increasing(one: _Found) -> bool:
     return bool(np.isfinite(one.values).all() and (np.diff(one.values) >= 0.0).all())
+
+
+def _counts_or_rests(values: Array) -> bool:
+    """Check that numbers only count the rows, or never change: neither is a signal."""
+    steps = np.unique(np.diff(values))
+    return len(steps) == 1 and steps[0] in (0.0, 1.0)
 
 
 def _is_clock(values: Array) -> bool:
