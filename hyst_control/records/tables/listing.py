@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,13 +20,14 @@ from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
-COMMAND_WORDS = ("u", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
+COMMAND_WORDS = ("u", "v", "in", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
 MEASUREMENT_WORDS = (
     "y",
     "measurement",
     "meas",
     "pos",
     "sensor",
+    "out",
     "output",
     "disp",
     "actual",
@@ -107,7 +109,8 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     if time is None and len(left) > 2 and _is_clock(left[0].values) and not _named(left[0], COMMAND_WORDS):
         time = None if sample_time else left[0]
         left = left[1:]
-    command = _first(left, COMMAND_WORDS, ("V", "A", "%"))
+    others = [one for one in left if not _named(one, MEASUREMENT_WORDS)]
+    command = _first(others or left, COMMAND_WORDS, ("V", "A", "%"))
     left = [one for one in left if one is not command]
     measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
     parts = []
@@ -129,7 +132,8 @@ def _first(left: list[_Found], words: tuple[str, ...], units: tuple[str, ...]) -
 
 def _named(one: _Found, words: tuple[str, ...], within: bool = True) -> bool:
     name = without_unit(one.title or one.asked.rpartition(".")[2]).lower()
-    return any(name == word or (within and len(word) > 2 and word in name) or name.startswith(f"{word} ") for word in words)
+    parts = re.split(r"[^a-z0-9]+", name) if within else name.split(" ")[:1]
+    return any(name == word or word in parts or (within and len(word) > 2 and word in name) for word in words)
 
 
 def _increasing(one: _Found) -> bool:
