@@ -152,7 +152,7 @@ def report_page(
     )
     page.note(sentence(dict(gap)))
     page.table(
-        ["effect", "probability", "parameters", "shrink, re-identified"],
+        ["effect", "probability", "parameters", "reduction after re-fitting"],
         [
             [
                 effect["name"].replace("_", " "),

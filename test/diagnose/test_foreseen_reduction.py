@@ -123,7 +123,7 @@ def test_the_command_line_tells_what_is_foreseen(answer, tmp_path, capsys, monke
     assert main(["diagnose", str(tmp_path / "bag"), *options]) == 0
     told = json.loads((tmp_path / "gap.json").read_text())["foreseen"]
     assert told["shrink"] == pytest.approx(foresee(diagnosis, command).shrink, abs=1e-6)
-    assert f"it will shrink by {100 * told['shrink']:.1f} %" in capsys.readouterr().out
+    assert f"a reduction of {100 * told['shrink']:.1f} %" in capsys.readouterr().out
 
 
 def test_a_command_of_another_form_is_refused(answer):

@@ -114,8 +114,8 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
     fitted = [{"name": "offset", "shrink": 0.5, "shrink_reidentified": 0.82}]
     told = sentence(report | {"unexplained_share": 1.0, "effects": fitted})  # the one number of the effects' lines
-    assert "offset, shrinks it by 82 % with the coefficients fitted" in told and "100 %" not in told
-    assert "does not shrink it" in sentence(report | {"effects": [fitted[0] | {"shrink_reidentified": -0.1}]})
+    assert "offset, explains 82 % of it after re-fitting the model" in told and "100 %" not in told
+    assert "explains nothing of it" in sentence(report | {"effects": [fitted[0] | {"shrink_reidentified": -0.1}]})
     far = {"reasons": ["unexplained_share"], "parameters": [{"name": "num[0]", "z": 31.2}, {"name": "k", "z": 5.5}]}
     assert "would, but only with coefficients far from the model's: num[0] (+31 σ)." in sentence(report | far)
 
@@ -123,11 +123,11 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
 @pytest.mark.parametrize(
     "shrink, told",
     [
-        (0.4, "Adding it shrinks the gap by 40 % as given, by 90 % with"),
-        (-9.0, "Adding it does not shrink the gap as given, but by 90 %"),
+        (0.4, "It explains 40 % of the gap, 90 % after re-fitting the model."),
+        (-9.0, "It explains 90 % of the gap, but only after re-fitting the model."),
     ],
 )
-def test_the_sentence_says_how_far_the_gap_shrinks(shrink, told):
+def test_the_sentence_says_how_much_of_the_gap_is_explained(shrink, told):
     """The report's shrink ends at -10: as a per cent it would mean nothing."""
     effect = {"name": "offset", "shrink": shrink, "shrink_reidentified": 0.9, "parameters": {}}
     gap = {"rms": 1.0, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1}
@@ -143,11 +143,13 @@ def test_the_sentence_says_what_is_no_gap_and_what_a_session_has():
     }
     left = {"same_command": False, "repeatability": [0.2, 0.3], "unit": "um"}
     assert "tolerances and the noise" in sentence(report)
-    assert "tolerances, the 0.3 um rms that the model leaves on clean records, and the noise" in sentence(
+    assert "tolerances, the 0.3 um rms that the model leaves on baseline records, and the noise" in sentence(
         report | {"baseline": left}
     )
     differ = sentence(report | {"baseline": left | {"same_command": True}})
-    assert "that clean records differ by" in differ and "differ by 0.5 um rms" in differ and "; 1 um with the session's" in differ
+    assert (
+        "that baseline records differ by" in differ and "differ by 0.5 um rms" in differ and "; 1 um with the session's" in differ
+    )
     offset = {"name": "offset", "shrink": None, "shrink_reidentified": None}
     named = sentence(report | {"verdict": "effect", "effects": [offset]})
     assert named.startswith("The gap of 1 um rms") and "with the session's" not in named

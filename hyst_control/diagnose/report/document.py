@@ -24,6 +24,8 @@ from hyst_control.reporting.quantities import quantity
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
 FAR_OFF = 5.0
+SAID = {"kind": "simple curve", "none of these": "no simple curve"}
+"""Words of the document, where a line of text has no room to explain them."""
 """Tolerances beyond which a coefficient is told as the reason why an explanation is not believed."""
 DISTORTED_BY = {
     "time": "time",
@@ -178,16 +180,18 @@ def _number(value: float | None) -> float | None:
 
 
 def _reduction(report: Mapping[str, Any]) -> str:
-    """Sentence on how far the effects shrink the gap; empty where none of them has a waveform."""
+    """Sentence on how much of the gap the effects explain; empty where none of them has a waveform."""
     effects = report["effects"]
-    shrinks = [effect["shrink_reidentified"] for effect in effects if effect["shrink_reidentified"] is not None]
+    fitted = [effect["shrink_reidentified"] for effect in effects if effect["shrink_reidentified"] is not None]
     given = [effect["shrink"] for effect in effects if effect["shrink"] is not None]
-    if not shrinks:
+    if not fitted:
         return ""
-    them, fitted = "it" if len(effects) == 1 else "them", f"{100 * max(shrinks):.0f} % with the coefficients fitted"
+    explains = "The best of them explains" if report["verdict"] == Verdict.AMBIGUOUS.value else "Together they explain"
+    explains = "It explains" if len(effects) == 1 else explains
+    first, then = (f"{100 * max(values):.0f} %" for values in (given, fitted))
     if max(given) < 0.0:
-        return f" Adding {them} does not shrink the gap as given, but by {fitted}."
-    return f" Adding {them} shrinks the gap by {100 * max(given):.0f} % as given, by {fitted}."
+        return f" {explains} {then} of the gap, but only after re-fitting the model."
+    return f" {explains} {first} of the gap{f', {then} after re-fitting the model' if then != first else ''}."
 
 
 def sentence(report: dict[str, Any]) -> str:
@@ -244,7 +248,7 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     )
     if reduction is None:  # an effect without a waveform takes nothing off
         return f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it"
-    far = f"shrinks it by {100 * reduction:.0f} % with the coefficients fitted" if reduction > 0.0 else "does not shrink it"
+    far = f"explains {100 * reduction:.0f} % of it after re-fitting the model" if reduction > 0.0 else "explains nothing of it"
     return f"; the nearest, {' and '.join(names)}, {far}"
 
 
@@ -254,7 +258,7 @@ def _known_error(report: dict[str, Any]) -> str:
     size = max(baseline.get("repeatability", ()), default=0.0)
     if not size:
         return ""
-    what = "clean records differ by" if baseline["same_command"] else "the model leaves on clean records"
+    what = "baseline records differ by" if baseline["same_command"] else "the model leaves on baseline records"
     return f", the {size:.3g} {baseline['unit']} rms that {what},"
 
 
@@ -294,8 +298,8 @@ def in_words(report: dict[str, Any]) -> str:
         if effect["shrink_reidentified"] is not None:
             low, high = effect["shrink_ci90"]
             lines.append(
-                f"      shrink {100 * effect['shrink']:.1f} % as given [{100 * low:.1f} … {100 * high:.1f}], "
-                f"{100 * effect['shrink_reidentified']:.1f} % re-identified"
+                f"      reduction {100 * effect['shrink']:.1f} % [{100 * low:.1f} … {100 * high:.1f}], "
+                f"{100 * effect['shrink_reidentified']:.1f} % after re-fitting the model"
             )
             if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
                 lines.append(
@@ -305,7 +309,10 @@ def in_words(report: dict[str, Any]) -> str:
             lines.append(f"      cannot be told from: {', '.join(effect['equivalent'])}")
     for title, rows in report["where"].items():
         main = [row for row in sorted(rows, key=lambda row: -row["share"]) if row["share"] > 0.02][:4]
-        lines.append(f"  {title}: " + ", ".join(f"{row['name']} {100 * row['share']:.0f} %" for row in main))
+        lines.append(
+            f"  {SAID.get(title, title)}: "
+            + ", ".join(f"{SAID.get(row['name'], row['name'])} {100 * row['share']:.0f} %" for row in main)
+        )
     for block in report["replay"]:
         lines.append(f"  {block['name']}: {block['text']}")
     if report["parameters"]:
@@ -322,7 +329,7 @@ def in_words(report: dict[str, Any]) -> str:
         ahead, unit = report["foreseen"], report["gap"]["unit"]
         lines.append(
             f"  on {ahead['command']}: a gap of {ahead['rms_before']:.3g} {unit} rms, with what was found added "
-            f"{ahead['rms_after']:.3g} {unit}: it will shrink by {100 * ahead['shrink']:.1f} %"
+            f"{ahead['rms_after']:.3g} {unit}: a reduction of {100 * ahead['shrink']:.1f} %"
         )
     lines += [f"  note: {note}" for note in report["notes"]]
     return "\n".join(lines)
@@ -339,8 +346,8 @@ def _predictable(found: dict[str, Any]) -> list[str]:
     if found["learned"]:
         far, added = found["learned"]["shrink"], found["learned"]["added"]
         lines.append(
-            f"      a learned residual {'was added: it' if added else 'would'} shrink{'s' if added else ''} what the effects leave by "
-            f"{100 * far:.0f} % on blocks that it was not learned from"
+            f"      a learned residual {'was added: it removes' if added else 'would remove'} {100 * far:.0f} % of what the effects "
+            "leave, on blocks that it was not learned from"
         )
     return lines
 

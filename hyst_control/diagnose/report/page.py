@@ -95,7 +95,7 @@ def write_page(
     write_template(
         path,
         "diagnose/templates/gap.html",
-        "Where simulation and record part",
+        "Gap report",
         sentence(dict(document)),
         origins=origins,
         chain=chain_picture(document),
