@@ -97,7 +97,7 @@ PICTURES = {
     "gap_verdict.png": ("gap.html", "h1", "ul"),
     "gap_signals.png": ("gap.html", "h2:has-text('Measured, simulated')", "figure.chart >> nth=0"),
     "gap_loops.png": ("gap.html", "h2:has-text('Slow hysteresis')", "details:has-text('Slow hysteresis loops') figure.chart"),
-    "gap_rivals.png": ("gap.html", "h2:has-text('Rejected rivals')", "details:has-text('Rejected rivals') .wide"),
+    "gap_rivals.png": ("gap.html", "h2:has-text('Rejected candidates')", "details:has-text('Rejected candidates') .wide"),
     "report_tracking.png": ("report.html", "h1", "figure.chart >> nth=1"),
     "report_loops.png": ("report.html", "h2:has-text('Hysteresis at each')", "figure.chart >> nth=2"),
 }
