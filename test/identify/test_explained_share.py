@@ -12,6 +12,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
 from hyst_control.identify import estimators, workflow
+from hyst_control.identify.assess.attainable import poorly_explained
 from hyst_control.identify.assess.explained_share import explained_shares, useless
 from hyst_control.identify.data.fit import Fit
 from hyst_control.identify.families.estimator import every_option
@@ -184,3 +185,14 @@ def test_what_a_model_without_dynamics_leaves_follows_the_frequency(tmp_path, ca
     assert "a linear model of order" in document["notes"][0] and "follows the command's frequency" in document["notes"][0]
     assert main([*words, "--model", "linear", "--strict"]) == 0
     assert json.loads(json_path.read_text())["verdict"] == "explains"
+
+
+def test_the_references_are_held_against_the_rows_where_the_model_is_worst():
+    """A bump in the last rows, which follows nothing: a better fit of the rows before it is no reason to call the model poor."""
+    bump = np.where(np.arange(len(DRIVE)) > 8500, 0.4 * np.ptp(DRIVE) * np.sin(np.arange(len(DRIVE)) / 37.0) ** 2, 0.0)
+    model = 0.396 * HELD
+    record = sampled_record("bumped", DRIVE[:, None], (0.4 * HELD + bump)[:, None], STEP, ("x",), "um", start="settled")
+    assert poorly_explained([record], [record.measurement - model[:, None]])[0].reference > 0.05
+    sound = sampled_record("sound", DRIVE[:, None], 0.4 * HELD[:, None], STEP, ("x",), "um", start="settled")
+    [poor] = poorly_explained([sound], [sound.measurement - 0.3 * HELD[:, None]])
+    assert poor.reference < 1e-3 < poor.left and poor.follows

@@ -31,7 +31,7 @@ LITTLE, MUCH, BETTER = 0.01, 0.05, 2.0
 
 @dataclass(frozen=True)
 class Poor:
-    """An axis that a model explains poorly: shares of the range that the model and the better reference leave, and what that follows."""
+    """An axis that a model explains poorly: shares of the range that it and the better reference leave on its worst rows, and what follows."""
 
     axis: str
     left: float
@@ -94,7 +94,7 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     power = float(np.var(error[rows]))
     shares = {each: 1.0 - _mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}
     most = max(shares, key=lambda each: shares[each])
-    return Poor(name, left, reference, best, most if shares[most] > 0.3 else "", shares[most])
+    return Poor(name, own, reference, best, most if shares[most] > 0.3 else "", shares[most])
 
 
 def _worst_rows(error: Array) -> slice:
@@ -102,7 +102,7 @@ def _worst_rows(error: Array) -> slice:
     if len(error) <= ROWS:
         return slice(0, len(error))
     energy = np.concatenate([[0.0], np.cumsum(np.square(error))])
-    begins = np.arange(0, len(error) - ROWS + 1, ROWS // 4)
+    begins = np.append(np.arange(0, len(error) - ROWS, ROWS // 4), len(error) - ROWS)
     begin = int(begins[np.argmax(energy[begins + ROWS] - energy[begins])])
     return slice(begin, begin + ROWS)
 

@@ -23,7 +23,7 @@ SETTINGS = 0.05
 """Rows of numbers above a line of words, per row below it, up to which they are settings with names of their own."""
 
 HEADER_ROWS = 3
-COMMON_UNITS = ("V", "s", "um", "nm", "mm", "ms", "us", "mV", "µm", "\u03bcm")
+COMMON_UNITS = ("V", "s", "um", "nm", "mm", "ms", "us", "mV", "kV", "mA", "kN", "mN", "Hz", "µm", "\u03bcm")
 """Short texts that are a unit rather than a name where they stand alone."""
 
 _WORDS = re.compile(r'"[^"]*"|\S+')
