@@ -48,6 +48,22 @@ def stairs(levels: int, hold: int, seed: int = 1) -> np.ndarray:
     return np.repeat(np.concatenate([[0.0], np.random.default_rng(seed).uniform(0, 10, levels - 1)]), hold)
 
 
+@pytest.mark.parametrize("hum", [1e-3, 5e-3])
+def test_hum_between_the_lines_of_a_square_wave_is_no_mode(hum):
+    """Modes that the command does not drive explained it by an initial state each: 5 to 16 states and 1 % left where hum is 0.1 %."""
+    row, pole = np.arange(5000), np.exp(-1.0 / 5.5)
+    command = np.where(row // 50 % 2 == 0, 0.5, -0.5)
+    lag, _ = signal.lfilter([0.0, 1.0 - pole], [1.0, -pole], command, zi=[-0.5 * pole])
+    lines = hum * (np.sin(0.04 * np.pi * row + 0.7) + 0.5 * np.sin(0.08 * np.pi * row))
+    measured = np.round((lag + lines) / 2e-3) * 2e-3
+    fit = identify([sampled_record("hum", command[:, None], measured[:, None], 1e-3, ("x",), "um", start="auto")], "linear")
+    found = rows(fit)
+    assert fit.report["states"] == 1 and fit.report["records"][0]["rmse"] < np.std(measured - lag) * 1.05
+    assert found["static_gain"] == pytest.approx(1.0, abs=1e-3) and found["frequency[0]"] == pytest.approx(
+        500 / np.pi / 5.5, rel=2e-3
+    )
+
+
 def test_one_step_tells_two_modes():
     """A single clean step, of which 18 % of the range were once left."""
     command = 2.0 * (np.arange(1200) >= 100)

@@ -27,8 +27,8 @@ from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.linear_options import LinearOptions
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
-from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
+from hyst_control.identify.solve.gram_sums import Grams, Window
+from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
 from hyst_control.records.record import Record
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
@@ -42,6 +42,8 @@ STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
+UNLIKE = 0.1
+"""Share by which the error of an unknown beginning differs between structures."""
 EXACT = 1e-6
 """Share of the range that no larger model needs to explain: records without noise leave rounding."""
 UNSURE = 0.1
@@ -76,6 +78,8 @@ class Candidate:
     seconds: float
     exact: float
     """Mean square error from which a fit counts as exact."""
+    simulated: float
+    """Mean square error of usual rows in a simulation that begins at rest, as that of a model file does."""
 
     @property
     def held_out(self) -> float:
@@ -88,7 +92,7 @@ class Candidate:
         energies = self.solution.grams.blocks[2::3, -1, -1]
         if len(energies) < 2 or not np.mean(energies) > 0.0:
             return MIN_GAIN
-        return max(MIN_GAIN, float(np.std(energies) / np.mean(energies) / np.sqrt(len(energies))))
+        return max(MIN_GAIN, float(np.std(energies / np.mean(energies)) / np.sqrt(len(energies))))
 
 
 @register
@@ -151,9 +155,10 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
             solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance)
-            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact)
+            simulated = _error_from_rest(few, sections, solution.parameters, options.nuisance)
+            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact, simulated)
             table.append(_row(candidate, sample_time, few))
-            if order == orders[0] or not _beyond_reach(candidate):
+            if order == orders[0] or not (_beyond_reach(candidate) or _rings_by_itself(candidate, tried)):
                 fresh.append(candidate)
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
@@ -251,6 +256,29 @@ def _beyond_reach(candidate: Candidate) -> bool:
     """Whether a pole is as fast as it may be: the data cannot tell it from a delay or a direct path."""
     fastest = max(float(np.abs(np.roots(den)).max()) for _, den in candidate.sections.terms(candidate.solution.parameters))
     return fastest > 0.99 * candidate.sections.fastest
+
+
+def _usual_error(grams: Grams) -> float:
+    """Mean square error of usual rows: a transient at the beginning is in few blocks, and does not count."""
+    energies = grams.blocks[:, -1, -1]
+    return float(np.median(energies)) * len(energies) / sum(grams.rows)
+
+
+def _error_from_rest(windows: Sequence[Window], sections: Sections, parameters: Array, nuisance: str) -> float:
+    return _usual_error(SimulationError(windows, Parametrization(sections.running), nuisance).visit(parameters).grams)
+
+
+def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
+    """Whether its gain over the best smaller structure is that of more unknown states: one from rest has less than half of it.
+
+    Modes that the command does not drive explain lines of a record, such as mains hum, if they may ring from its beginning on.
+    """
+    if not smaller:
+        return False
+    best = min(smaller, key=lambda each: each.held_out)
+    fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
+    lost = max(best.simulated - known, 0.0)
+    return best.simulated - candidate.simulated < 0.5 * (known - fitted) - UNLIKE * lost - candidate.exact
 
 
 def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:

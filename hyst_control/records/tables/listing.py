@@ -20,9 +20,11 @@ from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
-COMMAND_WORDS = ("u", "v", "in", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
+COMMAND_WORDS = ("u", "uk", "v", "in", "dac", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
 MEASUREMENT_WORDS = (
     "y",
+    "yk",
+    "adc",
     "measurement",
     "meas",
     "pos",
