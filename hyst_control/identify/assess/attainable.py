@@ -31,7 +31,7 @@ LITTLE, MUCH, BETTER = 0.01, 0.05, 2.0
 
 @dataclass(frozen=True)
 class Poor:
-    """An axis that a model explains poorly: shares of the range that it and the better reference leave on its worst rows, and what follows."""
+    """An axis that a model explains poorly: shares of the range that it and the better reference leave on its worst rows, and why."""
 
     axis: str
     left: float
