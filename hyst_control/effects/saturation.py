@@ -13,8 +13,8 @@ from hyst_control.effects.effect import Effect, Parameter
 def limits(unit: str, low: float, high: float, beyond: float, together: bool) -> tuple[Parameter, ...]:
     """Limits within a range and `beyond` it by a share, at once or over a knee; `together`: fits begin with one inside, or both."""
     reach = max(high - low, 1e-9)
-    # One limit may lie anywhere: a loop drives the command far beyond it.
-    inside, most, beyond = 0.1 * reach, 0.9 * reach, beyond * reach
+    # One limit may lie anywhere, as a loop drives the command far beyond it: the prior is as high as a uniform one over the range.
+    inside, most, beyond, scale = 0.1 * reach, 0.9 * reach, beyond * reach, reach / np.sqrt(2.0 * np.pi)
     starts = (
         ((low, high - inside), (low, low + 0.3 * reach), (low + inside, high), (low + inside, high - inside))
         if together
@@ -22,8 +22,8 @@ def limits(unit: str, low: float, high: float, beyond: float, together: bool) ->
     )
     lower, upper = zip(*starts, strict=True)
     return (
-        Parameter("lower", unit, -np.inf, lower, low - beyond, low + most, inside),
-        Parameter("upper", unit, np.inf, upper, high - most, high + beyond, inside),
+        Parameter("lower", unit, -np.inf, lower, low - beyond, low + most, scale, smooth=0.002 * reach),
+        Parameter("upper", unit, np.inf, upper, high - most, high + beyond, scale, smooth=0.002 * reach),
         Parameter("knee", unit, 0.0, (0.02 * reach,), 0.002 * reach, 0.2 * reach, 1.0, True, told=False),
     )
 

@@ -32,8 +32,7 @@ from hyst_control.diagnose.run.collect import collect
 from hyst_control.diagnose.run.prepare import is_used, nominal_residuals, prepare, with_noise
 from hyst_control.diagnose.run.settle import ContenderTests, settled
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
-from hyst_control.diagnose.search.candidate import Candidate
-from hyst_control.diagnose.search.fit import Linearized, fit
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.search.null_distribution import threshold
 from hyst_control.diagnose.verdict import Decision, Verdict
 from hyst_control.effects import EFFECTS
@@ -140,9 +139,13 @@ def diagnose(
         again = partial(_axis, sensor_side=bare, axes=axes, seed=seed, cache=cache, progress=progress, configuration=singles)
         if _may_hide_a_line(found, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
-            if _exceeds_own_error(by_spectrum, without, configuration):
-                second = again(part, by_spectrum, without=without)
-                found = second if _is_one_of(second, _line_effects()) else found
+            # A diagnosis of lines alone is quick, and where it is not sure of one, that of all effects is not either.
+            for others in (set(EFFECTS) - _line_effects(), set[str]()):
+                second = again(part, by_spectrum, without=sorted(others | set(without)))
+                if not _is_one_of(second, _line_effects()):
+                    break
+            else:
+                found = second
         found = _between_periods(found, without, singles, again)
         parts.append(found)
         axis += len(axes)
@@ -300,17 +303,6 @@ def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool
     left = found.linearized.unexplained(found.found.none.solution.residual)
     return "spectrum" in found.problem.model.discrepancy and any(
         lines(found.problem, left, configuration.checks).get(name) for name in _line_effects()
-    )
-
-
-def _exceeds_own_error(baseline: Baseline, without: Sequence[str], configuration: Configuration) -> bool:
-    """True where a line by itself gains as much beside the model discrepancy's spectrum as any claim has to beyond the null."""
-    prepared = prepare(baseline.problem, baseline, without, configuration)
-    candidates = [Candidate((member,)) for member in prepared.members(False) if member.is_line]
-    nothing = fit(prepared.linearized).misfit
-    return any(
-        nothing - fit(prepared.linearized, one.unknowns(), one.starts()[0]).misfit > configuration.policy.margin
-        for one in candidates
     )
 
 

@@ -131,12 +131,6 @@ class Linearized:
                 return column
         return np.zeros_like(self.nominal)
 
-    def explaining(self, residual: Array) -> Array:
-        """The coefficients z (K,) that the columns explain most of a residual (M,) by, under their prior."""
-        if not self.count:
-            return np.zeros(0)
-        return np.asarray(cho_solve(self.factor, self.problem.weight * (self.columns.T @ residual)), dtype=np.float64)
-
     def unexplained(self, vectors: Annotated[Array, "M"]) -> Array:
         """Remove from vectors what the scattered coefficients explain, under their prior."""
         if not self.count:
