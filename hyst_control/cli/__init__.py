@@ -93,7 +93,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(top)
-    arguments = top.parse_args(argv)
+    arguments, unknown = top.parse_known_args(argv)
+    if unknown:
+        command = f"hyst {arguments.command}" if arguments.command else "hyst"
+        top.exit(2, f"{command}: unrecognized arguments: {' '.join(unknown)}: see {command} --help\n")
     if arguments.command is None:
         print(FIRST_STEPS)
         return 0

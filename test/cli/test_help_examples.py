@@ -61,3 +61,10 @@ def test_an_error_of_usage_is_one_line(words, capsys):
         main(words)
     [line] = capsys.readouterr().err.splitlines()
     assert ended.value.code == 2 and line.startswith("hyst") and "--help" in line
+
+
+def test_an_unknown_option_is_told_with_its_command(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["validate", "model.yaml", "record", "--model", "other.yaml"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "hyst validate: unrecognized arguments: --model other.yaml: see hyst validate --help\n"
