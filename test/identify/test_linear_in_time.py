@@ -198,3 +198,24 @@ def test_axes_are_fitted_one_by_one_if_they_do_not_drive_each_other():
     found = rows(fit)
     assert found["static_gain[x]"] == pytest.approx(0.2, rel=0.01) and found["static_gain[y]"] == pytest.approx(0.4, rel=0.01)
     assert found["frequency[0][y]"] == pytest.approx(9.0, rel=1e-3)
+
+
+def test_two_modes_in_a_sweep_are_found_though_one_alone_gains_little():
+    """States without the second mode gained too little: growing ended at one state, which left 19 times the noise."""
+    row, rate, count = np.arange(6400), 123.0, 6400
+    command = 20.0 * (1.0 + signal.chirp(row / rate, 0.04, count / rate, 24.6, "logarithmic"))
+    plants = mode(0.6, 1.40, 0.075), mode(0.4, 3.12, 0.012)
+    data, sigma = record(command, answer(command, 1 / rate, *plants, first=command[0]), 1 / rate, noise=5e-3)
+    fit = identify([data], "linear")
+    assert fit.report["states"] == 4 and fit.report["records"][0]["rmse"] < 1.1 * sigma
+    assert rows(fit)["static_gain"] == pytest.approx(1.0, rel=5e-3)
+
+
+def test_the_answer_to_one_step_counts_though_no_held_out_row_has_it():
+    """A step whose whole answer is in rows that are fitted: the held-out ones hold any structure for as good."""
+    row = np.arange(4800)
+    for begin in (400, 480, 560):
+        command = 3.0 * (row >= begin)
+        data, sigma = record(command, answer(command, 1e-3, mode(0.8, 40.0, 0.35), late=5), 1e-3, noise=5e-3)
+        fit = identify([data], "linear")
+        assert fit.report["states"] >= 2 and fit.report["records"][0]["rmse"] < 1.1 * sigma

@@ -40,6 +40,8 @@ MIN_GAIN = 0.02
 """Share of the held-out mean square error by which a larger model has to be better, at least."""
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
+TWO_MODES = 4
+"""Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
 UNLIKE = 0.1
@@ -85,6 +87,11 @@ class Candidate:
     def held_out(self) -> float:
         """Mean square error on the blocks held out."""
         return max(self.solution.held_out, self.exact)
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Mean square errors on the blocks held out and on those fitted."""
+        return self.held_out, max(self.solution.fitted, self.exact)
 
     @property
     def doubt(self) -> float:
@@ -162,15 +169,14 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
                 fresh.append(candidate)
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
-        lowest = min((each.held_out for each in tried), default=np.inf)
+        stale = 0 if any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2)) else stale + 1
         tried += fresh
-        best = min(fresh, key=lambda each: each.held_out, default=None)
-        stale = 0 if best is not None and best.held_out * (1.0 + best.doubt) < lowest else stale + 1
-        if stale >= STALE:
+        if stale >= STALE and order >= TWO_MODES:
             break
     best = min(tried, key=lambda each: each.held_out)
     chosen = min(
-        (each for each in tried if each.held_out <= (1.0 + best.doubt) * best.held_out),
+        # A step's answer may lie in fitted rows alone, of which the held-out ones say nothing.
+        (each for each in tried if all(own <= (1.0 + best.doubt) * due for own, due in zip(each.errors, best.errors, strict=True))),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
     return replace(chosen, solution=_final([_middle(window) for window in windows], chosen, options)), table
@@ -258,6 +264,10 @@ def _beyond_reach(candidate: Candidate) -> bool:
     return fastest > 0.99 * candidate.sections.fastest
 
 
+def _least(candidates: Sequence[Candidate], of: int) -> float:
+    return min((each.errors[of] for each in candidates), default=np.inf)
+
+
 def _usual_error(grams: Grams) -> float:
     """Mean square error of usual rows: a transient at the beginning is in few blocks, and does not count."""
     energies = grams.blocks[:, -1, -1]
@@ -277,8 +287,9 @@ def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate]) -> bool
         return False
     best = min(smaller, key=lambda each: each.held_out)
     fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
-    lost = max(best.simulated - known, 0.0)
-    return best.simulated - candidate.simulated < 0.5 * (known - fitted) - UNLIKE * lost - candidate.exact
+    gained, lost = known - fitted, max(best.simulated - known, 0.0)
+    persists = gained > MIN_GAIN * known + candidate.exact  # else what it gains is in few rows, such as those behind a step
+    return persists and best.simulated - candidate.simulated < 0.5 * gained - UNLIKE * lost
 
 
 def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:
