@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.fft import dct
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 
 from hyst_control.chain import Chain
@@ -18,7 +20,7 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.prepare import _floor
 from hyst_control.diagnose.search.beam_search import effective_sample_weight
 from hyst_control.diagnose.search.fit import Linearized, fit
-from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
+from hyst_control.identify.model_error.error_spectrum import FUNDAMENTALS, MEDIAN, OCTAVES, SMOOTHED, UPPER, ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 
 STEP, ROWS, NOISE = 0.005, 1200, 0.05
@@ -123,6 +125,24 @@ def test_every_frequency_has_a_power_of_its_own(monkeypatch, slowest):
     monkeypatch.setattr(np, "empty_like", lambda rows: np.full_like(rows, np.nan))
     np.testing.assert_array_equal(ErrorSpectrum.of([slow_error(1)], STEP, ROWS, slowest).power, wanted)
     assert np.isfinite(wanted).all()
+
+
+@pytest.mark.parametrize("count, slowest", [(40, 3.0), (700, 20.0), (3000, 400.0)])
+def test_the_power_around_a_frequency_is_the_largest_bin_and_the_mean(count, slowest):
+    """Bin by bin from filters of the whole spectrum."""
+    sample_time = 1e-3
+    error = np.cumsum(np.random.default_rng(count).normal(size=(count, 1)), axis=0)
+    bins = dct(error, norm="ortho", axis=0) ** 2
+    noise = np.median(bins[int(UPPER * count) :]) / MEDIAN
+    smooth, due = uniform_filter1d(bins, SMOOTHED, axis=0), np.empty(count)
+    for at in range(count):
+        octave = max((2**OCTAVES - 1) * at, 1.0)
+        half = 2 ** int(np.ceil(np.log2(min(octave, max(FUNDAMENTALS * slowest * 2 * sample_time * count, 1.0)))))
+        width = 2 * half + 1
+        largest = maximum_filter1d(smooth, width, axis=0)[at, 0] - (1.0 + (np.log(width) + 1.0) / (0.5 * SMOOTHED)) * noise
+        due[at] = max(largest, uniform_filter1d(bins, width, axis=0)[at, 0] - noise, 0.0)
+    found = ErrorSpectrum.of([error], sample_time, count, slowest)
+    np.testing.assert_allclose(found.power[:, 0], due, rtol=1e-9, atol=1e-9 * due.max())
 
 
 def test_a_low_frequency_error_is_that_of_fewer_rows_where_they_excite_it():

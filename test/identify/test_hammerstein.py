@@ -78,6 +78,27 @@ def test_regressors_are_the_chain(hold, structure):
     assert np.sqrt(max(vector @ gram @ vector, 0.0) / len(command)) < 1e-6 * np.ptp(measurement)
 
 
+@pytest.mark.parametrize("rows, skip", [(50, 7), (5000, 1234), (12_345, 0), (12_345, 8100)])
+def test_gram_matrices_are_those_of_the_rows_that_count(rows, skip):
+    """Against the whole table at once: weights, offset and drift, every third block held out, rows before `skip` left out."""
+    rng = np.random.default_rng(rows)
+    command, measurement, weight = rng.uniform(0.0, 50.0, rows), rng.normal(size=rows), rng.uniform(0.2, 5.0, rows)
+    window = Window(command, measurement, SAMPLE_TIME, "foh", skip, 1, begin=0.25, share=0.5, weight=weight)
+    operators = Operators(np.array([0.0, 60.0]))  # a straight line; and no motion from rest
+    found = gram_matrices([window], operators, Structure(), np.zeros(0), np.zeros(2), "linear", 2)
+    nothing, place = np.zeros(rows), -0.25 + 0.5 * np.arange(rows) / rows
+    table = np.sqrt(weight) * np.array([command, nothing, nothing, nothing, np.ones(rows), place, measurement])
+    block = np.arange(rows) // max(min(4000, rows // 90), 1)
+    counts, held = np.arange(rows) >= skip, block % 3 == 2
+    assert found.rows == (np.sum(counts & ~held), np.sum(counts & held))
+    for gram, part in ((found.fitted, table[:, counts & ~held]), (found.held_out, table[:, counts & held])):
+        np.testing.assert_allclose(gram, part @ part.T, rtol=1e-10, atol=1e-8)
+    assert len(found.blocks) == len(np.unique(block[counts]))
+    for gram, number in zip(found.blocks, np.unique(block[counts]), strict=True):
+        part = table[:, counts & (block == number)]
+        np.testing.assert_allclose(gram, part @ part.T, rtol=1e-10, atol=1e-8)
+
+
 def test_recovers_a_hampi_and_predicts_another_record():
     truth = plant()
     fit = identify(

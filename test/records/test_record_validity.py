@@ -13,6 +13,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.validity.checks import check_records, refuse_invalid
 from hyst_control.records.validity.findings import NAMES, Finding, Trial
+from hyst_control.records.validity.reference_model import averaged
 from hyst_plant_sim.physics import load_plant
 
 pytestmark = pytest.mark.long_file
@@ -417,3 +418,11 @@ def test_of_a_short_record_only_a_dead_sensor_is_told():
     assert names(changed(noise, measurement=np.zeros((600, 1)))) == {"dead_sensor"}
     long = changed(noise, np.tile(command, (4, 1)), random.standard_normal((2400, 1)))
     assert names(long) != set(), "of a longer one it is told"
+
+
+@given(st.integers(2, 9), st.integers(1, 2), st.integers(40, 300))
+def test_rows_are_means_twice_over_of_twice_as_many(together, axes, count):
+    rows = 1e3 + np.random.default_rng(count).normal(size=(count // together * together, axes))
+    mean = np.full(2 * together, 0.5 / together)
+    twice = np.stack([np.convolve(np.convolve(column, mean, "valid"), mean, "valid") for column in rows.T], axis=1)
+    np.testing.assert_allclose(averaged(rows, together), twice[::together], rtol=1e-12)

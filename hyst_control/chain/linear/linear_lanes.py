@@ -21,11 +21,13 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.linear.discretization import Discretised
 from hyst_control.chain.linear.linear_kernels import TINY
 
-TOGETHER = 16
+TOGETHER = 32
 """Rows T that are computed at once."""
+TAPS = TOGETHER + 2
+"""Inputs that act on them; the bias, and then the states, follow in the vector that their outputs are linear in."""
 FEW = 4 * TOGETHER
 """Rows of a block that is not worth the products."""
-GROUPS = 128
+GROUPS = 64
 """Groups of rows in one product: few enough to stay in the cache, and for BLAS to start no threads for it."""
 
 
@@ -69,7 +71,7 @@ def fill_taps(inputs: Array, begin: Integers, acting: Array) -> None:
     for lane in range(lanes):
         for group in range(groups):
             first = begin[lane] + group * TOGETHER
-            for tap in range(TOGETHER + 2):
+            for tap in range(TAPS):
                 acting[lane, group, tap] = inputs[lane, first + tap]
 
 
@@ -84,7 +86,7 @@ def advance_states(
         matrix, x = transition[lane], state[lane]
         for group in range(driven.shape[1]):
             for i in range(n):
-                acting[lane, group, TOGETHER + 2 + i] = x[i]
+                acting[lane, group, TAPS + 1 + i] = x[i]
                 value = driven[lane, group, i]
                 for j in range(n):
                     value += matrix[i, j] * x[j]
@@ -95,12 +97,16 @@ def advance_states(
 
 @njit(cache=True, error_model="numpy")
 def group_matrices(
-    a: Annotated[Array, "L n n"], b: Annotated[Array, "L n n"], c: Annotated[Array, "L n n"], d: Annotated[Array, "L n n"]
+    a: Annotated[Array, "L n n"],
+    b: Annotated[Array, "L 3 n"],
+    c: Annotated[Array, "L n"],
+    d: Annotated[Array, "L 2"],
+    bias: Annotated[Array, "L"],
 ) -> tuple[Array, Array, Array]:
     """Matrices that advance L systems by T rows."""
     lanes, n = c.shape
-    driven, transition = np.zeros((lanes, TOGETHER + 2, n)), np.zeros((lanes, n, n))
-    outputs = np.zeros((lanes, TOGETHER + 2 + n, TOGETHER))
+    driven, transition = np.zeros((lanes, TAPS, n)), np.zeros((lanes, n, n))
+    outputs = np.zeros((lanes, TAPS + 1 + n, TOGETHER))
     pulse, following = np.zeros(n), np.zeros(n)
     for lane in range(lanes):
         # An input of 1 at one tap: the two that are older than the first row miss what acted before it.
@@ -122,7 +128,7 @@ def group_matrices(
                     for first in range(TOGETHER - row):
                         outputs[lane, 2 + first, first + row] = value
                     for i in range(n):
-                        driven[lane, TOGETHER + 1 - row, i] = pulse[i]
+                        driven[lane, TAPS - 1 - row, i] = pulse[i]
                 else:
                     outputs[lane, tap, row] = value
             if tap < 2:
@@ -131,6 +137,7 @@ def group_matrices(
         for row in range(TOGETHER):
             outputs[lane, row + 2, row] += d[lane, 0]
             outputs[lane, row + 1, row] += d[lane, 1]
+            outputs[lane, TAPS, row] = bias[lane]
         for column in range(n):
             for i in range(n):
                 pulse[i] = 1.0 if i == column else 0.0
@@ -143,7 +150,7 @@ def group_matrices(
                 for i in range(n):
                     pulse[i] = following[i] if abs(following[i]) > TINY else 0.0
                     value += c[lane, i] * pulse[i]
-                outputs[lane, TOGETHER + 2 + column, row] = value
+                outputs[lane, TAPS + 1 + column, row] = value
             for i in range(n):
                 transition[lane, i, column] = pulse[i]
     return driven, transition, outputs
@@ -166,7 +173,7 @@ class LinearLanes:
         self._static_gain = (self._c * self._rest).sum(axis=1) + self._d.sum(axis=1)
         self._state = np.zeros_like(self._rest)
         self._past = np.zeros((len(systems), int(self._whole.max()) + 2))
-        self._driven, self._transition, self._outputs = group_matrices(self._a, self._b, self._c, self._d)
+        self._driven, self._transition, self._outputs = group_matrices(self._a, self._b, self._c, self._d, self._bias)
 
     def settle(self, values: Annotated[Array, "L"]) -> Annotated[Array, "L"]:
         """Come to rest at constant inputs."""
@@ -180,29 +187,30 @@ class LinearLanes:
         """Number of systems."""
         return len(self._state)
 
-    def process(self, blocks: Sequence[Array] | Array) -> Annotated[Array, "L N"]:
-        """Filter blocks of consecutive samples."""
+    def process(self, blocks: Sequence[Array] | Array, output: Annotated[Array, "L N"] | None = None) -> Annotated[Array, "L N"]:
+        """Filter blocks of consecutive samples, into `output` where there is one."""
         count, kept = len(blocks[0]), self._past.shape[1]
-        inputs = np.empty((len(blocks), kept + count))
+        lanes, n = self._state.shape
+        inputs = np.empty((lanes, kept + count))
         inputs[:, :kept] = self._past
         for lane, block in enumerate(blocks):
             inputs[lane, kept:] = block
         self._past = inputs[:, count:].copy()
         begin = kept - 2 - self._whole
-        output = np.empty((len(blocks), count))
+        output = np.empty((lanes, count)) if output is None else output
+        acting = np.ones((lanes, min(count // TOGETHER, GROUPS), TAPS + 1 + n))
         done = 0
         while count - done >= FEW:
             groups = min((count - done) // TOGETHER, GROUPS)
-            done += self._groups(inputs, begin + done, output[:, done : done + groups * TOGETHER])
+            following = done + groups * TOGETHER
+            self._groups(inputs, begin + done, acting[:, :groups], output[:, done:following].reshape(lanes, groups, TOGETHER))
+            done = following
         advance_rows(inputs, begin, self._a, self._b, self._c, self._d, self._bias, self._state, output, done)
         return output
 
-    def _groups(self, inputs: Array, begin: Integers, output: Array) -> int:
-        """Write the outputs (L, K T) of K groups of T rows; returns the number of rows."""
-        lanes, n = self._state.shape
-        acting = np.empty((lanes, output.shape[1] // TOGETHER, TOGETHER + 2 + n))
+    def _groups(self, inputs: Array, begin: Integers, acting: Array, output: Array) -> None:
+        """Write the outputs (L, K, T) of K groups of T rows, of which `acting` gets what they are linear in."""
         fill_taps(inputs, begin, acting)
         with np.errstate(all="ignore"):  # as in a loop: an input beyond all bounds is for those to see who use the output
-            advance_states(self._transition, acting[:, :, : TOGETHER + 2] @ self._driven, self._state, acting)
-            np.add((acting @ self._outputs).reshape(lanes, -1), self._bias[:, None], out=output)
-        return int(output.shape[1])
+            advance_states(self._transition, acting[:, :, :TAPS] @ self._driven, self._state, acting)
+            np.matmul(acting, self._outputs, out=output)

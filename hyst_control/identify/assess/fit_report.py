@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
+from scipy.fft import rfft
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.memoryless import Offset
@@ -148,8 +149,11 @@ def command_bandwidth(command: Annotated[Array, "N A"], sample_time: float) -> f
     mean, parts = command.mean(axis=0), spread_parts(len(command), SPECTRUM_ROWS)
     length = parts[0].stop
     power = np.zeros(length // 2 + 1)
+    motion = np.empty((length, command.shape[1]), np.float32)  # half the memory; its rounding is far below 0.1 % of the power
     for part in parts:
-        power += np.sum(np.abs(np.fft.rfft(command[part] - mean, axis=0)) ** 2, axis=1)
+        np.subtract(command[part], mean, out=motion, casting="unsafe")
+        for column in motion.T:
+            power += np.abs(rfft(column)) ** 2
     if power.sum() == 0:
         return 0.0
     cumulative = np.cumsum(power) / power.sum()

@@ -114,14 +114,15 @@ def _envelope(error: Array, nyquist: float, slowest: float, longer: float) -> tu
     octave = np.maximum((2.0**OCTAVES - 1.0) * bins, 1.0)
     most = max(FUNDAMENTALS * slowest / nyquist * count, 1.0)
     reach = np.minimum(octave, most)
-    # Few different reaches, powers of two, each a filter of the whole record.
+    # Few different reaches, powers of two, each a filter of the bins that have it and of those around.
     steps = np.ceil(np.log2(reach))
     for step in np.unique(steps):
-        half, here = int(2.0**step), steps == step
+        half, (begin, end) = int(2.0**step), np.searchsorted(steps, [step, step + 0.5])
+        around, here = slice(max(begin - half, 0), end + half), slice(min(begin, half), min(begin, half) + end - begin)
         width = 2 * half + 1
         chance = 1.0 + (np.log(width) + 1.0) / (0.5 * SMOOTHED)  # the largest of so many bins of white noise
-        found[here] = (maximum_filter1d(smooth, width, axis=0) - chance * noise)[here]
-        broad[here] = (uniform_filter1d(power, width, axis=0) - noise)[here]
+        found[begin:end] = (maximum_filter1d(smooth[around], width, axis=0) - chance * noise)[here]
+        broad[begin:end] = (uniform_filter1d(power[around], width, axis=0) - noise)[here]
     return np.asarray(np.maximum(np.maximum(longer * found, broad), 0.0), dtype=np.float64), noise
 
 

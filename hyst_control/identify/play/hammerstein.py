@@ -159,8 +159,7 @@ def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
     limit = min(0.4 / sample_time, 0.8 * highest)
     grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
     structure = Structure(modes=1)
-    trials = map_forked(lambda i: solve(problem, structure, structure.start(grid[i]), passes=1).fitted, len(grid))
-    return grid[int(np.argmin(list(trials)))]
+    return min(grid, key=lambda frequency: solve(problem, structure, structure.start(frequency), passes=1).fitted)
 
 
 def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:

@@ -65,7 +65,7 @@ class Bundle:
                 for number, end in zip(numbers, settled, strict=True):
                     signals[number] = np.full(1, end)
             else:
-                signals[numbers[0]] = running.settle(inputs[0][0]) if running else np.sum(inputs[0], axis=0)
+                signals[numbers[0]] = running.settle(inputs[0][0]) if running else sum(inputs[0][1:], start=inputs[0][0])
 
     def process(self, block: Annotated[Array, "N 1"]) -> list[Array]:
         """Compute the chains' outputs for the next block of the input."""

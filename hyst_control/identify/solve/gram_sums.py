@@ -23,7 +23,8 @@ from hyst_control.chain.stage import Sampling
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.stream import row_store
 
-BLOCK = 4096
+BLOCK = 4000
+"""Rows that are computed at once: no power of two, at which all columns would share a few places of the cache."""
 MAX_BLOCKS = 2048
 """Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
 HELD_OUT_BLOCKS = 90
@@ -70,24 +71,6 @@ def regressors(
         for j in range(columns):
             weighted += theta[j] * output[j, row]
         output[columns, row] = weighted
-
-
-def weighted_rows(
-    raw: Annotated[Array, "J + P N"],
-    theta: Annotated[Array, "J"],
-    step: float,
-    share: Annotated[Array, "N"],
-    extra: int,
-    measurement: Annotated[Array, "N"],
-    weight: Annotated[Array, "N"] | None,
-) -> Annotated[Array, "K N"]:
-    """[θ columns, derivatives, nuisances, y], each row times the root of its weight."""
-    columns = len(theta)
-    slopes = (raw[columns:] - theta @ raw[:columns]) / step
-    block = np.concatenate([raw[:columns], slopes, np.array([np.ones(len(share)), share])[:extra], measurement[None]])
-    if weight is not None:
-        block *= np.sqrt(weight)
-    return block
 
 
 @dataclass(frozen=True)
@@ -156,8 +139,7 @@ def gram_matrices(
     """
     columns, size, extra = operators.columns, structure.size, NUISANCES[nuisance]
     total = columns + size + extra * groups + 1
-    grams = np.zeros((2, total, total))
-    rows = [0, 0]
+    grams, rows = np.zeros((2, total, total)), np.zeros(2, dtype=int)
     blocks: list[Array] = []
     samplings = {Sampling(window.sample_time, 1, window.hold) for window in windows}
     systems = {
@@ -165,45 +147,46 @@ def gram_matrices(
         for sampling in samplings
     }
     for window in windows:
-        passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta)
         n = len(window.command)
-        place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
         length = max(min(BLOCK, n // HELD_OUT_BLOCKS), 1)
-        together, chunk = -(-n // (length * MAX_BLOCKS)), length * max(BLOCK // length, 1)
-        sums, used_blocks = np.zeros((2, len(place), len(place))), 0
-        kept: list[Array] = []
-        for begin in range(0, n, chunk):
-            end, first = min(begin + chunk, n), max(window.skip, begin)
-            raw = passing.rows(begin, end)[:, first - begin :]
-            if first >= end:
+        together = -(-n // (length * MAX_BLOCKS))
+        place = np.r_[0 : columns + size, columns + size + window.group * extra + np.arange(extra), total - 1]
+        passing = _Pass(window, operators, systems[Sampling(window.sample_time, 1, window.hold)], theta, step, extra)
+        sums = np.zeros((2, len(place), len(place)))
+        kept = np.zeros((-(-(-(-n // length) - window.skip // length) // together), len(place), len(place)))
+        for begin in range(0, n, length * max(BLOCK // length, 1)):
+            end = min(begin + length * max(BLOCK // length, 1), n)
+            table = passing.table(begin, end, length)
+            if end <= window.skip:
                 continue
-            share = window.begin - 0.5 + window.share * np.arange(first, end) / n
-            weight = None if window.weight is None else window.weight[first:end]
-            several = weighted_rows(raw, theta, step, share, extra, window.measurement[first:end], weight)
-            for start in range(first - first % length, end, length):
-                block = several[:, max(start - first, 0) : min(start + length, end) - first]
-                product = block @ block.T
-                # Every third block is held out of the choice between structures: a part of every experiment in the record.
-                part = 1 if start // length % 3 == 2 else 0
-                sums[part] += product
-                rows[part] += block.shape[1]
-                if used_blocks % together:
-                    kept[-1] += product
-                else:
-                    kept.append(product)
-                used_blocks += 1
+            products = table.transpose(1, 0, 2) @ table.transpose(1, 2, 0)
+            number = np.arange(begin // length, -(-end // length))
+            # Every third block is held out of the choice between structures: a part of every experiment in the record.
+            held = number % 3 == 2
+            sums += [products[~held].sum(axis=0), products[held].sum(axis=0)]
+            counted = np.minimum((number + 1) * length, n) - np.maximum(number * length, window.skip)
+            rows += [np.maximum(counted, 0)[~held].sum(), np.maximum(counted, 0)[held].sum()]
+            used = counted > 0
+            np.add.at(kept, (number[used] - window.skip // length) // together, products[used])
         grams[:, place[:, None], place] += sums
         blocks.append(np.zeros((len(kept), total, total)))
-        if kept:
-            blocks[-1][:, place[:, None], place] = kept
-    return Grams(grams[0], grams[1], (rows[0], rows[1]), np.concatenate(blocks))
+        blocks[-1][:, place[:, None], place] = kept
+    return Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.concatenate(blocks))
 
 
 class _Pass:
     """Streaming state of the regressors behind G, and of their sum behind the neighbors of G, over one window."""
 
-    def __init__(self, window: Window, operators: Operators, systems: Sequence[tuple[Discretised, int]], theta: Array) -> None:
-        self.window, self.operators, self.theta = window, operators, theta
+    def __init__(
+        self,
+        window: Window,
+        operators: Operators,
+        systems: Sequence[tuple[Discretised, int]],
+        theta: Array,
+        step: float,
+        extra: int,
+    ) -> None:
+        self.window, self.operators, self.theta, self.step, self.extra = window, operators, theta, step, extra
         late = 1 if window.hold == "zoh" else 0  # the sample sees the command of the interval before
         every = [systems[0]] * operators.columns + list(systems[1:])
         self.lanes = LinearLanes([system for system, _ in every], [whole + late for _, whole in every])
@@ -219,9 +202,21 @@ class _Pass:
             self.previous[0] = self.window.command[0]
         self.lanes.settle(np.ravel(self._inputs(self._regressors(self.window.command[:1]))))
 
-    def rows(self, begin: int, end: int) -> Array:
-        """Columns (J + P, N) of the rows from `begin` to `end` of the window, which follow those of the call before."""
-        return self.lanes.process(self._inputs(self._regressors(self.window.command[begin:end])))
+    def table(self, begin: int, end: int, length: int) -> Annotated[Array, "K B length"]:
+        """[θ columns, derivatives, nuisances, y] of the next rows, each times the root of its weight, 0 where a row does not count."""
+        window, columns, lanes = self.window, self.operators.columns, self.lanes.count
+        count, first = end - begin, min(max(window.skip - begin, 0), end - begin)
+        table = np.zeros((lanes + self.extra + 1, -(-count // length) * length))
+        self.lanes.process(self._inputs(self._regressors(window.command[begin:end])), table[:lanes, :count])
+        table[:, :first] = 0.0
+        table[columns:lanes, first:count] -= self.theta @ table[:columns, first:count]
+        table[columns:lanes, first:count] /= self.step
+        share = window.begin - 0.5 + window.share * np.arange(begin + first, end) / len(window.command)
+        table[lanes:-1, first:count] = np.array([np.ones(len(share)), share])[: self.extra]
+        table[-1, first:count] = window.measurement[begin + first : end]
+        if window.weight is not None:
+            table[:, first:count] *= np.sqrt(window.weight[begin + first : end])
+        return table.reshape(len(table), -1, length)
 
     def _inputs(self, found: Array) -> list[Array]:
         """Inputs (N,) of G, a regressor each, and of its neighbors, the weighted sum of all."""

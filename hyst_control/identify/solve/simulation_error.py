@@ -26,8 +26,9 @@ from hyst_control.identify.solve.gram_sums import HELD_OUT_BLOCKS, MAX_BLOCKS, N
 from hyst_control.records.stream.row_store import blocks as row_blocks
 from hyst_control.records.stream.row_store import empty_rows
 
-BLOCK, CHUNK = 4096, 32768
-"""Largest number of rows of one block's Gram matrix, and rows simulated at a time."""
+BLOCK, CHUNK = 4000, 32000
+"""Largest number of rows of one block's Gram matrix, and rows simulated at a time: no powers of two, at which all columns would share a
+few places of the cache."""
 STEP = 1e-5
 """Difference of neighboring parameters, which are all of order one."""
 DRIFT = 0.02
@@ -206,14 +207,16 @@ class SimulationError:
         """Blocks of rows of [derivatives, session effects, error] of a window, the `number`-th of its record."""
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
-        for earlier in row_blocks(first):
-            running.process(signal[earlier])
         n, extra = len(window.command), NUISANCES[self.nuisance]
         decay = running.decay() if self.unknown_state else None
+        begin = max(first - CHUNK, 0)  # few turning points pass together with the rows behind them
+        for earlier in row_blocks(begin):
+            running.process(signal[earlier])
         for chunk in range(0, n, CHUNK):
             stop = min(chunk + CHUNK, n)
+            nominal, *neighbours = (found[chunk - stop :] for found in running.process(signal[begin : first + stop]))
+            begin = first + stop
             rows = np.zeros((stop - chunk, size + columns + 1), order="F")
-            nominal, *neighbours = running.process(signal[first + chunk : first + stop])
             for i, neighbour in enumerate(neighbours):
                 np.subtract(neighbour, nominal, out=rows[:, i])
             rows[:, :size] /= STEP
@@ -224,8 +227,8 @@ class SimulationError:
                 place = size + extra + number * decay.states
                 rows[:, place : place + decay.states] = decay.rows(stop - chunk)
             np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
-            for begin in range(max(window.skip - chunk, 0), stop - chunk, length):
-                yield rows[begin : begin + length]
+            for row in range(max(window.skip - chunk, 0), stop - chunk, length):
+                yield rows[row : row + length]
 
 
 def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:

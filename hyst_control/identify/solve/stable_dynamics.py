@@ -136,17 +136,17 @@ class Structure:
         scale = np.inf
         for log_w, log_damping in parts["modes"]:
             w = np.exp(log_w)
-            den = np.polymul(den, [1 / w**2, 2 * np.exp(log_damping) / w, 1.0])
+            den = np.convolve(den, [1 / w**2, 2 * np.exp(log_damping) / w, 1.0])
             scale = min(scale, w)
         for log_w in parts["lags"]:
-            den = np.polymul(den, [np.exp(-log_w), 1.0])
+            den = np.convolve(den, [np.exp(-log_w), 1.0])
             scale = min(scale, np.exp(log_w))
         if self.zeros:
             num = np.append(parts["zeros"][::-1] / scale ** np.arange(self.zeros, 0, -1), 1.0)
         if self.slow_pair:
             pole = np.exp(parts["slow_pair"][0])
-            num = np.polymul(num, [np.exp(-parts["slow_pair"][1]) / pole, 1.0])
-            den = np.polymul(den, [1.0 / pole, 1.0])
+            num = np.convolve(num, [np.exp(-parts["slow_pair"][1]) / pole, 1.0])
+            den = np.convolve(den, [1.0 / pole, 1.0])
         return num / den[0], den / den[0]
 
     def tau(self, parameters: Annotated[Array, "P"]) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.records.stream.row_store import blocks
 from hyst_control.records.validity.facts import interpolated
 from hyst_control.records.validity.findings import Trial
 from hyst_control.records.validity.reference_model import condensed
@@ -58,7 +59,10 @@ class CondensedRows:
     def fastest(self, trial: Trial) -> CondensedRows:
         """As many rows of the trial as they are, where its commands move fastest."""
         count = len(self.command)
-        power = np.concatenate([[0.0], np.cumsum(np.sum(np.diff(trial.command, axis=0) ** 2, axis=1))])
+        power = np.zeros(len(trial.command))
+        for part in blocks(len(power) - 1):
+            power[part.start + 1 : part.stop + 1] = np.sum(np.diff(trial.command[part.start : part.stop + 1], axis=0) ** 2, axis=1)
+        np.cumsum(power, out=power)
         begin = int(np.argmax(power[count - 1 :] - power[: len(power) - count + 1]))
         rows = slice(begin, begin + count)
         return CondensedRows(trial.command[rows], trial.measurement[rows], None, 1)
