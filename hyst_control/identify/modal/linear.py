@@ -70,7 +70,7 @@ VARIANTS = (
 """In the order of preference where they have equally many parameters: a delay rather than a zero in the right half plane."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """A fitted structure."""
 
@@ -90,8 +90,9 @@ class Candidate:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Mean square errors on the blocks held out and on those fitted."""
-        return self.held_out, max(self.solution.fitted, self.exact)
+        """Mean square errors on the blocks held out and, by Schwarz's criterion, on those fitted."""
+        rows = self.solution.grams.rows[0]
+        return self.held_out, max(self.solution.fitted, self.exact) * (1.0 + self.sections.parameters * np.log(rows) / rows)
 
     @property
     def doubt(self) -> float:
@@ -142,6 +143,8 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     exact = (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2
     guess = options.delay == "estimate"
     late = _dead_time(few) if guess else float(options.delay) / sample_time
+    # The first rows answer commands from before the record, which an initial state does not stand for.
+    few = [replace(window, skip=max(window.skip, int(np.ceil(1.5 * late)))) for window in few]
     orders = [options.order] if options.order else [order for order in ORDERS if 8 * order < sum(len(w.command) for w in few)]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
@@ -173,10 +176,12 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
         tried += fresh
         if stale >= STALE and order >= TWO_MODES:
             break
-    best = min(tried, key=lambda each: each.held_out)
+    lowest = _least(tried, 0), _least(tried, 1)
+    # A step's answer may lie in fitted rows alone, of which the held-out ones say nothing.
+    behind = {each: max(own / due for own, due in zip(each.errors, lowest, strict=True)) for each in tried}
+    best = min(behind, key=lambda each: behind[each])
     chosen = min(
-        # A step's answer may lie in fitted rows alone, of which the held-out ones say nothing.
-        (each for each in tried if all(own <= (1.0 + best.doubt) * due for own, due in zip(each.errors, best.errors, strict=True))),
+        (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best]),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
     return replace(chosen, solution=_final([_middle(window) for window in windows], chosen, options)), table
