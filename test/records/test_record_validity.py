@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
+from hyst_control.records.excitation.identification_signals import mhl_identification
 from hyst_control.records.validity.checks import check_records, refuse_invalid
 from hyst_control.records.validity.findings import NAMES, Finding, Trial
 from hyst_control.records.validity.reference_model import averaged
@@ -426,3 +427,13 @@ def test_rows_are_means_twice_over_of_twice_as_many(together, axes, count):
     mean = np.full(2 * together, 0.5 / together)
     twice = np.stack([np.convolve(np.convolve(column, mean, "valid"), mean, "valid") for column in rows.T], axis=1)
     np.testing.assert_allclose(averaged(rows, together), twice[::together], rtol=1e-12)
+
+
+def test_a_long_record_whose_fastest_rows_follow_their_command_has_no_lead():
+    """Of rows that were averaged a model of few states left more than one with a lead: a sound minute of a mirror was refused."""
+    step = 5e-5
+    once = mhl_identification(step, axes=2)
+    command = np.tile(once, (round(60.0 / step) // len(once) + 1, 1))[: round(60.0 / step)]
+    truth = load_plant({"plant": "fsm_published"}, seed=1, sample_time=step, noise=1e-6)
+    measured = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]])
+    assert not check_records([Trial("minute", command, measured, step, ("x", "y"), unit="mrad")])

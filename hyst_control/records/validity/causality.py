@@ -69,6 +69,9 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
         if informative and (shifts := growing_lead(trial, index)):
             return shifts
         delayed, own, lead, shifts = time_shifts(trial, left, index, ahead)
+        if fast is not left and quick.unexplained < SOUND:
+            # The rows that show a lead best follow their command: of averaged rows a model of few states is not that exact.
+            shifts = [each for each in shifts if each.name == "late_measurement"]
         if ahead.without_command > HALF:  # what drifts needs no command, whatever its delay
             ahead = delayed
         share, found = _alternative(trial, left, index, own)
