@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="CLEAN",
-        help="clean records of the same plant: what the model leaves on them is its discrepancy; best with the same command",
+        help="baseline records of the same plant: what the model leaves on them is its discrepancy; best with the same command",
     )
     add("--report", metavar="OUT.html", help="HTML page to write")
     add("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")

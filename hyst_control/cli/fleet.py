@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--labels", metavar="LABELS.json", help="score: labels of the simulated fleet")
     add("--of", metavar="UNIT", help="population: model of this unit, drawn toward the fleet's")
     add("--model", metavar="MODEL.yaml", help="model of the records whose manifest names none")
-    add("--baseline", nargs="+", default=[], metavar="BAG", help="clean records, for those whose manifest names none")
+    add("--baseline", nargs="+", default=[], metavar="BAG", help="baseline records, for those whose manifest names none")
     add("--names", metavar="REGEX", help="finds unit and time in a bag's path: groups (?P<unit>...) and (?P<time>...)")
     add("--family", help="identify: model family (default: the best on held-out data)")
     add("--split-axes", action="store_true", help="take every axis of a record for a unit of its own")

@@ -150,7 +150,7 @@ def diagnose_bags(
         files: list[tuple[str, Sequence[str | Path]]] = [
             ("record", bags),
             ("model", [path for path in (model, parameters) if path is not None]),
-            ("clean records", baseline),
+            ("baseline records", baseline),
             ("augmented model", written),
             ("report as JSON", [] if json is None else [json]),
         ]

@@ -155,7 +155,7 @@ def _distances(
         at_clean[tuple(np.transpose(clean))] = values[tuple(np.transpose(clean))]
         count = np.isfinite(at_clean).sum(axis=1)
         center = np.nansum(at_clean, axis=1) / np.where(count, count, np.nan)
-        found[f"{name}, distance from the clean records"] = np.abs(values - center[:, None])
+        found[f"{name}, distance from the baseline records"] = np.abs(values - center[:, None])
     return found
 
 

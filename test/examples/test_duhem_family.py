@@ -31,6 +31,6 @@ def test_the_third_plant_is_identified_within_half_a_per_cent_of_its_stroke():
     error = simulate(fit.model, fresh.command) - fresh.measurement
     stroke = float(np.ptp(fresh.measurement))
     assert np.sqrt(np.mean(error**2)) < 0.005 * stroke
-    assert {row["assumed"] for row in fit.report["beginnings"]} == {"at rest at 0 V, on the virgin curve"}
+    assert {row["assumed"] for row in fit.report["beginnings"]} == {"at rest at 0 V, on the initial loading curve"}
     found = {row["name"]: row["value"] for row in fit.report["parameters"]}
     assert abs(found["exponent"] - 1.3) < 0.1 and abs(found["alpha"] + 0.026) < 0.002

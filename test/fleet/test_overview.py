@@ -184,4 +184,4 @@ def test_a_gap_that_grows_with_the_distance_from_the_clean_runs_is_no_change():
     ]  # fmt: skip
     found = overview("diagnose", records, ["temperature"])
     assert [(onset.unit, onset.moment) for onset in found.onsets] == [("u05", 15.0)] and not found.trends
-    assert [effect.covariate for effect in found.covariates] == ["temperature, distance from the clean records"]
+    assert [effect.covariate for effect in found.covariates] == ["temperature, distance from the baseline records"]

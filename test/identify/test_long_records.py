@@ -121,7 +121,7 @@ LONG = 2**18
 
 @pytest.fixture(scope="module")
 def long_record():
-    """A rounded record of play operators that begins on the virgin curve."""
+    """A rounded record of play operators that begins on the initial loading curve."""
     command = loops(2.0, LONG)[:, None] + 10.0 * np.minimum(np.arange(LONG) / 500.0, 1.0)[:, None]
     plant = Model(
         "", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((PrandtlIshlinskii([2.0, 5.0], [0.3, 0.2], w0=1.0),))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Initial memory of a record: the turning points that a hysteresis remembers when the record begins.
 
-A record may begin at rest on the virgin curve, amid a motion, or in a periodic steady state. The memory is found from the record itself,
+A record may begin at rest on the initial loading curve, amid a motion, or in a periodic steady state. The memory is found from the record itself,
 before any family is fitted: play operators with a common set of weights are fitted to the record (a linear problem), once for each of a
 few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to both extremes are the
 same for all of them, because those extremes wipe out what came before.
@@ -35,7 +35,7 @@ LITTLE, HALF = 0.9, 0.5
 LEG = 0.05
 """Time of a smooth way between two remembered turning points, s."""
 
-VIRGIN, FILLED = "at rest at 0 V, on the virgin curve", "unknown: counted from where both extremes have been met"
+VIRGIN, FILLED = "at rest at 0 V, on the initial loading curve", "unknown: counted from where both extremes have been met"
 PERIODIC, ESTIMATED = "periodic: preceded by itself", "amid a motion: turning points before it estimated"
 
 
