@@ -283,8 +283,8 @@ def gapless_records(
     record: Record, hold: str | None = None, start: str = "auto", allow_gaps: bool = False, notes: list[str] | None = None
 ) -> list[Record]:
     """Cut a record into gapless ones."""
-    # start: "settled" at the first command, reached from 0 V on the initial loading curve, "unknown", or "auto", found from the record; what
-    # follows a gap is unknown
+    # start: "settled" at the first command, reached from 0 V on the initial loading curve, "unknown", or "auto", found from the record;
+    # what follows a gap is unknown
     # allow_gaps: use the stretches between lost samples instead of raising an error; those that are short beside the longest are
     # left out
     for topic, usual in USUAL_UNITS.items():

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Initial memory of a record: the turning points that a hysteresis remembers when the record begins.
 
-A record may begin at rest on the initial loading curve, amid a motion, or in a periodic steady state. The memory is found from the record itself,
-before any family is fitted: play operators with a common set of weights are fitted to the record (a linear problem), once for each of a
-few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to both extremes are the
-same for all of them, because those extremes wipe out what came before.
+A record may begin at rest on the initial loading curve, amid a motion, or in a periodic steady state. The memory is found from the record
+itself, before any family is fitted: play operators with a common set of weights are fitted to the record (a linear problem), once for each
+of a few memories with which it may begin, and the memory with the smallest error is taken. Rows behind the first visit to both extremes
+are the same for all of them, because those extremes wipe out what came before.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OPERATORS, ROWS, TURNS = 12, 2000, 9
 AT_ZERO = 0.01
 """Share of the largest command up to which a record begins at 0 V."""
 DOUBT = 1.1
-"""Factor by which the square error may be larger than that of a record on its virgin curve, or of one preceded by itself."""
+"""Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
 LEG = 0.05
