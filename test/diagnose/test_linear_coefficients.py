@@ -15,11 +15,12 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.search import beam_search
 from hyst_control.diagnose.search.beam_search import search
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.fit import TAIL, Linearized, fit
-from hyst_control.diagnose.search.starts import Begun, begin, gone_on
+from hyst_control.diagnose.search.fit import TAIL, Linearized, fit, refined
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on, misfit_of
 from hyst_control.effects.added_mass import AddedMass
 from hyst_control.effects.slew_limit import SlewLimit
 from hyst_control.model_file import Model
@@ -47,6 +48,15 @@ def linearised_of(*truth) -> Linearized:
 
 
 LAG = TransferFunction((1.0,), (1.0 / (2 * np.pi * 900.0), 1.0))
+
+
+@pytest.fixture
+def simulations(monkeypatch) -> list[int]:
+    """A list that has an item for every simulation."""
+    usual, seen = Linearized.simulate, list[int]()
+    monkeypatch.setattr(Linearized, "simulate", lambda *given: seen.append(1) or usual(*given))
+    monkeypatch.setattr("hyst_control.diagnose.search.starts.map_forked", lambda work, count: map(work, range(count)))
+    return seen
 
 
 def candidate_of(linearized: Linearized, name: str) -> Candidate:
@@ -105,6 +115,75 @@ def test_the_truth_leads_and_its_fit_of_the_chain_leaves_the_noise():
     assert [one.misfit for one in begun] == sorted(one.misfit for one in begun)
     solution = gone_on(linearized, begun[0], np.inf)
     assert 2.0 * solution.misfit / ROWS == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("truth", "name"), [((PLANT, LAG), "sensor_lowpass"), ((PLANT, AddedMass(0.4)), "sensor_lowpass")])
+def test_what_a_step_leaves_to_be_gained_is_not_underestimated(truth, name):
+    linearized = linearised_of(*truth)
+    unknowns = candidate_of(linearized, name).unknowns()
+    for start in np.linspace(unknowns.lower, unknowns.upper, 9)[1:-1]:
+        one = fit(linearized, unknowns, start, rounds=1, linear=True)
+        end = fit(linearized, unknowns, one.x, linear=True)
+        assert one.misfit - end.misfit <= max(one.remaining, 5.0), start
+
+
+def test_a_step_of_an_effect_that_is_linear_leaves_nothing_to_be_gained(simulations):
+    linearized = linearised_of(PLANT)
+    unknowns = candidate_of(linearized, "offset").unknowns()
+    simulations.clear()
+    one = fit(linearized, unknowns, unknowns.upper, rounds=1, linear=True)
+    assert one.remaining == 0.0 and len(simulations) == 3  # the start, its column and the end
+
+
+def test_effects_far_behind_the_best_ones_are_not_fitted_to_the_end(monkeypatch, simulations):
+    linearized = linearised_of(PLANT, LAG)
+    candidates = [Candidate((one,)) for one in catalogue(linearized.problem, {}) if 0 < one.size < 4 and not one.is_suggested]
+    started = [(one, one.starts()) for one in candidates]
+    without = misfit_of(linearized, linearized.measured - linearized.nominal)
+
+    def found(share: float) -> tuple[list[Begun], int]:
+        monkeypatch.setattr("hyst_control.diagnose.search.starts.MIN_APPROACH", share)
+        monkeypatch.setattr("hyst_control.diagnose.search.fit.MIN_APPROACH", share)
+        simulations.clear()
+        return begin(linearized, started, replace(CONFIGURATION.search, first=2), without), len(simulations)
+
+    (early, few), (late, many) = found(0.25), found(0.0)
+    assert early[0].candidate is late[0].candidate and early[0].misfit == late[0].misfit
+    assert few < many
+
+
+@pytest.mark.parametrize(("limit", "expected"), [(9000.0, ["delay", "gain"]), (np.inf, ["delay", "gain", "offset"])])
+def test_the_best_fit_is_settled_first_and_then_those_that_may_come_near_it(monkeypatch, limit, expected):
+    linearized, seen = linearised_of(PLANT), []
+    ends = {"offset": (7000.0, 8000.0), "gain": (2030.0, 9500.0), "delay": (6000.0, 5000.0)}  # linear, and of the chain as it is
+    solution = fit(linearized)
+    fits = [
+        (Begun(candidate_of(linearized, name), (replace(solution, misfit=one),)), replace(solution, misfit=other))
+        for name, (one, other) in ends.items()
+    ]
+
+    def settled(linearized, candidate, solution, rival, thresholds):
+        seen.append((candidate.names[0], rival))
+        return replace(solution, misfit=2000.0 if candidate.names == ("delay",) else solution.misfit)
+
+    monkeypatch.setattr(beam_search, "_settled", settled)
+    monkeypatch.setattr(beam_search, "map_forked", lambda work, count: map(work, range(count)))
+    found = beam_search._all_settled(linearized, fits, limit, 10000.0, CONFIGURATION)
+    assert {candidate.names[0]: one.misfit for candidate, one in found} == {"delay": 2000.0, "gain": 9500.0, "offset": 8000.0}
+    assert seen[0] == ("delay", np.inf) and sorted(name for name, _ in seen) == expected
+    assert all(rival == 2000.0 + 0.01 * 8000.0 for _, rival in seen[1:])
+
+
+def test_a_fit_far_behind_a_better_one_is_not_refined_again(monkeypatch):
+    linearized = linearised_of(PLANT, LAG)
+    unknowns = candidate_of(linearized, "gain").unknowns()
+    begun, made = fit(linearized, unknowns, unknowns.centre), []
+    usual = Linearized.__init__
+    monkeypatch.setattr(Linearized, "__init__", lambda *given: made.append(1) or usual(*given))
+    whole = refined(linearized, unknowns, begun)
+    rounds = len(made)
+    assert refined(linearized, unknowns, begun, rival=0.01 * whole.misfit).misfit >= whole.misfit
+    assert len(made) - rounds <= 2 < rounds
 
 
 def lag_of_second_order(corner: float) -> TransferFunction:

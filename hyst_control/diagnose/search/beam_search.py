@@ -32,7 +32,7 @@ from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_of, promising_pairs
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_of, promising_pairs, within
 from hyst_control.records.correlation import correlation_length
 
 
@@ -238,20 +238,25 @@ def _contenders(
     configuration: Configuration,
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is, of the best candidate and of those that might come near it: some at a time, the best first."""
-    settings, found = configuration.search, list[tuple[Candidate, Solution]]()
+    settings, found, pending = configuration.search, list[tuple[Candidate, Solution]](), list[tuple[Begun, Solution]]()
     best = min([without, *(solution.misfit for _, solution in finished)])
     begun = sorted(begun, key=lambda one: one.misfit)
     while begun:
-        within = _within(min(best, begun[0].misfit), without, settings)
+        reach = within(min(best, begun[0].misfit), without, settings)
         # What gains less than half of what a claim needs can be left as it is.
-        least = min(within, without - settings.promise * threshold)
-        near = [one for one in begun[: settings.first] if one.misfit <= least] or ([] if found or finished else begun[:1])
+        least = min(reach, without - settings.promise * threshold)
+        near = [one for one in begun[: settings.first] if one.misfit <= least] or (
+            [] if found or finished or pending else begun[:1]
+        )
         if not near:
             break
-        found += _fitted(linearized, near, best, best if found else within, without, configuration)
-        best = min([best, *(solution.misfit for _, solution in found)])
+        pending += zip(near, _gone_on(linearized, near, within(best, without, settings), without, configuration), strict=True)
         begun = begun[len(near) :]
-    return found
+        # A fit that has lost its way is not the one to go on with before others are tried.
+        if min(solution.misfit for _, solution in pending) < without or not begun:
+            found += _all_settled(linearized, pending, best if found else reach, without, configuration)
+            best, pending = min([best, *(solution.misfit for _, solution in found)]), []
+    return found + _all_settled(linearized, pending, best, without, configuration)
 
 
 def _completed(
@@ -259,12 +264,8 @@ def _completed(
 ) -> list[tuple[Candidate, Solution]]:
     """Fits of the chain as it is of all candidates that gain enough, each gone on with."""
     enough = [one for one in begun if one.misfit <= without - configuration.search.promise * threshold]
-    return _fitted(linearized, enough, without, np.inf, without, configuration)
-
-
-def _within(best: float, without: float, settings: SearchSettings) -> float:
-    """Misfit up to which a fit beside linear coefficients may be as good as the best."""
-    return best + max(settings.slack * (without - best), settings.near)
+    ends = _gone_on(linearized, enough, without, without, configuration)
+    return _all_settled(linearized, list(zip(enough, ends, strict=True)), np.inf, without, configuration)
 
 
 def _beyond_noise(solution: Solution) -> float:
@@ -354,32 +355,52 @@ def settled(linearized: Linearized, z: Array | None = None) -> Solution:
     return refined(linearized, None, fit(linearized, z=z))
 
 
-def _fitted(
-    linearized: Linearized, begun: Sequence[Begun], rival: float, limit: float, without: float, configuration: Configuration
-) -> list[tuple[Candidate, Solution]]:
-    """Fits of the chain as it is, gone on with where they are not behind the limit."""
-    policy = configuration.policy
+def _gone_on(
+    linearized: Linearized, begun: Sequence[Begun], rival: float, without: float, configuration: Configuration
+) -> list[Solution]:
+    """Fits of the chain as it is, gone on with by the columns of the nominal coefficients."""
 
     def ended(index: int) -> Solution:
-        one = begun[index]
-        solution = gone_on(linearized, one, rival)
-        if len(solution.x) == 1 and (solution.misfit > without or _strained(solution, policy)):
-            solution = _from_grid_minimum(linearized, one.candidate, solution, configuration.search.scanned)
-        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
-        return _settled(linearized, one.candidate, solution, policy) if min(one.misfit, solution.misfit) <= limit else solution
+        solution = gone_on(linearized, begun[index], rival)
+        if len(solution.x) == 1 and (solution.misfit > without or _strained(solution, configuration.policy)):
+            solution = _from_grid_minimum(linearized, begun[index].candidate, solution, configuration.search.scanned)
+        return solution
 
-    return list(zip([one.candidate for one in begun], map_forked(ended, len(begun)), strict=True))
+    return list(map_forked(ended, len(begun)))
 
 
-def _settled(linearized: Linearized, candidate: Candidate, solution: Solution, thresholds: Thresholds) -> Solution:
+def _all_settled(
+    linearized: Linearized, fits: Sequence[tuple[Begun, Solution]], limit: float, without: float, configuration: Configuration
+) -> list[tuple[Candidate, Solution]]:
+    """Such fits settled where they are not behind the limit: the best one, then the others that may come near it."""
+
+    def settled(fits: Sequence[tuple[Begun, Solution]], limit: float, rival: float) -> list[Solution]:
+        def ended(index: int) -> Solution:
+            begun, solution = fits[index]
+            # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
+            behind = min(begun.misfit, solution.misfit) > limit
+            return solution if behind else _settled(linearized, begun.candidate, solution, rival, configuration.policy)
+
+        return list(map_forked(ended, len(fits)))
+
+    if not fits:
+        return []
+    fits = sorted(fits, key=lambda fit: fit[1].misfit)
+    (best,) = settled(fits[:1], limit, np.inf)
+    near = within(best.misfit, without, configuration.search)
+    solutions = [best, *settled(fits[1:], min(limit, near) if np.isfinite(limit) else limit, near)]
+    return [(begun.candidate, solution) for (begun, _), solution in zip(fits, solutions, strict=True)]
+
+
+def _settled(linearized: Linearized, candidate: Candidate, solution: Solution, rival: float, thresholds: Thresholds) -> Solution:
     """A fit gone on with; where it strains the coefficients, also begun again from where the effects do best without them."""
     unknowns = candidate.unknowns()
-    best = refined(linearized, unknowns, solution)
+    best = refined(linearized, unknowns, solution, rival=rival)
     if not _strained(best, thresholds):
         return best
     try:
         alone = fit(_held(linearized), unknowns, best.x)
-        again = refined(linearized, unknowns, fit(linearized, unknowns, alone.x))
+        again = refined(linearized, unknowns, fit(linearized, unknowns, alone.x, rival=rival), rival=rival)
     except InputError:
         return best
     return min(best, again, key=lambda one: one.misfit)

@@ -45,11 +45,14 @@ TAIL = 3.0
 MIN_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
-MIN_APPROACH = 0.05
+MIN_APPROACH = 0.25
 """Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
 
 LINEAR_FIT_TOLERANCE_FACTOR = 50.0
 """Factor on the least gain of a step beside linear coefficients: they are right to about a per cent, so finer steps say nothing."""
+
+SAFETY = 4.0
+"""Factor on what is estimated of the misfit that further steps take off."""
 
 LENGTHS = (1.0, 0.5, 0.25, 0.1)
 """Lengths of a step that are tried, in full steps."""
@@ -89,6 +92,8 @@ class Solution:
     covariance: Array
     information: Array
     """(P, P): of x, z marginalized."""
+    remaining: float = 0.0
+    """Misfit (nats) that further steps may take off; 0 where the fit has ended."""
 
 
 class Linearized:
@@ -216,10 +221,17 @@ def fit(
             energy += float(z @ z)
         return 0.5 * energy + _prior_misfit(x if fitted is None else x - fitted.centre), z, found, output
 
+    def least_gain(misfit: float) -> float:
+        """Misfit that a step has to take off."""
+        finest = (LINEAR_FIT_TOLERANCE_FACTOR if linear else 1.0) * (MIN_GAIN + 1e-5 * misfit)
+        return max(finest, MIN_APPROACH * (misfit - rival))
+
     misfit, z, residual, output = tried(z, x)
     normal = np.eye(count + size)
+    remaining = 0.0
     for _ in range(rounds):
-        enough = max((LINEAR_FIT_TOLERANCE_FACTOR if linear else 1.0) * (MIN_GAIN + 1e-5 * misfit), MIN_APPROACH * (misfit - rival))
+        remaining = 0.0
+        enough = least_gain(misfit)
         if fitted is None:
             design, away = np.zeros((len(y), 0)), x
         else:
@@ -258,7 +270,16 @@ def fit(
             break
         gained = misfit - new
         z, x, residual, output, misfit = new_z, new_x, new_residual, new_output, new
-        if gained < enough:
+        remaining = SAFETY * promise
+        if linear and fitted is not None and shorter == LENGTHS[0]:
+            # Of a quadratic misfit a full step leaves neither a slope nor a difference between what it promised and what it gained.
+            away = x - fitted.centre
+            slope = sample_weight * (design.T @ residual) - normal[count:, :count] @ z - _prior_weight(away) * away
+            right = np.concatenate([np.zeros(count), slope])
+            ahead = 0.5 * float(right @ np.linalg.solve(normal, right))
+            remaining = SAFETY * ahead + (SAFETY * (promise - gained)) ** 2 / promise
+        if min(gained, remaining) < least_gain(misfit):
+            remaining = 0.0
             break
     if linear and is_bounded(residual):
         residual = residual - columns @ z
@@ -268,7 +289,7 @@ def fit(
         # Of the parameters' evidence the prior's part is that of its middle: 1.
         beyond = 1.0 - _prior_weight(x - fitted.centre)
         information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
-    return Solution(misfit, z, x, residual, covariance, information)
+    return Solution(misfit, z, x, residual, covariance, information, remaining)
 
 
 def effect_columns(
@@ -341,18 +362,20 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
     return fresh
 
 
-def refined(linearized: Linearized, unknowns: Unknowns | None, solution: Solution, rounds: int = 4) -> Solution:
-    """Continue a fit with columns taken at its end, until that gains nothing more."""
+def refined(
+    linearized: Linearized, unknowns: Unknowns | None, solution: Solution, rounds: int = 4, rival: float = np.inf
+) -> Solution:
+    """Continue a fit with columns taken at its end, until that gains nothing more or brings it no nearer to a better one."""
     for _ in range(rounds):
         try:
             here = Linearized(linearized.problem, linearized.scatter, solution.z, unknowns, solution.x)
-            again = fit(here, unknowns, solution.x, solution.z)
+            again = fit(here, unknowns, solution.x, solution.z, rival=rival)
         except InputError:
             break
         gained = solution.misfit - again.misfit
         if gained < 0:
             break
         solution = again
-        if gained < 0.5:
+        if gained < max(0.5, MIN_APPROACH * (solution.misfit - rival)):
             break
     return solution

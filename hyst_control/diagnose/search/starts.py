@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
-from hyst_control.diagnose.search.fit import LENGTHS, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
+from hyst_control.diagnose.search.fit import LENGTHS, MIN_APPROACH, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
 
 FAR = 4.0
 """Misfit of a start, in those without the effect, from which the effect is far larger there than what it could explain."""
@@ -45,66 +46,90 @@ def begin(
     Each has to come below a rival, the misfit without it.
     """
     order = sorted(range(len(candidates)), key=lambda i: -len(candidates[i][1]) * len(candidates[i][1][0]))  # the longest first
-    ends = map_forked(lambda i: _begun(linearized, *candidates[order[i]], settings, rival), len(order))
-    found = {i: Begun(candidates[i][0], tuple(one)) for i, one in zip(order, ends, strict=True) if one}
-    return sorted((found[i] for i in sorted(found)), key=lambda one: one.misfit)
+    stepped = map_forked(lambda i: _first_steps(linearized, *candidates[order[i]], settings, rival), len(order))
+    found = {i: ends for i, ends in zip(order, stepped, strict=True) if ends}
+
+    def go_on(chosen: Sequence[int], rival: float) -> None:
+        running = [i for i in chosen if any(_may_reach(one, rival) for one in found[i])]
+        ends = map_forked(lambda i: _continued(linearized, candidates[running[i]][0], found[running[i]], rival), len(running))
+        found.update(zip(running, ends, strict=True))
+
+    first = _first(found, [candidate for candidate, _ in candidates], settings.first)
+    go_on(first, rival)
+    if first:
+        misfits = [found[i][0].misfit for i in first]
+        go_on([i for i in found if i not in first], min(rival, max(within(min(misfits), rival, settings), *misfits)))
+    return sorted((Begun(candidates[i][0], tuple(found[i])) for i in sorted(found)), key=lambda one: one.misfit)
 
 
-def _begun(
+def within(best: float, without: float, settings: SearchSettings) -> float:
+    """Misfit up to which a fit beside linear coefficients may be as good as the best."""
+    return best + max(settings.slack * (without - best), settings.near)
+
+
+def _first(found: Mapping[int, Sequence[Solution]], candidates: Sequence[Candidate], count: int) -> list[int]:
+    """The candidates that lead after one step, of every explanation its best realization."""
+    best: dict[tuple[object, ...], int] = {}
+    for i in sorted(found, key=lambda i: found[i][0].misfit):
+        best.setdefault(tuple(member.variant for member in candidates[i].members), i)
+    return list(best.values())[:count]
+
+
+def _first_steps(
     linearized: Linearized, candidate: Candidate, starts: Sequence[Array], settings: SearchSettings, rival: float
 ) -> list[Solution]:
-    """Fits from the most promising starts, the coefficients' columns as they are: best first."""
+    """The most promising starts after one step, the coefficients' columns as they are: best first."""
     unknowns = candidate.unknowns()
     if len(candidate.members) == 1:
         starts = _nearby(linearized, unknowns, candidate.members[0], starts, settings.scanned)
-    if len(starts) > settings.followed:
+    if len(starts) > settings.screened and len(starts[0]) > 2:
         starts = _promising(linearized, candidate, unknowns, starts, settings)
-    tried: list[Solution] = []
+    elif len(starts) > 1:
+        nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
+        starts = _near(linearized, unknowns, starts, nominal)[: 2 * settings.followed]
+    stepped: list[Solution] = []
     for start in starts:
-        nearest = min((rival, *(one.misfit for one in tried)))
-        try:
-            tried.append(fit(linearized, unknowns, start, rival=nearest, linear=True))
-        except InputError:
-            continue
-    return sorted(tried, key=lambda one: one.misfit)[: settings.followed]
+        with suppress(InputError):
+            stepped.append(fit(linearized, unknowns, start, rounds=1, rival=rival, linear=True))
+    return sorted(stepped, key=lambda one: one.misfit)[: settings.followed]
+
+
+def _continued(linearized: Linearized, candidate: Candidate, ends: Sequence[Solution], rival: float) -> list[Solution]:
+    """Fits gone on with while they may come below a rival, and below one another: best first."""
+    unknowns, found = candidate.unknowns(), list[Solution]()
+    for one in ends:
+        if _may_reach(one, rival):
+            with suppress(InputError):
+                one = fit(linearized, unknowns, one.x, rival=rival, linear=True)
+        found.append(one)
+        rival = min(rival, one.misfit)
+    return sorted(found, key=lambda one: one.misfit)
+
+
+def _may_reach(one: Solution, rival: float) -> bool:
+    """Whether going on with a fit may bring it to the misfit of a rival."""
+    return one.remaining > max(0.0, MIN_APPROACH * (one.misfit - rival))
 
 
 def _promising(
     linearized: Linearized, candidate: Candidate, unknowns: Unknowns, starts: Sequence[Array], settings: SearchSettings
 ) -> list[Array]:
-    """Select the points at which the fits of an effect with several starts begin.
-
-    These are the ends of the most promising linear steps. In a large gap such a step may lead to the end of a range. So an effect of one
-    parameter begins also at the start that comes closest to the record, and one of two parameters at every start that is not far off.
-    """
-    if len(starts) > settings.screened and len(starts[0]) > 2 and not candidate.members[0].is_linear:
-        near = best_scaled(linearized, unknowns, starts, settings.screened)
-    else:
-        nominal = misfit_of(linearized, linearized.measured - linearized.nominal)
-        near = _near(linearized, unknowns, starts, nominal, settings)
-    if len(starts[0]) == 2:
-        return near
+    """Of many starts, a scan over frequencies, the ends of the most promising linear steps."""
+    if not candidate.members[0].is_linear:
+        starts = best_scaled(linearized, unknowns, starts, settings.screened)
     ranked: list[tuple[float, int, Array]] = []
-    for start in near:
-        try:
+    for start in starts:
+        with suppress(InputError):
             left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
             ranked.append((left, len(ranked), there))
-        except InputError:
-            continue
-    leading = [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
-    return [*leading, near[0]] if len(starts[0]) == 1 else leading
+    return [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
 
 
-def _near(
-    linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float, settings: SearchSettings
-) -> list[Array]:
+def _near(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float) -> list[Array]:
     """Starts whose misfit is at most `FAR` times that without the effect, closest first; the closest one is always among them.
 
-    An effect that explains a gap is about as large as the gap: a linear step from a much larger one tells nothing. Many starts are a
-    scan over frequencies, of which none is large.
+    An effect that explains a gap is about as large as the gap: a linear step from a much larger one tells nothing.
     """
-    if len(starts) > settings.screened:
-        return list(starts)
     misfits = [_misfit_at(linearized, unknowns, start) for start in starts]
     nearest, *others = sorted(range(len(starts)), key=misfits.__getitem__)
     return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
@@ -247,7 +272,7 @@ def _gain_on_top(
         merged_start(pair, parent.candidate, parent.ends[0].x, member, start)
         for start in starts[:: max(len(starts) // settings.screened, 1)]
     ]
-    for x in _near(linearized, unknowns, begins, before, settings) if len(begins) > 1 else begins:
+    for x in _near(linearized, unknowns, begins, before) if 1 < len(begins) <= settings.screened else begins:
         try:
             left, there = _after_step(linearized, unknowns, pair, member, x, settings)
         except InputError:
