@@ -190,8 +190,8 @@ def _reduction(report: Mapping[str, Any]) -> str:
     explains = "It explains" if len(effects) == 1 else explains
     first, then = (f"{100 * max(values):.0f} %" for values in (given, fitted))
     if max(given) < 0.0:
-        return f" {explains} {then} of the gap, but only after re-fitting the model."
-    return f" {explains} {first} of the gap{f', {then} after re-fitting the model' if then != first else ''}."
+        return f" {explains} nothing of the gap itself, but {then} of what re-fitting the model leaves."
+    return f" {explains} {first} of the gap{f', and {then} of what re-fitting the model leaves' if then != first else ''}."
 
 
 def sentence(report: dict[str, Any]) -> str:
@@ -248,7 +248,7 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     )
     if reduction is None:  # an effect without a waveform takes nothing off
         return f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it"
-    far = f"explains {100 * reduction:.0f} % of it after re-fitting the model" if reduction > 0.0 else "explains nothing of it"
+    far = f"explains {100 * reduction:.0f} % of what re-fitting the model leaves" if reduction > 0.0 else "explains nothing of it"
     return f"; the nearest, {' and '.join(names)}, {far}"
 
 
@@ -299,7 +299,7 @@ def in_words(report: dict[str, Any]) -> str:
             low, high = effect["shrink_ci90"]
             lines.append(
                 f"      reduction {100 * effect['shrink']:.1f} % [{100 * low:.1f} … {100 * high:.1f}], "
-                f"{100 * effect['shrink_reidentified']:.1f} % after re-fitting the model"
+                f"{100 * effect['shrink_reidentified']:.1f} % of what re-fitting the model leaves"
             )
             if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
                 lines.append(
