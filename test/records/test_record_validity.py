@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.excitation.identification_signals import mhl_identification
+from hyst_control.records.validity.beside_model import model_findings
 from hyst_control.records.validity.checks import check_records, refuse_invalid
 from hyst_control.records.validity.findings import NAMES, Finding, Trial
 from hyst_control.records.validity.reference_model import averaged
@@ -437,3 +438,16 @@ def test_a_long_record_whose_fastest_rows_follow_their_command_has_no_lead():
     truth = load_plant({"plant": "fsm_published"}, seed=1, sample_time=step, noise=1e-6)
     measured = np.concatenate([truth.reset(command[0])[None], truth.step(command)[:-1]])
     assert not check_records([Trial("minute", command, measured, step, ("x", "y"), unit="mrad")])
+
+
+def test_a_turned_sign_is_no_delay_of_half_a_period():
+    """A motion that goes the other way was called 0.5 s late, half of the time, which left more than the turned sign does."""
+    time = np.arange(8000) * 1e-3
+    expected = (np.sin(2 * np.pi * time) * np.exp(time / 4.0))[:, None]
+    for seed in range(8):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(expected.shape)
+        [found] = model_findings(Trial("turned", expected, noise - expected, 1e-3, ("x",), simulated=expected), [0])
+        assert found.name == "sign_turned"
+    late = np.concatenate([np.zeros((500, 1)), expected[:-500]])
+    [found] = model_findings(Trial("late", expected, noise + late, 1e-3, ("x",), simulated=expected), [0])
+    assert found.name == "late_measurement" and found.value == pytest.approx(0.5, abs=0.002)

@@ -175,7 +175,10 @@ def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
     expected, measured = trial.simulated[:LONGEST, index], trial.measurement[:LONGEST, index]
     shift = time_shift(expected, measured)
     ratio, correlation = float(np.ptp(measured) / np.ptp(expected)), float(np.corrcoef(expected, measured)[0, 1])
-    if -shift * step > trial.delay + MIN_SHIFT * step and correlation > OPPOSED:
+    against = misfit(-expected, measured) if correlation < OPPOSED else np.inf
+    if against * CLEAR < _shifted_misfit(expected, measured, shift):  # a motion the other way often looks like a late one, too
+        yield Finding("sign_turned", trial.name, axis, correlation, OPPOSED)
+    elif -shift * step > trial.delay + MIN_SHIFT * step and correlation > OPPOSED:
         remedy = f"check that both recordings start together, or pass --shift {-shift * step:.3g}"
         yield Finding(
             "early_measurement", trial.name, axis, -shift * step, 0.0, f"by {in_words(-shift * step)} beside the model", remedy
