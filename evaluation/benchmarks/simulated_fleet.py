@@ -1,9 +1,9 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated fleets: units drawn from a population, recorded run after run, effects that begin on some of them at some run.
+"""Simulated fleets: units drawn from a population, recorded in several runs; on some of them an effect begins in one of the runs.
 
-Coefficients scatter from unit to unit, a little from run to run; the run's temperature changes every gain. On all units of one driver
-its low-pass becomes slower in one run: a cause that they share. Nothing has begun in the first runs, every record's clean records.
+Coefficients scatter between units, a little between runs; the run's temperature changes every gain. On all units of one driver its
+low-pass becomes slower in one run: a cause that they share. Nothing has begun in the first runs: they are the baseline records.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Usual coefficients of a fleet: their center and scatter over its units, and those of one unit as far as all of them tell.
 
-The coefficients of a unit, identified in several runs, are taken for its level, which differs from unit to unit and walks from run
-to run, and an error of the run:
+The coefficients of a unit, identified in several runs, are taken for its level, which differs between units and walks between
+runs, and an error of the run:
 
     x(u, t) = level(u, t) + e(u, t),   level(u, .) - mu ~ N(0, B) at first, its steps ~ N(0, rho C), e ~ N(0, (1 - rho) / 2 C)
 
@@ -45,13 +45,13 @@ class Population:
 
     center: Annotated[Array, "K"]  # Means over the units (K,)
     between: Annotated[Array, "K K"]  # Covariance of the units' levels (K, K)
-    run: Annotated[Array, "K K"]  # Covariance C of the differences of successive runs (K, K)
+    between_runs: Annotated[Array, "K K"]  # Covariance C of the differences of successive runs (K, K)
     walk: float  # Share rho of it that is a walk, 1
     # Mean covariance of the identifications' own errors (K, K), which is a part of a run's error but none of the unit's
     error: Annotated[Array, "K K"]
     units: tuple[str, ...]  # Names of the units (U,)
     levels: Annotated[Array, "U K"]  # Their newest levels by their own runs alone (U, K)
-    spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `run` (U,)
+    spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `between_runs` (U,)
 
     def usual(self) -> tuple[Array, Array]:
         """Mean (K,) and covariance (K, K) of the coefficients of any unit in any run."""
@@ -62,14 +62,14 @@ class Population:
         if unit not in self.units:
             raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
         index = self.units.index(unit)
-        share = np.linalg.solve(self.between + self.spreads[index] * self.run, self.between).T
+        share = np.linalg.solve(self.between + self.spreads[index] * self.between_runs, self.between).T
         mean = self.center + share @ (self.levels[index] - self.center)
         left = self.between - share @ self.between
-        return mean, 0.5 * (left + left.T) + self.walk * self.run + self._single_run()
+        return mean, 0.5 * (left + left.T) + self.walk * self.between_runs + self._single_run()
 
     def _single_run(self) -> Array:
         """Covariance of what one run does to a unit, without the errors of its identification."""
-        return _positive(0.5 * (1.0 - self.walk) * self.run - self.error)
+        return _positive(0.5 * (1.0 - self.walk) * self.between_runs - self.error)
 
 
 def find_population(
@@ -85,12 +85,12 @@ def find_population(
     ordered = [np.array(sorted(rows[name], key=lambda row: moments[row])) for name in names]
     scale = _scale(values)
     scaled, error = values / scale, errors.mean(axis=0) / np.outer(scale, scale)
-    run, walk = _runs([scaled[each] for each in ordered], error)
+    between_runs, walk = _between_runs([scaled[each] for each in ordered], error)
     found = [_level(scaled[each], walk) for each in ordered]
     levels, spreads = np.array([level for level, _ in found]), np.array([spread for _, spread in found])
-    center, between = _between(levels, spreads, run)
+    center, between = _between(levels, spreads, between_runs)
     square = np.outer(scale, scale)
-    return Population(center * scale, between * square, run * square, walk, error * square, names, levels * scale, spreads)
+    return Population(center * scale, between * square, between_runs * square, walk, error * square, names, levels * scale, spreads)
 
 
 def _scale(values: Array) -> Array:
@@ -100,7 +100,7 @@ def _scale(values: Array) -> Array:
     return np.asarray(np.where(spread > 0.0, spread, 1.0))
 
 
-def _runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
+def _between_runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
     """Covariance of the differences of successive runs, and the share of it that is a walk.
 
     Without a unit that was identified twice, runs are taken to differ by the errors of the identifications alone.
@@ -111,13 +111,13 @@ def _runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
     }
     if len(differences[1]) < 2:
         return 2.0 * error, 0.0
-    run = _covariance(differences[1])
+    covariance = _covariance(differences[1])
     lags = [lag for lag in differences if len(differences[lag]) > 1]
     sizes = np.array([np.mean([_variance(column) for column in differences[lag].T]) for lag in lags])
     if len(lags) < 2:
-        return run, 0.0
+        return covariance, 0.0
     growth = np.polyfit(lags, sizes / sizes[0], 1)[0]
-    return run, float(np.clip(growth, 0.0, 1.0))
+    return covariance, float(np.clip(growth, 0.0, 1.0))
 
 
 def _variance(column: Array) -> float:
@@ -163,7 +163,7 @@ def _level(series: Array, walk: float) -> tuple[Array, float]:
     return level, spread
 
 
-def _between(levels: Array, spreads: Array, run: Array) -> tuple[Array, Array]:
+def _between(levels: Array, spreads: Array, between_runs: Array) -> tuple[Array, Array]:
     """Mean and covariance of the units' levels, whose errors are known, by expectation-maximization."""
     count, width = levels.shape
     center = np.median(levels, axis=0)
@@ -172,7 +172,7 @@ def _between(levels: Array, spreads: Array, run: Array) -> tuple[Array, Array]:
     for _ in range(PASSES):
         weights, expected, second = np.zeros(count), np.zeros((count, width)), np.zeros((width, width))
         for rows in alike:
-            whole = between + spreads[rows[0]] * run
+            whole = between + spreads[rows[0]] * between_runs
             off = levels[rows] - center
             weights[rows] = _weights(np.sum(off * np.linalg.solve(whole, off.T).T, axis=1), width)
             share = np.linalg.solve(whole, between).T

@@ -57,7 +57,7 @@ class PopulationModel:
                     center.tolist(),
                     _deviations(covariance).tolist(),
                     _deviations(self.population.between).tolist(),
-                    _deviations(0.5 * self.population.run).tolist(),
+                    _deviations(0.5 * self.population.between_runs).tolist(),
                 )
             ],
         }

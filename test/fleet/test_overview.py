@@ -57,7 +57,7 @@ def test_a_page_of_ten_thousand_records(tmp_path):
 
 
 def test_a_page_of_ten_thousand_records_stays_small_in_a_browser(tmp_path):
-    """What makes a page slow is counted, not timed: elements of the document, and points that are drawn as vectors."""
+    """Elements of the document and points drawn as vectors are counted: they make a page slow, and a clock would time the machine."""
     if reason := browsers.missing():
         pytest.skip(reason)
     records, _ = rows()

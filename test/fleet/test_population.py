@@ -60,7 +60,7 @@ def test_center_and_scatter_are_those_that_were_drawn(faulty):
     np.testing.assert_allclose((found.center - CENTER) / SIZE, 0.0, atol=0.35)
     np.testing.assert_allclose(np.diag(scaled), 1.0, atol=0.4 if faulty else 0.3)
     np.testing.assert_allclose(scaled, CORRELATION, atol=0.5 if faulty else 0.3)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.run)), RUN * SIZE, rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.between_runs)), RUN * SIZE, rtol=0.1)
 
 
 @pytest.mark.parametrize("walk", [0.0, 0.3, 0.8])

@@ -225,7 +225,7 @@ def test_a_mat_file_that_crashes_its_reader_is_refused_in_one_line(tmp_path, cap
     told = capfd.readouterr().err
     assert told.count("\n") == 1 and str(path) in told and not (tmp_path / "bag").exists()
     if 177 in changes:
-        # What lies behind the end of SciPy's table differs from run to run: mostly no address, rarely numbers that it divides by.
+        # What lies behind the end of SciPy's table is not always the same: mostly no address, rarely numbers that it divides by.
         assert "is damaged, its reader ended with SIG" in told or "cannot be read as a .mat file" in told
 
 

@@ -188,7 +188,7 @@ def _reduction(report: Mapping[str, Any]) -> str:
         return ""
     explains = "The best of them explains" if report["verdict"] == Verdict.AMBIGUOUS.value else "Together they explain"
     explains = "It explains" if len(effects) == 1 else explains
-    first, then = (f"{100 * max(values):.0f} %" for values in (given, fitted))
+    first, then = (f"{100 * max(0.0, *values):.0f} %" for values in (given, fitted))
     if max(given) < 0.0:
         return f" {explains} nothing of the gap itself, but {then} of what re-fitting the model leaves."
     return f" {explains} {first} of the gap{f', and {then} of what re-fitting the model leaves' if then != first else ''}."

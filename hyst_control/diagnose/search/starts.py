@@ -107,7 +107,7 @@ def _continued(linearized: Linearized, candidate: Candidate, ends: Sequence[Solu
 
 
 def _may_reach(one: Solution, rival: float) -> bool:
-    """Whether going on with a fit may bring it to the misfit of a rival."""
+    """Check that going on with a fit may bring it to the misfit of a rival."""
     return one.remaining > max(0.0, MIN_APPROACH * (one.misfit - rival))
 
 

@@ -284,9 +284,10 @@ def _error_from_rest(windows: Sequence[Window], sections: Sections, parameters: 
 
 
 def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
-    """Whether its gain over the best smaller structure is that of more unknown states: one from rest has less than half of it.
+    """Check that a structure owes its gain over the best smaller one to unknown initial states.
 
-    Modes that the command does not drive explain lines of a record, such as mains hum, if they may ring from its beginning on.
+    A simulation from rest then shows less than half of the gain. Modes that the command does not drive do so: they fit mains hum by
+    ringing from the beginning of the record on.
     """
     if not smaller:
         return False
