@@ -21,6 +21,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.identify.data.fit import BeginningRow
 from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
+from hyst_control.identify.solve.bounded_least_squares import solve_bounded
 from hyst_control.records.record import Beginning, Record
 from hyst_control.records.stream.row_store import all_finite, total_variation
 
@@ -32,8 +33,10 @@ DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
-LEG = 0.05
-"""Time of a smooth way between two remembered turning points, s."""
+HELD = 8
+"""Rows for which a command keeps a level that counts as held."""
+LEG, LEG_ROWS = 0.05, (500, 2000)
+"""Time (s) of a smooth way between two remembered turning points, and its least and largest number of rows."""
 
 VIRGIN, FILLED = "at rest at 0 V, on the initial loading curve", "unknown: counted from where both extremes have been met"
 PERIODIC, ESTIMATED = "periodic: preceded by itself", "amid a motion: turning points before it estimated"
@@ -94,13 +97,14 @@ def share_of_motion(command: Annotated[Array, "N"], row: int) -> float:
 
 def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"], *, closed: bool = False) -> Memory:
     """Estimate the memory with which one axis of a record begins."""
+    command, measurement = at_rest(command, measurement)
     first, low, high = float(command[0]), float(command.min()), float(command.max())
     at_zero = abs(first) <= AT_ZERO * max(abs(low), abs(high))
-    virgin = Memory(np.array([0.0, first]), virgin=True)
+    virgin = Memory(np.array([0.0, first]), virgin=at_zero)
     if low == high:
         return virgin if at_zero else Memory(np.array([first]), periodic=closed)
     inner = np.linspace(0.0, 1.0, TURNS + 2)[1:-1]
-    candidates = [Memory(np.array(turns)) for turns in ([high, low, first], [low, high, first])]
+    candidates = [virgin, *(Memory(np.array(turns)) for turns in ([high, low, first], [low, high, first]))]
     candidates += [Memory(np.array([high, low, first + share * (high - first), first])) for share in inner if high > first]
     candidates += [Memory(np.array([low, high, first + share * (low - first), first])) for share in inner if low < first]
     thresholds = 0.5 * (high - low) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
@@ -112,25 +116,42 @@ def estimated_memory(command: Annotated[Array, "N"], measurement: Annotated[Arra
     rows = np.concatenate([early, late])
     trend = np.stack([np.ones(len(rows)), rows / max(len(command) - 1, 1) - 0.5], axis=1)
     target = measurement[rows]
+    # A branch of a loop that falls where the command rises is none: few rows would otherwise be followed by any memory.
+    sign = 1.0 if np.polyfit(command[rows], target, 1)[0] >= 0 else -1.0
+    least = np.concatenate([np.zeros(OPERATORS), np.full(2, -np.inf)])
 
     def error(memory: Memory) -> float:
         states = play_states(memory.turns, thresholds, np.array([len(memory.turns) - 1]))[-1]
         before = followed(command[: filled + 1], thresholds, states, early)
-        columns = np.hstack([np.concatenate([before, after]), trend])
-        found = np.linalg.lstsq(columns, target, rcond=1e-9)[0]
+        operators = np.concatenate([before, after])
+        slopes = operators - np.column_stack([operators[:, 1:], np.zeros(len(rows))])
+        columns = np.hstack([sign * slopes, trend])
+        found = solve_bounded(columns.T @ columns, columns.T @ target, least, np.full(len(least), np.inf))
         return float(np.sum((target - columns @ found) ** 2))
 
     errors = [error(memory) for memory in candidates]
     best = int(np.argmin(errors))
     period = Memory(np.append(command[turning_points(command)], command[-1]), periodic=True)
-    expected = [virgin] * at_zero + [period] * closed
-    likely = min(expected, key=error, default=None)
-    return likely if likely is not None and error(likely) <= DOUBT * errors[best] else candidates[best]
+    expected = [virgin] * at_zero + [period] * closed or [virgin]
+    likely = min(expected, key=error)
+    return likely if error(likely) <= DOUBT * errors[best] else candidates[best]
 
 
 def spread_rows(begin: int, end: int) -> Integers:
     """At most `ROWS` rows from `begin` to `end` - 1, evenly spread."""
     return np.unique(np.linspace(begin, max(end - 1, begin), min(max(end - begin, 1), ROWS)).astype(np.int64))
+
+
+def at_rest(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"]) -> tuple[Array, Array]:
+    """Command and measurement, a row each where a command of held levels stands: the mean of the second half, in which modes ring out."""
+    moved = np.flatnonzero(np.diff(command, prepend=np.nan) != 0)
+    length = np.diff(moved, append=len(command))
+    if np.sum(length[length >= HELD]) < 0.5 * len(command):
+        return command, measurement
+    total = np.cumsum(measurement)
+    end, half = moved + length - 1, length - np.maximum(length // 2, 1)
+    mean = (total[end] - np.where(moved + half > 0, total[moved + half - 1], 0.0)) / (length - half)
+    return command[moved], mean
 
 
 def play_states(turns: Array, thresholds: Array, rows: Integers) -> Array:
@@ -157,7 +178,7 @@ def followed(command: Annotated[Array, "N"], thresholds: Array, states: Array, r
 
 def smooth_way(turns: Sequence[Array], data: Record) -> Annotated[Array, "R A"]:
     """Commands that lead through turning points to a record's first command, slow enough not to excite the dynamics."""
-    rows = int(np.clip(LEG / data.sample_time, 16, 2000))
+    rows = int(np.clip(LEG / data.sample_time, *LEG_ROWS))
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows + 1) / rows)
     most = max(len(each) for each in turns)
     columns = []

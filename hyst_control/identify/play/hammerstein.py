@@ -14,14 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.solve.gram_sums import Operators, Window
-from hyst_control.identify.solve.stable_dynamics import Structure
+from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
+from hyst_control.identify.solve.gram_sums import Operators, Window, weighted_operators
+from hyst_control.identify.solve.stable_dynamics import Structure, pace
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
@@ -31,6 +33,10 @@ MIN_FOR_LOADING = 6
 """Number of operators below which the first loading gets none."""
 PRECISION = 1e-3
 """Share of the bracket to which the widening with the rate is found."""
+MOST_MODES = 2
+"""Largest number of modes of G."""
+SPACING, FOLLOWED = 1.6, 2
+"""Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03
 """A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
 
@@ -118,17 +124,18 @@ def default_operators(
 
 def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
     """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite."""
-    if given is not None:
-        return solve(problem, given, given.start(_start_frequency(problem)))
-    plain = Structure(highest=REACH * excited_band(problem.windows))
+    sample_time = min(window.sample_time for window in problem.windows)
+    plain = Structure(pace=pace(sample_time), highest=REACH * excited_band(problem.windows))
     best = solve(problem, plain, np.zeros(0))
+    if given is not None:
+        given = replace(given, pace=plain.pace)
+        return solve(problem, given, given.start(first_modes(problem, best)[0][0]))
     report(best)
     if not plain.highest:
         return best
-    frequency = _start_frequency(problem, plain.highest)
-    sample_time = min(window.sample_time for window in problem.windows)
+    first = first_modes(problem, best)
     while True:
-        grown = _grown(problem, best, frequency)
+        grown = _grown(problem, best, first)
         trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
         for trial in trials:
             report(trial)
@@ -141,25 +148,53 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
 
 
-def _grown(problem: Problem, best: Solution, frequency: float) -> list[Solution]:
+def _grown(problem: Problem, best: Solution, first: Sequence[tuple[float, float]]) -> list[Solution]:
     """Solve for every structure with one factor more, on all cores."""
     structures = best.structure.extensions()
     theta = best.theta if np.any(best.theta) else None
+    known = len(best.structure.split(best.parameters)["modes"])
+    new = first if not known else seen_modes(problem, best, known + 1) if known < MOST_MODES else []
+    starts: list[tuple[Structure, Array]] = []
+    for structure in structures:
+        start = structure.grow(best.structure, best.parameters, first[0][0])
+        starts.append((structure, start))
+        if structure.modes > known:
+            starts += [(structure, structure.with_last_mode(start, *mode)) for mode in new]
 
     def grown(index: int) -> Solution:
-        start = structures[index].grow(best.structure, best.parameters, frequency)
-        return solve(problem, structures[index], start, theta, passes=8)
+        structure, start = starts[index]
+        return solve(problem, structure, start, theta, passes=8)
 
-    return list(map_forked(grown, len(structures)))
+    found = list(map_forked(grown, len(starts)))
+    return [min((each for each in found if each.structure == of), key=lambda each: each.fitted) for of in structures]
 
 
-def _start_frequency(problem: Problem, highest: float = np.inf) -> float:
-    """The resonance (Hz) on a coarse grid at which a single mode fits best, from which Gauss-Newton starts."""
+def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping of the single modes that leave least: of a grid over the band, and of those that vector fitting sees."""
     sample_time = min(window.sample_time for window in problem.windows)
-    limit = min(0.4 / sample_time, 0.8 * highest)
-    grid = [f for f in (30.0, 100.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0) if f < limit] or [0.5 * limit]
+    longest = max(len(window.command) * window.sample_time for window in problem.windows)
+    highest = min(0.4 / sample_time, 0.8 * static.structure.highest)
+    lowest = min(2.0 / longest, 0.5 * highest)
+    grid = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(SPACING)))
+    tried = [(float(frequency), 0.5) for frequency in grid] + seen_modes(problem, static, MOST_MODES)
     structure = Structure(modes=1)
-    return min(grid, key=lambda frequency: solve(problem, structure, structure.start(frequency), passes=1).fitted)
+
+    def left(index: int) -> float:
+        return solve(problem, structure, structure.with_last_mode(structure.start(1.0), *tried[index]), passes=1).fitted
+
+    order = np.argsort(list(map_forked(left, len(tried))))
+    return [tried[index] for index in order[:FOLLOWED]]
+
+
+def seen_modes(problem: Problem, at: Solution, count: int) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators."""
+    windows, sample_time = [], min(window.sample_time for window in problem.windows)
+    for window in problem.windows:
+        if window.sample_time == sample_time:
+            windows.append(replace(window, command=weighted_operators(window, problem.operators, at.theta)))
+    rows = max(len(window.command) for window in windows)
+    found = vector_fit(windows, spread_poles(2 * count, rows), at.structure.tau(at.parameters) / sample_time, direct=False)
+    return [(abs(pole) / (2 * np.pi * sample_time), -pole.real / abs(pole)) for pole in found.poles if pole.imag]
 
 
 def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:

@@ -174,6 +174,13 @@ def gram_matrices(
     return Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.concatenate(blocks))
 
 
+def weighted_operators(window: Window, operators: Operators, theta: Annotated[Array, "J"]) -> Annotated[Array, "N"]:
+    """Σ θ_j φ_j over a window: what enters the dynamics."""
+    at_once = Structure().discretized(np.zeros(0), Sampling(window.sample_time, 1, window.hold))
+    found: Array = _Pass(window, operators, [at_once], theta, 1.0, 0).operators_of(window.command)[-1]
+    return found
+
+
 class _Pass:
     """Streaming state of the regressors behind G, and of their sum behind the neighbors of G, over one window."""
 
@@ -198,16 +205,16 @@ class _Pass:
         # The play operators' memory up to the first command, then every linear state at rest there.
         if self.window.memory is not None:
             for part in row_store.blocks(len(self.window.memory)):
-                self._regressors(self.window.memory[part])
+                self.operators_of(self.window.memory[part])
             self.previous[0] = self.window.command[0]
-        self.lanes.settle(np.ravel(self._inputs(self._regressors(self.window.command[:1]))))
+        self.lanes.settle(np.ravel(self._inputs(self.operators_of(self.window.command[:1]))))
 
     def table(self, begin: int, end: int, length: int) -> Annotated[Array, "K B length"]:
         """[θ columns, derivatives, nuisances, y] of the next rows, each times the root of its weight, 0 where a row does not count."""
         window, columns, lanes = self.window, self.operators.columns, self.lanes.count
         count, first = end - begin, min(max(window.skip - begin, 0), end - begin)
         table = np.zeros((lanes + self.extra + 1, -(-count // length) * length))
-        self.lanes.process(self._inputs(self._regressors(window.command[begin:end])), table[:lanes, :count])
+        self.lanes.process(self._inputs(self.operators_of(window.command[begin:end])), table[:lanes, :count])
         table[:, :first] = 0.0
         table[columns:lanes, first:count] -= self.theta @ table[:columns, first:count]
         table[columns:lanes, first:count] /= self.step
@@ -222,7 +229,8 @@ class _Pass:
         """Inputs (N,) of G, a regressor each, and of its neighbors, the weighted sum of all."""
         return [found[min(lane, self.operators.columns)] for lane in range(self.lanes.count)]
 
-    def _regressors(self, command: Array) -> Array:
+    def operators_of(self, command: Array) -> Array:
+        """φ_j (J rows) and their weighted sum for the next commands."""
         ops = self.operators
         found = np.empty((ops.columns + 1, len(command)))
         regressors(

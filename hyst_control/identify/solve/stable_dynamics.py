@@ -30,7 +30,12 @@ MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01
 """Relative distance from a bound at which a parameter is at it."""
 TAU_UNIT = 1e-4
-"""The delay's unit (s) in the parameter vector, so that every entry is of order one."""
+"""The delay's unit in the parameter vector, so that every entry is of order one: seconds, or the sample time of slower records."""
+
+
+def pace(sample_time: float) -> float:
+    """How many times slower a record's delays and modes are looked for than those of a record at 10 kHz or faster."""
+    return max(sample_time / TAU_UNIT, 1.0)
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,7 @@ class Structure:
     zeros: int = 0  # Number of zeros of the numerator
     slow_pair: bool = False  # A slow pole and zero, for creep
     delay: bool = False  # A delay
+    pace: float = field(default=1.0, compare=False)  # Unit of the delay, in `TAU_UNIT`
     # Highest frequency (Hz) of a pole that the records could tell; structures are equal whatever it is
     highest: float = field(default=np.inf, compare=False)
 
@@ -123,6 +129,12 @@ class Structure:
             new["lags"][:] += 1.0
         return np.concatenate([part.ravel() for part in new.values()])
 
+    def with_last_mode(self, parameters: Array, frequency: float, damping: float) -> Annotated[Array, "P"]:
+        """Parameters whose last mode is another one."""
+        parts = self.split(parameters)
+        parts["modes"][-1] = np.log(2 * np.pi * frequency), np.log(damping)
+        return np.concatenate([part.ravel() for part in parts.values()])
+
     def split(self, parameters: Annotated[Array, "P"]) -> dict[str, Array]:
         """Split a parameter vector by factor."""
         counts = [2 * self.modes, self.lags, self.zeros, 2 * self.slow_pair, int(self.delay)]
@@ -151,7 +163,7 @@ class Structure:
 
     def tau(self, parameters: Annotated[Array, "P"]) -> float:
         """Delay of G(s), never negative."""
-        return TAU_UNIT * max(float(parameters[-1]), 0.0) if self.delay else 0.0
+        return TAU_UNIT * self.pace * max(float(parameters[-1]), 0.0) if self.delay else 0.0
 
     def numbers(self, parameters: Annotated[Array, "P"]) -> list[Number]:
         """Coefficients of the rational part, and the delay, as a report lists them."""
