@@ -41,7 +41,7 @@ from hyst_control.identify.mhl.pole_zero_pair import (
 )
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import SimulationError, Solution, minimize_simulation_error
-from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
+from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure, pace
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
@@ -143,7 +143,8 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
     creeping = any(thinned(window) is not window for window in windows)
     form = options.curves if creeping or options.curves.degree < 2 else Curves(2)
     static = fit_curves(slowest(few), form, ends, options.nuisance, passes=8)
-    blank = Axis(options.curves, Structure(), ends, static.output_scale, sign, min(window.sample_time for window in windows))
+    sample_time = min(window.sample_time for window in windows)
+    blank = Axis(options.curves, Structure(pace=pace(sample_time)), ends, static.output_scale, sign, sample_time)
     curves = static.solution.parameters
     if like is not None and (options.structure is None or options.structure == like.axis.structure):
         axis = replace(blank, structure=like.axis.structure)
@@ -194,12 +195,14 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
     """Choose the factors of G(s) and fit everything: factors are added one by one as long as the held-out error falls."""
     given = options.structure
     if given is not None:
-        axis, best = searched(windows, replace(blank, structure=replace(given, zeros=min(given.zeros, 1))), curves, options)
+        first = replace(given, zeros=min(given.zeros, 1), pace=blank.structure.pace)
+        axis, best = searched(windows, replace(blank, structure=first), curves, options)
         while axis.structure.zeros < given.zeros:
             axis, best = extended(windows, axis, best, [replace(axis.structure, zeros=axis.structure.zeros + 1)], options)[0]
         return axis, best
-    plain = searched(windows, replace(blank, structure=Structure(modes=1, delay=True)), curves, options, thorough=False)
-    rich = searched(windows, replace(blank, structure=Structure(modes=1, lags=1, zeros=1, delay=True)), curves, options)
+    one, two = (replace(blank.structure, modes=1, delay=True, lags=lags, zeros=lags) for lags in (0, 1))
+    plain = searched(windows, replace(blank, structure=one), curves, options, thorough=False)
+    rich = searched(windows, replace(blank, structure=two), curves, options)
     axis, best = better(plain, rich)
     if best is plain[1]:
         best = minimize_simulation_error(windows, axis.parametrization(), best.parameters, nuisance=options.nuisance, passes=25)
@@ -257,19 +260,20 @@ def starts(axis: Axis) -> list[Array]:
     """
     structure = axis.structure
     highest = 0.4 / axis.sample_time
-    frequencies = [f for f in (200.0, 800.0, 3000.0) if f < highest] or [highest / 2]
+    slow = structure.pace
+    frequencies = [f / slow for f in (200.0, 800.0, 3000.0) if f / slow < highest] or [highest / 2]
     if not (structure.lags and structure.zeros):
         return [np.concatenate([[share, 0.0], structure.start(f)]) for f in frequencies for share in (-0.2, 0.2)]
     smaller = replace(structure, lags=structure.lags - 1, zeros=structure.zeros - 1)
     found = []
     for frequency in frequencies:
         dynamics = smaller.start(frequency)
-        for k2 in (3e-4, 1e-3, 3e-3):
+        for k2 in (3e-4 * slow, 1e-3 * slow, 3e-3 * slow):
             for share in (-0.5, 0.5):
                 parts = structure.split(structure.grow(smaller, dynamics, frequency))
                 parts["lags"][-1] = -np.log(k2 * (1.0 + share))
                 moved = with_numerator(parts, np.polymul(smaller.rational(dynamics)[0], [k2, 1.0]))
-                found.append(np.concatenate([[share, np.log(k2 / K2_UNIT)], moved]))
+                found.append(np.concatenate([[share, np.log(k2 / (K2_UNIT * slow))], moved]))
     return found
 
 
@@ -281,7 +285,7 @@ def extended(
     before = best.parameters[: axis.curves.size + 2]
     begin: list[tuple[Structure, Array]] = []
     for structure in structures:
-        begin.append((structure, structure.grow(axis.structure, dynamics, 1000.0)))
+        begin.append((structure, structure.grow(axis.structure, dynamics, 1000.0 / structure.pace)))
         if structure == replace(axis.structure, zeros=axis.structure.zeros + 1):
             begin.append((structure, lead_and_delay(axis.structure, structure, dynamics)))
 
@@ -305,9 +309,9 @@ def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[A
 
 def lead_and_delay(old: Structure, new: Structure, dynamics: Array) -> Array:
     """Start with one further, fast zero whose lead a longer delay cancels, as there is a minimum on either side of no zero."""
-    parts = new.split(new.grow(old, dynamics, 1000.0))
+    parts = new.split(new.grow(old, dynamics, 1000.0 / old.pace))
     time = 0.5 / float(np.exp(parts["modes"][:, 0].max()))
-    parts["delay"] = parts["delay"] + time / TAU_UNIT
+    parts["delay"] = parts["delay"] + time / (TAU_UNIT * old.pace)
     return with_numerator(parts, np.polymul(old.rational(dynamics)[0], [time, 1.0]))
 
 

@@ -63,7 +63,7 @@ class Axis:
     def rate(self, vector: Annotated[Array, "P"]) -> tuple[float, float]:
         """Parameters of the rate correction."""
         share, log_k2 = self.split(vector)[1]
-        k2 = K2_UNIT * float(np.exp(log_k2))
+        k2 = K2_UNIT * self.structure.pace * float(np.exp(log_k2))
         return float(share) * self.output_scale / self.ends.length * k2, k2
 
     def stages(self, vector: Annotated[Array, "P"], b1: float = 0.0) -> list[Stage]:
