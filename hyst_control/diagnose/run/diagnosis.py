@@ -16,6 +16,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import forked
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
@@ -285,10 +286,11 @@ def _axis(
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
-    found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
-    collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
-    tests = ContenderTests(prepared, found, collected, baseline, configuration)
-    evidence, decision = settled(collected.evidence, tests, thresholds)
+    with forked([linearized, linearized.scatter, problem, *members]):
+        found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+        collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
+        tests = ContenderTests(prepared, found, collected, baseline, configuration)
+        evidence, decision = settled(collected.evidence, tests, thresholds)
     return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline, tests)
 
 
