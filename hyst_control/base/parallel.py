@@ -27,7 +27,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
-from typing import Any, Generic, Literal, TypeVar, cast
+from typing import Any, Generic, Literal, TypeAlias, TypeVar, cast
 
 from hyst_control.base.cluster import cluster_executor
 from hyst_control.base.errors import InputError, WorkerLost
@@ -40,6 +40,8 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 LOST_WORKER = "a worker process was killed, possibly for lack of memory: free memory and run the command again"
+
+_Answer: TypeAlias = tuple[object, Exception | None, str]
 
 _serial = False
 _team: _Team | None = None
@@ -121,6 +123,36 @@ def map_known(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> l
     return list(_team.map(work, jobs))
 
 
+class Beside(Generic[Result]):
+    """Result of a computation that goes on in another process."""
+
+    def __init__(self, work: Callable[[], Result], line: _Line | None = None) -> None:
+        self._line, self._answer = line, None if line else _answer(work)
+        if line:
+            line.send((work, ()))
+
+    def is_known(self) -> bool:
+        """True when the computation has ended."""
+        return self._line is None or self._answer is not None or self._line.pipe.poll()
+
+    def result(self) -> Result:
+        """Wait for the result, or raise the error that the computation has ended in."""
+        if self._answer is None:
+            assert self._line is not None
+            self._answer = self._line.receive()
+        return cast(Result, _result_of(self._answer))
+
+
+@contextmanager
+def beside(work: Callable[[], Result]) -> Iterator[Beside[Result]]:
+    """Compute work() in a process that is forked now while this one goes on; where that is not safe, before it goes on."""
+    if not _may_fork(cores()):
+        yield Beside(work)
+        return
+    with closing(_Team((work,), 1)) as team:
+        yield Beside(work, *team.lines)
+
+
 def _may_fork(workers: int) -> bool:
     """Check that several processes may be forked: none is computing beside this one, and no thread holds a lock."""
     others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
@@ -141,9 +173,14 @@ class _Team:
             there.close()  # so that the line ends with the worker
             self._workers[_Line(here, known)] = worker
 
+    @property
+    def lines(self) -> list[_Line]:
+        """Connections to the processes."""
+        return list(self._workers)
+
     def map(self, work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> Iterator[Result]:
         """Results of work(*job), in order."""
-        waiting, idle = deque(enumerate(jobs)), list(self._workers)
+        waiting, idle = deque(enumerate(jobs)), self.lines
         under_way: dict[_Line, int] = {}
         done: dict[int, Any] = {}
         for index in range(len(jobs)):
@@ -153,10 +190,7 @@ class _Team:
                     line.send((work, job))
                     under_way[line] = number
                 for line in cast(list[_Line], connection.wait(under_way)):
-                    result, error, trace = line.receive()
-                    if error is not None:
-                        raise error from RuntimeError(f"in a worker process:\n{trace}")
-                    done[under_way.pop(line)] = result
+                    done[under_way.pop(line)] = _result_of(line.receive())
                     idle.append(line)
             yield done.pop(index)
 
@@ -207,12 +241,22 @@ def _serve(line: _Line) -> None:
     _team = None
     _begin_worker(True)
     while True:
-        work, job = line.receive()
-        try:
-            answer = work(*job), None, ""
-        except Exception as error:
-            answer = None, error, traceback.format_exc()
-        line.send(answer)
+        line.send(_answer(*line.receive()))
+
+
+def _answer(work: Callable[..., object], job: Sequence[Any] = ()) -> _Answer:
+    """The result of a job, or the error that it ends in and where."""
+    try:
+        return work(*job), None, ""
+    except Exception as error:
+        return None, error, traceback.format_exc()
+
+
+def _result_of(answer: _Answer) -> object:
+    result, error, trace = answer
+    if error is not None:
+        raise error from RuntimeError(f"in a worker process:\n{trace}")
+    return result
 
 
 def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:

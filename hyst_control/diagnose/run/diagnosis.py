@@ -20,7 +20,6 @@ from hyst_control.base.parallel import forked
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
-from hyst_control.diagnose.likelihood.core import by_likelihood
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
@@ -118,6 +117,8 @@ def diagnose(
     for part, known, bare in beside:
         axes = tuple(range(axis, axis + len(part.model.axes)))
         if core == LIKELIHOOD:
+            from hyst_control.diagnose.likelihood.core import by_likelihood  # only here, it takes long to load
+
             judged = by_likelihood(part, known, bare, without, progress, configuration)
             parts.append(
                 AxisDiagnosis(

@@ -21,7 +21,6 @@ from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor
-from scipy.optimize import minimize_scalar
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -311,9 +310,7 @@ def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]])
     candidates = [candidate.without(dropped) for dropped in range(len(places))]
 
     starts = [np.concatenate([solution.x[place] for place in places[:i] + places[i + 1 :]]) for i in range(len(places))]
-    solutions = map_known(
-        _refitted, [(linearized, one, start, solution.z) for one, start in zip(candidates, starts, strict=True)]
-    )
+    solutions = map_known(_refitted, [(linearized, one, start, solution.z) for one, start in zip(candidates, starts, strict=True)])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
 
@@ -359,7 +356,6 @@ def _gone_on(
     linearized: Linearized, begun: Sequence[Begun], rival: float, without: float, configuration: Configuration
 ) -> list[Solution]:
     """Fits of the chain as it is, gone on with by the columns of the nominal coefficients."""
-
     return map_known(_ended, [(linearized, one, rival, without, configuration) for one in begun])
 
 
@@ -431,6 +427,8 @@ def _from_grid_minimum(linearized: Linearized, candidate: Candidate, solution: S
 
 def _best_alone(linearized: Linearized, candidate: Candidate, count: int) -> Array:
     """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
+    from scipy.optimize import minimize_scalar  # seldom needed, and takes long to import
+
     unknowns, nominal = candidate.unknowns(), np.zeros(linearized.count)
 
     def misfit(value: float) -> float:

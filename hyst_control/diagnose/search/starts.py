@@ -272,10 +272,7 @@ def _gain_on_top(
     # known: parameters of the parent
     pair, best, starts = parent.with_member(member), None, member.starts()
     unknowns = pair.unknowns()
-    begins = [
-        merged_start(pair, parent, known, member, start)
-        for start in starts[:: max(len(starts) // settings.screened, 1)]
-    ]
+    begins = [merged_start(pair, parent, known, member, start) for start in starts[:: max(len(starts) // settings.screened, 1)]]
     for x in _near(linearized, unknowns, begins, before) if 1 < len(begins) <= settings.screened else begins:
         try:
             left, there = _after_step(linearized, unknowns, pair, member, x, settings)
