@@ -27,4 +27,6 @@ def _put_off(parent: str, name: str) -> None:
     spec.loader.exec_module(module)
 
 
-_put_off("numpy", "f2py")  # scipy takes all names of numpy, and with them a Fortran parser that costs every command a tenth of a second
+_put_off(
+    "numpy", "f2py"
+)  # scipy takes all names of numpy, and with them a Fortran parser that costs every command a tenth of a second

@@ -116,6 +116,11 @@ def forked(known: Sequence[object]) -> Iterator[None]:
             _team = None
 
 
+def known_workers() -> int:
+    """Number of jobs that `map_known` computes at a time."""
+    return len(_team.lines) if _team else 1
+
+
 def map_known(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
     """Compute work(*job) for all jobs, in the processes of `forked`, to which only what they do not have is sent."""
     if _team is None or len(jobs) < 2:

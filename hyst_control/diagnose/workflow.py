@@ -25,6 +25,7 @@ from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
 from hyst_control.diagnose.report.document import gap_report, in_words
+from hyst_control.diagnose.report.gap_breakdown import budget
 from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
@@ -239,20 +240,22 @@ def diagnosed(
     if model is not None:
         diagnosis = replace(diagnosis, parts=tuple(_with_structure(diagnosis.problem, part) for part in diagnosis.parts))
     tell("shrink on held-out blocks")
-    attribution = attribute(diagnosis)
-    better = augmented_model(diagnosis) if attribution.effects and model is not None else None
-    remainder = remainder_of(diagnosis)
-    added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
-    if added and model is not None and remainder is not None:
-        better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
-    blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
-    document = gap_report(
-        diagnosis,
-        attribution,
-        blocks,
-        str(augmented) if augmented and better is not None else None,
-        remainder=None if remainder is None else remainder.document(added),
-    )
+    with beside(partial(budget, diagnosis)) as split:
+        attribution = attribute(diagnosis)
+        better = augmented_model(diagnosis) if attribution.effects and model is not None else None
+        remainder = remainder_of(diagnosis)
+        added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
+        if added and model is not None and remainder is not None:
+            better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
+        blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
+        document = gap_report(
+            diagnosis,
+            attribution,
+            split.result(),
+            blocks,
+            str(augmented) if augmented and better is not None else None,
+            remainder=None if remainder is None else remainder.document(added),
+        )
     return document, diagnosis, better
 
 

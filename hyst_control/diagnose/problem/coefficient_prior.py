@@ -61,6 +61,9 @@ class Scatter:
     """Numbers that scatter together, by the first coefficients; None where each scatters by itself."""
     _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return Scatter, (self.model, self.coefficients, self.joint)
+
     @property
     def companions(self) -> Array:
         """1 for every session effect among the coefficients, else 0; (K,)."""

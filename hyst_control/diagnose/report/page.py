@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -32,6 +32,7 @@ from hyst_control.reporting.html_page import BAND, Palette, figure_markup, libra
 from hyst_control.reporting.html_page import write_page as write_template
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.quantities import quantity
+from hyst_control.reporting.signal_figures import thinned
 
 BINS = 1000
 """Stretches of a drawn signal of which the least and the greatest sample are kept."""
@@ -186,15 +187,10 @@ def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
     return ", ".join(parts)
 
 
-def envelope(time: Annotated[Array, "N"], values: Annotated[Array, "N"], bins: int = BINS) -> tuple[Array, Array]:
-    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole."""
-    if len(values) <= 2 * bins:
-        return time.astype(np.float32), values.astype(np.float32)
-    edges = np.linspace(0, len(values), bins + 1).astype(int)
-    kept = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        kept += sorted((begin + int(np.argmin(values[begin:end])), begin + int(np.argmax(values[begin:end]))))
-    return time[kept].astype(np.float32), values[kept].astype(np.float32)
+def _curve(time: Array, values: Array) -> dict[str, Array]:
+    """A signal thinned to the least and greatest sample of every stretch."""
+    x, y = thinned(time, values, 2 * BINS)
+    return {"x": x.astype(np.float32), "y": y.astype(np.float32)}
 
 
 def _signals(piece: Traces, axis: int, title: str, unit: str) -> Figure:
@@ -209,11 +205,11 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> Figure:
     if piece.augmented is not None:
         lines.append(("augmented", piece.augmented, AUGMENTED))
     for name, values, color in lines:
-        x, y = envelope(piece.time, values[:, axis])
-        figure.add("scatter", x=x, y=y, name=name, legendgroup=name, line={"color": color, "width": 1.2})
+        look = {"name": name, "legendgroup": name, "line": {"color": color, "width": 1.2}}
+        figure.add("scatter", **_curve(piece.time, values[:, axis]), **look)
         if name != "measured":
-            x, y = envelope(piece.time, piece.measured[:, axis] - values[:, axis])
-            figure.add("scatter", 2, x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": color, "width": 1.0})
+            look |= {"showlegend": False, "line": {"color": color, "width": 1.0}}
+            figure.add("scatter", 2, **_curve(piece.time, piece.measured[:, axis] - values[:, axis]), **look)
     figure.axes("y", 1, title=f"displacement [{unit}]")
     figure.axes("y", 2, title=f"residual [{unit}]")
     figure.axes("x", 2, title="time [s]")

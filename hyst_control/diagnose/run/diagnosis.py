@@ -287,7 +287,7 @@ def _axis(
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
-    with forked([linearized, linearized.scatter, problem, *members]):
+    with forked([linearized, problem, linearized.scatter, linearized.scatter.model, configuration, *members]):
         found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
         collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
         tests = ContenderTests(prepared, found, collected, baseline, configuration)
