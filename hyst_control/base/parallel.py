@@ -21,7 +21,7 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -123,9 +123,13 @@ def known_workers() -> int:
 
 def map_known(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
     """Compute work(*job) for all jobs, in the processes of `forked`, to which only what they do not have is sent."""
+    global _team
     if _team is None or len(jobs) < 2:
         return [work(*job) for job in jobs]
-    return list(_team.map(work, jobs))
+    team, _team = _team, None
+    found = list(team.map(work, jobs))
+    _team = team  # not after an error: what others still compute would be taken for answers to the next jobs
+    return found
 
 
 class Beside(Generic[Result]):
@@ -156,6 +160,14 @@ def beside(work: Callable[[], Result]) -> Iterator[Beside[Result]]:
         return
     with closing(_Team((work,), 1)) as team:
         yield Beside(work, *team.lines)
+
+
+def in_thread(work: Callable[[], Result]) -> Callable[[], Result]:
+    """Compute work(), which lets go of the interpreter, in a thread that ends with it; what is returned waits for the result."""
+    pool = ThreadPoolExecutor(1)
+    result = pool.submit(work).result
+    pool.shutdown(wait=False)
+    return result
 
 
 def _may_fork(workers: int) -> bool:
@@ -194,15 +206,16 @@ class _Team:
                     line, (number, job) = idle.pop(), waiting.popleft()
                     line.send((work, job))
                     under_way[line] = number
-                for line in cast(list[_Line], connection.wait(under_way)):
+                ready = connection.wait([line.pipe for line in under_way])
+                for line in [line for line in under_way if line.pipe in ready]:
                     done[under_way.pop(line)] = _result_of(line.receive())
                     idle.append(line)
             yield done.pop(index)
 
     def close(self) -> None:
-        """End the processes, whatever they do."""
+        """End the processes, whatever they do, and without a word."""
         for line, worker in self._workers.items():
-            worker.terminate()
+            worker.kill()
             line.pipe.close()
         for worker in self._workers.values():
             worker.join()
@@ -214,10 +227,6 @@ class _Line:
     def __init__(self, pipe: connection.Connection, known: Sequence[object]) -> None:
         self.pipe, self._known = pipe, known
         self._numbers = {id(one): number for number, one in enumerate(known)}
-
-    def fileno(self) -> int:
-        """File that is waited for."""
-        return self.pipe.fileno()
 
     def send(self, message: object) -> None:
         """Send an object."""
@@ -236,7 +245,7 @@ class _Line:
             unpickler = pickle.Unpickler(io.BytesIO(self.pipe.recv_bytes()))
         except (OSError, EOFError):
             raise WorkerLost(LOST_WORKER) from None
-        unpickler.persistent_load = self._known.__getitem__  # type: ignore[method-assign,assignment]
+        unpickler.persistent_load = self._known.__getitem__  # type: ignore[method-assign]
         return unpickler.load()
 
 

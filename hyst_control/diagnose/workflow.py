@@ -182,6 +182,7 @@ def diagnose_records(
 
         error = None
         try:
+            go_on()
             document, diagnosis, better = diagnosed(records, model, baseline=baseline, go_on=go_on, **settings)
         except Exception as raised:  # of a record that is refused it does not matter
             error = raised

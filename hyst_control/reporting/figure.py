@@ -38,7 +38,7 @@ class Figure:
         for row, height in enumerate(tall.tolist(), start=1):
             for col in range(1, cols + 1):
                 left, number = (col - 1) * (width + beside), self._number(row, col)
-                x = {"anchor": f"y{number}", "domain": [left, left + width]}
+                x: dict[str, Any] = {"anchor": f"y{number}", "domain": [left, left + width]}
                 if shared_x and row < rows:
                     x |= {"matches": f"x{self._number(rows, col)}", "showticklabels": False}
                 self.layout[f"xaxis{number}"] = x
@@ -83,7 +83,7 @@ def _plain(values: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         if isinstance(value, dict):
             yield name, dict(_plain(value))
         elif isinstance(value, np.ndarray):
-            numbers = value.astype(np.float64) if value.dtype.kind in "iu" else np.ascontiguousarray(value)
-            yield name, {"dtype": numbers.dtype.str[1:], "bdata": base64.b64encode(numbers).decode()}
+            numbers = value.astype(np.float64) if value.dtype.kind in "iu" else value
+            yield name, {"dtype": numbers.dtype.str[1:], "bdata": base64.b64encode(numbers.tobytes()).decode()}
         else:
             yield name, value

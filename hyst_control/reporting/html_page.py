@@ -11,8 +11,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import Any, Protocol
 from markupsafe import Markup
 
 from hyst_control.base.files import write_text
+from hyst_control.base.parallel import in_thread
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.templates import render
 
@@ -80,13 +80,9 @@ def figure_markup(figure: Drawn, height: int = 420, min_width: int = 0) -> Marku
 
 
 @cache
-def library() -> Future[str]:
-    """The plotting library, compressed (gzip, base64) in a thread that ends with it: meanwhile figures are drawn."""
-    with_thread = ThreadPoolExecutor(1)
-    try:
-        return with_thread.submit(_compressed_library)
-    finally:
-        with_thread.shutdown(wait=False)
+def library() -> Callable[[], str]:
+    """The plotting library, compressed (gzip, base64) beside what is done until it is called for."""
+    return in_thread(_compressed_library)
 
 
 def _compressed_library() -> str:
@@ -100,7 +96,7 @@ def write_page(
     path: Path, template: str, title: str, summary: str, *, origins: Sequence[Origin] = (), figures: bool = True, **values: object
 ) -> None:
     """Write a page from a template that extends ``reporting/templates/page.html``, with the plotting library inside it."""
-    plotting = library().result() if figures else ""
+    plotting = library()() if figures else ""
     rows = [origin.seen_from(path.parent) for origin in origins]
     write_text(path, render(template, title=title, summary=summary, origins=rows, plotting_library=plotting, **values))
 
