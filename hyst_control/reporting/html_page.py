@@ -89,7 +89,7 @@ def _compressed_library() -> str:
     package = find_spec("plotly")  # whose import is not needed for a file of it
     assert package is not None and package.origin is not None, "plotly is a dependency"
     script = Path(package.origin).parent / "package_data" / "plotly.min.js"
-    return base64.b64encode(gzip.compress(script.read_bytes(), 6, mtime=0)).decode()
+    return base64.b64encode(gzip.compress(script.read_bytes(), 4, mtime=0)).decode()
 
 
 def write_page(
