@@ -27,7 +27,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
-from typing import Any, Generic, Literal, TypeAlias, TypeVar, cast
+from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 from hyst_control.base.cluster import cluster_executor
 from hyst_control.base.errors import InputError, WorkerLost
@@ -64,10 +64,10 @@ def compute_serially() -> None:
 
 
 @contextmanager
-def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
-    """Provide worker processes for independent pieces of a computation."""
+def executor(workers: int, serial: bool = True) -> Iterator[Executor]:
+    """Provide fresh worker processes for independent pieces of a computation."""
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin_worker, (serial,))
     try:
         yield pool
     except BaseException as error:

@@ -173,8 +173,7 @@ def diagnose_records(
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
     lost, notes = losses([*records, *baseline])
-    check = partial(invalid_report, records, model) if model is not None else lambda: (None, [])
-    with beside(check) as checked:
+    with beside(lambda: (None, []) if model is None else invalid_report(records, model)) as checked:
 
         def go_on() -> None:
             if checked.is_known() and checked.result()[0] is not None:

@@ -187,7 +187,7 @@ def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
     return ", ".join(parts)
 
 
-def _curve(time: Array, values: Array) -> dict[str, Array]:
+def _curve(time: Array, values: Array) -> dict[str, Any]:
     """A signal thinned to the least and greatest sample of every stretch."""
     x, y = thinned(time, values, 2 * BINS)
     return {"x": x.astype(np.float32), "y": y.astype(np.float32)}
@@ -197,7 +197,7 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> Figure:
     """Signals small, as they nearly coincide; what they differ by large, over the band of what the model does not claim to know."""
     figure = Figure(2, spacing=(None, 0.06), heights=[0.34, 0.66], shared_x=True)
     x, half = _thinned_band(piece.time, piece.band[:, axis])
-    look = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
+    look: dict[str, Any] = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
     figure.add("scatter", 2, x=x, y=-half, showlegend=False, **look)
     name = "noise, tolerance and model discrepancy, 90 %"
     figure.add("scatter", 2, x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look)
