@@ -17,7 +17,7 @@ import pytest
 BEGIN = """
 import os, signal, sys, time
 from hyst_control.base.errors import WorkerLost
-from hyst_control.base.parallel import executor, map_forked, map_spawned
+from hyst_control.base.parallel import beside, executor, forked, map_forked, map_known, map_spawned
 os.sched_getaffinity = lambda process: {0, 1}
 signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
 
@@ -60,6 +60,58 @@ if __name__ == "__main__":
         for lists, worker in each:
             assert lists == [[worker] * 3] * 2 and worker != os.getpid()
     print(list(map_spawned(pid, range(1))) == [os.getpid()])
+"""
+
+KNOWN = """
+class Held:
+    __reduce__ = None  # cannot be sent
+
+held = Held()
+
+def squared(one, i):
+    return one if i == 2 else i * i, os.getpid()
+
+def failing(one, i):
+    if i == 0:
+        raise ValueError("at 0")
+    time.sleep(0.3)
+    return one, os.getpid()
+
+before = list(range(3))
+with forked([held, before]):
+    for _ in range(2):
+        found = map_known(squared, [(held, i) for i in range(8)])
+        assert [value for value, _ in found] == [held if i == 2 else i * i for i in range(8)]
+        assert len({worker for _, worker in found} - {os.getpid()}) == 2
+    before.append(3)
+    assert map_known(len, [(before,)] * 2) == [3, 3]  # as they were when they were forked
+    assert map_known(squared, [(held, 1)]) == [(1, os.getpid())]
+    try:
+        map_known(failing, [(held, 0), (held, 1), (held, 2)])
+    except ValueError as error:
+        print(error, "in failing" in str(error.__cause__))
+    assert map_known(squared, [(held, i) for i in (1, 3)]) == [(1, os.getpid()), (9, os.getpid())]
+assert map_known(squared, [(held, i) for i in (1, 3)]) == [(1, os.getpid()), (9, os.getpid())]
+"""
+
+BESIDE = """
+with beside(lambda: (os.getpid(), time.sleep(0.2))) as one, beside(lambda: 1 / 0) as other:
+    began = one.is_known()
+    assert one.result()[0] != os.getpid() and one.is_known() and one.result() == one.result() and not began
+    for _ in range(2):
+        try:
+            other.result()
+        except ZeroDivisionError as error:
+            print("lambda" in str(error.__cause__))
+try:
+    with beside(lambda: os.kill(os.getpid(), signal.SIGKILL)) as lost:
+        lost.result()
+except WorkerLost:
+    print("lost")
+begun = time.monotonic()
+with beside(lambda: time.sleep(1000)):
+    pass
+assert time.monotonic() - begun < 100
 """
 
 KILLED_AT_START = """
@@ -107,6 +159,17 @@ def test_a_killed_worker_ends_the_work_in_one_error(tmp_path, each):
     """A pool that starts another worker in its place would wait for the lost result without end."""
     done = run(KILLED.format(each=each), tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+def test_workers_hold_what_they_know_and_answer_in_order(tmp_path):
+    """After an error the rest is computed in the process itself: nothing waits for answers to jobs that were given up."""
+    done = run(KNOWN, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "at 0 True\n", "")
+
+
+def test_a_computation_beside_gives_its_result_its_error_or_its_end(tmp_path):
+    done = run(BESIDE, tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\nTrue\nlost\n", "")
 
 
 def test_a_worker_killed_while_another_one_starts_ends_the_work_too(tmp_path):

@@ -23,7 +23,7 @@ from evaluation.reproduction.fsm_cubespec_records import AXES, FIT, PERIOD, SAMP
 from evaluation.reproduction.periodic_fit import refined
 from evaluation.reproduction.softening_modes import Law, Scheduled, SofteningFit, fit_softening
 from hyst_control.base import progress
-from hyst_control.base.parallel import executor
+from hyst_control.base.parallel import beside, map_forked
 from hyst_control.chain.chain import Chain
 from hyst_control.identify.modal.frequency_response import local_polynomial
 from hyst_control.identify.modal.modal_candidate import Candidate
@@ -186,14 +186,13 @@ def run(figures: str | None = None) -> Table:
     levels = mirror.load_levels()
     table = Table("reproduce fsm-cubespec")
     began = time.perf_counter()
-    progress.step("fit every level by itself and all together, in two processes")
-    with executor(2, "fork") as pool:
-        jobs = [(level, order) for order in sorted(ORDERS, reverse=True) for level in levels]
-        candidates = list(pool.map(mirror.fit_level, *zip(*jobs, strict=True)))
-        fits = [smallest_first(candidates[i :: len(levels)]) for i in range(len(levels))]
-        # The model of all levels starts from the middle level's own.
-        middle = fits[1]
-        pending = pool.submit(fit_all, levels, middle[0].model.states)
+    progress.step("fit every level by itself and all together")
+    jobs = [(level, order) for order in sorted(ORDERS, reverse=True) for level in levels]
+    candidates = list(map_forked(lambda i: mirror.fit_level(*jobs[i]), len(jobs)))
+    fits = [smallest_first(candidates[i :: len(levels)]) for i in range(len(levels))]
+    # The model of all levels starts from the middle level's own.
+    middle = fits[1]
+    with beside(lambda: fit_all(levels, middle[0].model.states)) as pending:
         mean = soften(levels, middle[0].model, None)
         forced, last = [], mean
         for law in LAWS:

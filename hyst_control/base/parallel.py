@@ -11,18 +11,23 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import io
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar, cast
+from multiprocessing import connection
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 from hyst_control.base.cluster import cluster_executor
 from hyst_control.base.errors import InputError, WorkerLost
@@ -34,8 +39,13 @@ JOBS_PER_WORKER = 100
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
+LOST_WORKER = "a worker process was killed, possibly for lack of memory: free memory and run the command again"
+
+_Answer: TypeAlias = tuple[object, Exception | None, str]
+
 _serial = False
-_work: Callable[[int], object] | None = None
+_team: _Team | None = None
+"""Processes of `forked`."""
 
 
 class WaitingThread(threading.Thread):
@@ -54,10 +64,10 @@ def compute_serially() -> None:
 
 
 @contextmanager
-def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bool = True) -> Iterator[Executor]:
-    """Provide worker processes for independent pieces of a computation."""
+def executor(workers: int, serial: bool = True) -> Iterator[Executor]:
+    """Provide fresh worker processes for independent pieces of a computation."""
     others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context(start), _begin_worker, (serial,))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin_worker, (serial,))
     try:
         yield pool
     except BaseException as error:
@@ -66,9 +76,7 @@ def executor(workers: int, start: Literal["spawn", "fork"] = "spawn", serial: bo
             worker.kill()
         # Work that is given to a pool in the moment in which it breaks meets a pipe that is closed already.
         if isinstance(error, BrokenProcessPool) or (isinstance(error, OSError) and _is_broken(pool)):
-            raise WorkerLost(
-                "a worker process was killed, possibly for lack of memory: free memory and run the command again"
-            ) from None
+            raise WorkerLost(LOST_WORKER) from None
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -86,18 +94,183 @@ def _is_broken(pool: ProcessPoolExecutor) -> bool:
 
 def map_forked(work: Callable[[int], Result], count: int) -> Iterator[Result]:
     """Compute work(0), work(1), ... in order, by forking on all cores where that is safe: no arguments are copied or pickled."""
-    global _work
     workers = min(cores(), count)
-    others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
-    alone = _serial or workers < 2 or len(others) > 1 or multiprocessing.current_process().daemon
-    if alone or "fork" not in multiprocessing.get_all_start_methods():
+    if not _may_fork(workers):
         yield from map(work, range(count))
         return
-    _work = work
-    with executor(workers, "fork") as pool:
-        waiting = deque(pool.submit(_call, index) for index in range(count))
-        while waiting:
-            yield cast(Result, waiting.popleft().result())
+    with closing(_Team((work,), workers)) as team:
+        yield from team.map(work, [(index,) for index in range(count)])
+
+
+@contextmanager
+def forked(known: Sequence[object]) -> Iterator[None]:
+    """Let `map_known` compute in processes that are forked now, where that is safe; they have `known` already, as it is now."""
+    global _team
+    if _team is not None or not _may_fork(cores()):
+        yield
+        return
+    with closing(_Team(known, cores())) as _team:
+        try:
+            yield
+        finally:
+            _team = None
+
+
+def known_workers() -> int:
+    """Number of jobs that `map_known` computes at a time."""
+    return len(_team.lines) if _team else 1
+
+
+def map_known(work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> list[Result]:
+    """Compute work(*job) for all jobs, in the processes of `forked`, to which only what they do not have is sent."""
+    global _team
+    if _team is None or len(jobs) < 2:
+        return [work(*job) for job in jobs]
+    team, _team = _team, None
+    found = list(team.map(work, jobs))
+    _team = team  # not after an error: what others still compute would be taken for answers to the next jobs
+    return found
+
+
+class Beside(Generic[Result]):
+    """Result of a computation that goes on in another process."""
+
+    def __init__(self, work: Callable[[], Result], line: _Line | None = None) -> None:
+        self._line, self._answer = line, None if line else _answer(work)
+        if line:
+            line.send((work, ()))
+
+    def is_known(self) -> bool:
+        """True when the computation has ended."""
+        return self._line is None or self._answer is not None or self._line.pipe.poll()
+
+    def result(self) -> Result:
+        """Wait for the result, or raise the error that the computation has ended in."""
+        if self._answer is None:
+            assert self._line is not None
+            self._answer = self._line.receive()
+        return cast(Result, _result_of(self._answer))
+
+
+@contextmanager
+def beside(work: Callable[[], Result]) -> Iterator[Beside[Result]]:
+    """Compute work() in a process that is forked now while this one goes on; where that is not safe, before it goes on."""
+    if not _may_fork(cores()):
+        yield Beside(work)
+        return
+    with closing(_Team((work,), 1)) as team:
+        yield Beside(work, *team.lines)
+
+
+def in_thread(work: Callable[[], Result]) -> Callable[[], Result]:
+    """Compute work(), which lets go of the interpreter, in a thread that ends with it; what is returned waits for the result."""
+    pool = ThreadPoolExecutor(1)
+    result = pool.submit(work).result
+    pool.shutdown(wait=False)
+    return result
+
+
+def _may_fork(workers: int) -> bool:
+    """Check that several processes may be forked: none is computing beside this one, and no thread holds a lock."""
+    others = [thread for thread in threading.enumerate() if not isinstance(thread, WaitingThread)]
+    alone = _serial or workers < 2 or len(others) > 1 or multiprocessing.current_process().daemon
+    return not alone and "fork" in multiprocessing.get_all_start_methods()
+
+
+class _Team:
+    """Forked processes that compute, a job at a time, for the one that started them."""
+
+    def __init__(self, known: Sequence[object], count: int) -> None:
+        self._workers: dict[_Line, BaseProcess] = {}
+        context = multiprocessing.get_context("fork")
+        for _ in range(count):
+            here, there = context.Pipe()
+            worker = context.Process(target=_serve, args=(_Line(there, known),), daemon=True)
+            worker.start()
+            there.close()  # so that the line ends with the worker
+            self._workers[_Line(here, known)] = worker
+
+    @property
+    def lines(self) -> list[_Line]:
+        """Connections to the processes."""
+        return list(self._workers)
+
+    def map(self, work: Callable[..., Result], jobs: Sequence[tuple[Any, ...]]) -> Iterator[Result]:
+        """Results of work(*job), in order."""
+        waiting, idle = deque(enumerate(jobs)), self.lines
+        under_way: dict[_Line, int] = {}
+        done: dict[int, Any] = {}
+        for index in range(len(jobs)):
+            while index not in done:
+                while idle and waiting:
+                    line, (number, job) = idle.pop(), waiting.popleft()
+                    line.send((work, job))
+                    under_way[line] = number
+                ready = connection.wait([line.pipe for line in under_way])
+                for line in [line for line in under_way if line.pipe in ready]:
+                    done[under_way.pop(line)] = _result_of(line.receive())
+                    idle.append(line)
+            yield done.pop(index)
+
+    def close(self) -> None:
+        """End the processes, whatever they do, and without a word."""
+        for line, worker in self._workers.items():
+            worker.kill()
+            line.pipe.close()
+        for worker in self._workers.values():
+            worker.join()
+
+
+class _Line:
+    """A connection between processes, through which objects that both know go as numbers."""
+
+    def __init__(self, pipe: connection.Connection, known: Sequence[object]) -> None:
+        self.pipe, self._known = pipe, known
+        self._numbers = {id(one): number for number, one in enumerate(known)}
+
+    def send(self, message: object) -> None:
+        """Send an object."""
+        file = io.BytesIO()
+        pickler = pickle.Pickler(file, pickle.HIGHEST_PROTOCOL)
+        pickler.persistent_id = lambda one: self._numbers.get(id(one))  # type: ignore[method-assign]
+        pickler.dump(message)
+        try:
+            self.pipe.send_bytes(file.getbuffer())
+        except OSError:
+            raise WorkerLost(LOST_WORKER) from None
+
+    def receive(self) -> Any:
+        """Receive an object."""
+        try:
+            unpickler = pickle.Unpickler(io.BytesIO(self.pipe.recv_bytes()))
+        except (OSError, EOFError):
+            raise WorkerLost(LOST_WORKER) from None
+        unpickler.persistent_load = self._known.__getitem__  # type: ignore[method-assign]
+        return unpickler.load()
+
+
+def _serve(line: _Line) -> None:
+    """Compute what is sent, as a worker of a team."""
+    global _team
+    _team = None
+    _begin_worker(True)
+    while True:
+        line.send(_answer(*line.receive()))
+
+
+def _answer(work: Callable[..., object], job: Sequence[Any] = ()) -> _Answer:
+    """The result of a job, or the error that it ends in and where."""
+    try:
+        return work(*job), None, ""
+    except Exception as error:
+        return None, error, traceback.format_exc()
+
+
+def _result_of(answer: _Answer) -> object:
+    result, error, trace = answer
+    if error is not None:
+        raise error from RuntimeError(f"in a worker process:\n{trace}")
+    return result
 
 
 def map_spawned(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
@@ -264,8 +437,3 @@ def _begin_worker(serial: bool) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PARENT_DEATH_SIGNAL, signal.SIGKILL)
-
-
-def _call(index: int) -> object:
-    assert _work is not None
-    return _work(index)

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib import metadata
 from typing import TypeVar, cast
 
 from hyst_control.base.errors import InputError
@@ -19,6 +20,16 @@ from hyst_control.base.errors import InputError
 GROUPS = ("stages", "effects", "estimators", "controllers", "commands")
 
 Item = TypeVar("Item")
+
+
+@cache
+def _all_entry_points() -> metadata.EntryPoints:
+    return metadata.entry_points()
+
+
+def entry_points(group: str) -> metadata.EntryPoints:
+    """Entry points of a group; the metadata of all distributions are read once."""
+    return _all_entry_points().select(group=group)
 
 
 def load(group: str, add: Callable[[str, object], object] = lambda name, value: None) -> None:
@@ -33,7 +44,7 @@ def load(group: str, add: Callable[[str, object], object] = lambda name, value: 
             logging.getLogger("hyst_control").warning("%s", _line(group, point, error))
 
 
-def _line(group: str, point: EntryPoint, error: BaseException) -> str:
+def _line(group: str, point: metadata.EntryPoint, error: BaseException) -> str:
     where = "an unknown distribution" if point.dist is None else f"{point.dist.name} {point.dist.version}"
     reason = " ".join(f"{type(error).__name__}: {error}".split())
     return f"plugin {point.name} (hyst_control.{group}) of {where}: cannot be used ({reason}): update or uninstall {where}"

@@ -112,14 +112,14 @@ class ExternalSimulator(Stage):
 
 
 @contextmanager
-def together(chains: Iterable[Sequence[Stage]]) -> Iterator[None]:
-    """Within, a vectorized simulator computes the values of all these chains in one call a command."""
+def together(chains: Iterable[Sequence[Stage]]) -> Iterator[bool]:
+    """Within, a vectorized simulator computes the values of all these chains in one call a command; True where there is one."""
     found = [stage for chain in chains for stage in chain if isinstance(stage, ExternalSimulator)]
     found = [stage for stage in found if getattr(stage.simulate, "vectorized", False)]
     for stage in found:
         stage.batch[stage.values] = {}
     try:
-        yield
+        yield bool(found)
     finally:
         for stage in found:
             stage.batch.clear()

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import write_json
+from hyst_control.base.parallel import beside
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.problem.coefficient_prior import names_that_scatter
@@ -23,6 +25,7 @@ from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
 from hyst_control.diagnose.report.document import gap_report, in_words
+from hyst_control.diagnose.report.gap_breakdown import budget
 from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
@@ -170,10 +173,24 @@ def diagnose_records(
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
     lost, notes = losses([*records, *baseline])
-    if model is not None and (refused := invalid_report(records, model, notes)) is not None:
+    with beside(lambda: (None, []) if model is None else invalid_report(records, model)) as checked:
+
+        def go_on() -> None:
+            if checked.is_known() and checked.result()[0] is not None:
+                raise InputError("the record is no measurement of its command")
+
+        error = None
+        try:
+            go_on()
+            document, diagnosis, better = diagnosed(records, model, baseline=baseline, go_on=go_on, **settings)
+        except Exception as raised:  # of a record that is refused it does not matter
+            error = raised
+        refused, remarks = checked.result()
+    if refused is not None:
         return GapResult(*refused)
-    document, diagnosis, better = diagnosed(records, model, baseline=baseline, **settings)
-    document["notes"] = [*notes, *document["notes"]]
+    if error is not None:
+        raise error
+    document["notes"] = [*notes, *remarks, *document["notes"]]
     document["losses"] = lost
     if coming is not None:
         try:
@@ -207,29 +224,38 @@ def diagnosed(
     learned_residual: bool = False,
     core: str = RULES,
     own_records: bool = False,
+    go_on: Callable[[], None] = lambda: None,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:
     """Diagnose records, with the report; of a model's own records what it left when it was identified is the gap."""
+    # go_on: called between the steps; what it raises ends the diagnosis
     if own_records and model is not None:
         model = _as_before_identification(model)
-    tell = step if progress else (lambda text: None)
+
+    def tell(text: str) -> None:
+        go_on()
+        if progress:
+            step(text)
+
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
     if model is not None:
         diagnosis = replace(diagnosis, parts=tuple(_with_structure(diagnosis.problem, part) for part in diagnosis.parts))
     tell("shrink on held-out blocks")
-    attribution = attribute(diagnosis)
-    better = augmented_model(diagnosis) if attribution.effects and model is not None else None
-    remainder = remainder_of(diagnosis)
-    added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
-    if added and model is not None and remainder is not None:
-        better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
-    blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
-    document = gap_report(
-        diagnosis,
-        attribution,
-        blocks,
-        str(augmented) if augmented and better is not None else None,
-        remainder=None if remainder is None else remainder.document(added),
-    )
+    with beside(partial(budget, diagnosis)) as split:
+        attribution = attribute(diagnosis)
+        better = augmented_model(diagnosis) if attribution.effects and model is not None else None
+        remainder = remainder_of(diagnosis)
+        added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
+        if added and model is not None and remainder is not None:
+            better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
+        blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
+        document = gap_report(
+            diagnosis,
+            attribution,
+            split.result(),
+            blocks,
+            str(augmented) if augmented and better is not None else None,
+            remainder=None if remainder is None else remainder.document(added),
+        )
     return document, diagnosis, better
 
 

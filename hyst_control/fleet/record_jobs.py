@@ -122,7 +122,7 @@ def _screened(job: RecordJob, verdict: bool) -> dict[str, Any] | None:
     where = (job.options.get("namespace"), job.options.get("unit", "unknown"))
     records = [read_bag(entry.bag, *where)]
     model = _model(entry.model, bag_stamp(entry.model)) if entry.model else None
-    if model is not None and invalid_report(records, model, []) is not None:
+    if model is not None and invalid_report(records, model)[0] is not None:
         return None
     found = screen(records, model, [_clean(bag, bag_stamp(bag), *where) for bag in entry.baseline], verdict)
     return {

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import base64
 import gzip
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, Protocol
 
-import plotly.graph_objects as go
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
 from hyst_control.base.files import write_text
+from hyst_control.base.parallel import in_thread
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.templates import render
 
@@ -28,14 +30,12 @@ COLORS = (INK, "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
 BAND = "rgba(120,130,145,0.28)"
 """Color of a band of uncertainty."""
 LAYOUT: Mapping[str, object] = {
-    "template": "none",
     "colorway": COLORS,
     "margin": {"l": 70, "r": 20, "t": 48, "b": 50},
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "legend": {"orientation": "h", "y": 0.0, "yref": "container", "yanchor": "bottom"},
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
-    "title_x": 0.0,
     "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#8a93a1", "activecolor": "#596273"},
 }
 GRID = {"gridcolor": "rgba(130,140,155,0.3)", "zerolinecolor": "rgba(130,140,155,0.6)", "automargin": True}
@@ -54,12 +54,25 @@ class Palette:
         return self._colors.setdefault(subject, COLORS[len(self._colors) % len(COLORS)])
 
 
-def figure_markup(figure: go.Figure, height: int = 420, min_width: int = 0) -> Markup:
+class Drawn(Protocol):
+    """A figure of this package or of Plotly."""
+
+    def to_plotly_json(self) -> dict[str, Any]:
+        """Traces and layout."""
+
+
+def figure_markup(figure: Drawn, height: int = 420, min_width: int = 0) -> Markup:
     """Convert a zoomable figure to markup for a template; the page draws it."""
-    figure.update_layout(**LAYOUT, height=height)
-    figure.update_xaxes(**GRID, ticklabelstandoff=7)  # the label below the corner does not touch the one beside it
-    figure.update_yaxes(**GRID)
-    data = str(figure.to_json()).replace("</", "<\\/")
+    found: dict[str, Any] = json.loads(figure.to_json()) if hasattr(figure, "to_json") else figure.to_plotly_json()
+    layout = {"xaxis": {}, "yaxis": {}, **found["layout"], **LAYOUT, "height": height}
+    layout["title"] = {**layout.get("title", {}), "x": 0.0}
+    layout.pop("template", None)
+    for name, axis in layout.items():
+        if name.startswith(("xaxis", "yaxis")):
+            axis.update(GRID)
+        if name.startswith("xaxis"):
+            axis["ticklabelstandoff"] = 7  # the label below the corner does not touch the one beside it
+    data = json.dumps({"data": found["data"], "layout": layout}, allow_nan=False).replace("</", "<\\/")
     return Markup(  # JSON within a script element needs no escape but that of its end
         f"<div class='wide'><figure class='chart' style='height:{height}px;min-width:{min_width}px'>"
         f"<script type='application/json'>{data}</script></figure></div>"
@@ -67,18 +80,25 @@ def figure_markup(figure: go.Figure, height: int = 420, min_width: int = 0) -> M
 
 
 @cache
-def _library() -> str:
-    """The plotting library, compressed (gzip, base64)."""
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 6, mtime=0)).decode()
+def library() -> Callable[[], str]:
+    """The plotting library, compressed (gzip, base64) beside what is done until it is called for."""
+    return in_thread(_compressed_library)
+
+
+def _compressed_library() -> str:
+    package = find_spec("plotly")  # whose import is not needed for a file of it
+    assert package is not None and package.origin is not None, "plotly is a dependency"
+    script = Path(package.origin).parent / "package_data" / "plotly.min.js"
+    return base64.b64encode(gzip.compress(script.read_bytes(), 4, mtime=0)).decode()
 
 
 def write_page(
     path: Path, template: str, title: str, summary: str, *, origins: Sequence[Origin] = (), figures: bool = True, **values: object
 ) -> None:
     """Write a page from a template that extends ``reporting/templates/page.html``, with the plotting library inside it."""
-    library = _library() if figures else ""
+    plotting = library()() if figures else ""
     rows = [origin.seen_from(path.parent) for origin in origins]
-    write_text(path, render(template, title=title, summary=summary, origins=rows, plotting_library=library, **values))
+    write_text(path, render(template, title=title, summary=summary, origins=rows, plotting_library=plotting, **values))
 
 
 class Page:
@@ -98,7 +118,7 @@ class Page:
         """Add a table of texts; groups: a heading over so many columns each."""
         self._content.append({"kind": "table", "headers": headers, "rows": rows, "groups": groups})
 
-    def figure(self, figure: go.Figure, height: int = 420, min_width: int = 0) -> None:
+    def figure(self, figure: Drawn, height: int = 420, min_width: int = 0) -> None:
         """Add a zoomable figure."""
         self._content.append({"kind": "figure", "drawing": figure_markup(figure, height, min_width)})
 

@@ -195,10 +195,9 @@ def thinned(x: Annotated[Array, "N"], y: Annotated[Array, "N"], most: int = MAX_
     if len(x) <= most:
         return x, y
     edges = np.linspace(0, len(x), most // 2 + 1).astype(int)
-    kept = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        part = y[begin:end]
-        kept += sorted({begin + int(part.argmin()), begin + int(part.argmax())})
+    stretches = np.minimum(edges[:-1, None] + np.arange(np.diff(edges).max()), edges[1:, None] - 1)
+    values, rows = y[stretches], np.arange(len(stretches))
+    kept = np.unique([stretches[rows, values.argmin(axis=1)], stretches[rows, values.argmax(axis=1)]])
     return x[kept], y[kept]
 
 

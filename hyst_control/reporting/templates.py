@@ -8,11 +8,28 @@ A template lies in the folder `templates` of its room: `reporting/templates/page
 
 from __future__ import annotations
 
+import os
+from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import ChoiceLoader, Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined, select_autoescape
+from jinja2.bccache import Bucket
 from markupsafe import Markup
+from platformdirs import user_cache_path
+
+
+class _Compiled(FileSystemBytecodeCache):
+    """Templates as they were compiled before, in the user's cache; where that cannot be written, they are compiled each time."""
+
+    def __init__(self) -> None:
+        super().__init__(str(user_cache_path("hyst_control") / "templates"))
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        """Keep a template."""
+        with suppress(OSError):
+            os.makedirs(self.directory, exist_ok=True)
+            super().dump_bytecode(bucket)
 
 
 def render(template: str, **values: object) -> str:
@@ -28,6 +45,7 @@ def render_markup(template: str, **values: object) -> Markup:
 @cache
 def _environment() -> Environment:
     return Environment(
+        bytecode_cache=_Compiled(),
         loader=ChoiceLoader([PackageLoader(name, "") for name in ("hyst_control", "evaluation") if find_spec(name)]),
         autoescape=select_autoescape(("html", "svg", "xml"), default=False),
         undefined=StrictUndefined,

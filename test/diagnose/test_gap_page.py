@@ -16,12 +16,13 @@ from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
 from hyst_control.diagnose.report.document import in_words, named, sentence
-from hyst_control.diagnose.report.page import actions, envelope, taken_off, write_page
+from hyst_control.diagnose.report.page import actions, taken_off, write_page
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.reporting.provenance import provenance
+from hyst_control.reporting.signal_figures import thinned
 
 DELAY = (("name", "delay"), ("tau", 2e-4))
 CATALOGUE = {"delay", "gain", "offset", "backlash", "saturation", "slew_limit", "dac_hold", "quantization", "sensor_lowpass"}
@@ -77,7 +78,7 @@ def test_a_folder_that_is_none_is_refused(few, tmp_path):
 
 def test_an_envelope_keeps_every_extreme():
     values = np.random.default_rng(0).standard_normal(50_000)
-    time, kept = envelope(np.arange(50_000) * 1e-4, values, bins=500)
+    time, kept = thinned(np.arange(50_000) * 1e-4, values, 1000)
     assert len(kept) == 1000 and np.all(np.diff(time) >= 0)
     edges = np.linspace(0, 50_000, 501).astype(int)
     for i, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):

@@ -61,20 +61,20 @@ def test_the_report_names_the_reason_and_fits_nothing(name, sound, tmp_path, mon
 def test_the_report_has_the_gap_of_the_record(sound):
     """The gap is that of the model's simulation, whatever the record is."""
     model, command, measurement = sound
-    document, _ = invalid_report([record(model, command, -measurement)], model, [])
+    (document, _), _ = invalid_report([record(model, command, -measurement)], model)
     assert document["gap"]["rms"] == pytest.approx(np.sqrt(np.mean((-measurement - simulate(model, command)) ** 2)), rel=1e-9)
     assert document["gap"]["nrmse"] == pytest.approx(100.0 * document["gap"]["rms"] / np.ptp(measurement), rel=1e-9)
 
 
 def test_a_sound_record_is_diagnosed(sound):
     model, command, measurement = sound
-    assert invalid_report([record(model, command, measurement)], model, []) is None
+    assert invalid_report([record(model, command, measurement)], model)[0] is None
 
 
 def test_records_that_cannot_be_read_are_left_to_the_diagnosis(sound):
     model, command, measurement = sound
-    assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model, []) is None
-    assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml")), []) is None
+    assert invalid_report([record(model, command, np.full_like(measurement, np.nan))], model)[0] is None
+    assert invalid_report([record(model, command, measurement)], load_model(config_path("models/fsm_mhl.yaml")))[0] is None
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_measured_records_are_refused_by_both_commands(name, spoil, measured_dat
     assert main(words) == 2
     document = json.loads((tmp_path / "gap.json").read_text())
     assert document["verdict"] == "unknown" and document["reasons"] == ["invalid_record", name]
-    assert invalid_report([record(model, u, y)], model, []) is None
+    assert invalid_report([record(model, u, y)], model)[0] is None
     capsys.readouterr()
     words = [
         "identify",

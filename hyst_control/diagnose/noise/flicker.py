@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, minimize
 
 from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.signals import low_passed
+from hyst_control.base.simplex import lowest
 from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
 from hyst_control.diagnose.evidence import FlickerEvidence
 from hyst_control.records.repeated_periods import period_of
@@ -48,26 +49,17 @@ def flicker(
     white = float(np.median(level[-settings.bands_per_octave :]))
     mean = float(bins @ level / bins.sum())
     alone = float(np.sum(bins * (np.log(mean) + level / mean)))
-    fits: list[tuple[OptimizeResult, float, Array]] = []
+    fits: list[tuple[tuple[Array, float], float, Array]] = []
     for exponent in settings.exponents:
         falling = np.array([np.mean(k[a:b] ** -exponent) for a, b in bands])
-        fits += [
-            (
-                minimize(
-                    misfit,
-                    [np.log(white), np.log(white * start)],
-                    (falling,),
-                    method="Nelder-Mead",
-                    options={"xatol": 1e-3, "fatol": 1e-3, "maxiter": 400},
-                ),
-                exponent,
-                falling,
-            )
-            for start in (1e-1, 1e2)
-        ]
+        for start in (1e-1, 1e2):
+            first = np.log([white, white * start])
+            simplex = np.vstack([first, first, first])
+            simplex[[1, 2], [0, 1]] = np.where(first, 1.05 * first, 0.00025)
+            fits.append((lowest(partial(misfit, falling=falling), simplex, 1e-3, 1e-3), exponent, falling))
 
-    def has_shape(item: tuple[OptimizeResult, float, Array]) -> bool:
-        a, b = np.exp(item[0].x)
+    def has_shape(item: tuple[tuple[Array, float], float, Array]) -> bool:
+        a, b = np.exp(item[0][0])
         spectrum = a + b * item[2]
         colored = b * item[2] / spectrum > settings.colored_share
         # A band of three bins is off by twice as much by chance as the shape may be: it says little of the shape.
@@ -75,10 +67,10 @@ def flicker(
         return bool(colored.sum() >= settings.min_bands and np.mean(scatter) < 1.0)
 
     # The usual exponent stands first: another one has to explain clearly more, or have the shape that the usual one has not.
-    usual, other = (min(some, key=lambda item: item[0].fun) for some in (fits[:2], fits))
-    nearly = usual[0].fun - settings.exponent_margin <= other[0].fun
+    usual, other = (min(some, key=lambda item: item[0][1]) for some in (fits[:2], fits))
+    nearly = usual[0][1] - settings.exponent_margin <= other[0][1]
     best, exponent, inverse = usual if nearly and (has_shape(usual) or not has_shape(other)) else other
-    a, b = np.exp(best.x)
+    a, b = np.exp(best[0])
     rms = float(np.sqrt(2.0 * b * float(np.sum(np.arange(1, count // 2) ** -exponent)) / count))
     share = b * inverse / (a + b * inverse)
     spread = min(1.645 * 0.5 / np.sqrt(max(float(np.sum(bins * share**2)), 1e-9)), 3.0)
@@ -86,7 +78,7 @@ def flicker(
         rms,
         (rms * float(np.exp(-spread)), rms * float(np.exp(spread))),
         float(np.sqrt(a)),
-        alone - float(best.fun),
+        alone - best[1],
         has_shape((best, exponent, inverse)) and not _jumps(residual, settings) and _stationary(residual, command, settings),
         float(share[-1]),
     )

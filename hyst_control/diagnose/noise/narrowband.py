@@ -9,9 +9,9 @@ from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.optimize import minimize
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.simplex import lowest
 from hyst_control.diagnose.configuration import CONFIGURATION, HumpSettings
 from hyst_control.diagnose.evidence import HumpEvidence
 
@@ -140,8 +140,7 @@ def _fitted(start: Hump, power: Array, at: Array, settings: HumpSettings) -> Hum
     half_width = float(np.clip(start.half_width, 1.05 * settings.min_half_width, 0.95 * most * start.frequency))
     first = np.array([np.log(start.floor), np.log(start.height), start.frequency, np.log(half_width)])
     simplex = first + np.vstack([np.zeros(4), np.diag([0.2, 0.4, 0.4 * half_width, 0.3])])
-    options = {"xatol": 1e-3, "fatol": 1e-2, "maxiter": 400, "initial_simplex": simplex}
-    return of(minimize(misfit, first, method="Nelder-Mead", options=options).x)
+    return of(lowest(misfit, simplex, 1e-3, 1e-2)[0])
 
 
 def _deviation(hump: Hump, power: Array, at: Array) -> float:

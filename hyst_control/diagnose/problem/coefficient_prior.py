@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -61,6 +60,9 @@ class Scatter:
     joint: Joint | None = None
     """Numbers that scatter together, by the first coefficients; None where each scatters by itself."""
     _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Scatter, (self.model, self.coefficients, self.joint)
 
     @property
     def companions(self) -> Array:
@@ -143,6 +145,8 @@ def _columns(joint: Joint) -> tuple[Coefficient, ...]:
     sizes = np.linalg.norm(joint.factor, axis=1)
     share = np.abs(joint.factor) / np.where(sizes > 0.0, sizes, np.inf)[:, None]
     numbers = np.argmax(share, axis=0)
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
     own, columns = linear_sum_assignment(share, maximize=True)
     numbers[columns] = own
     return tuple(Coefficient((), "", (), None, 1.0, joint.names[number].partition(".")[2]) for number in numbers)

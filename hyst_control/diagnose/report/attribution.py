@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import AttributionSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by
@@ -82,13 +83,15 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
     if not found:
         return []
     settings = diagnosis.configuration.reduction
+    parts = diagnosis.parts
+    weighed = [[scored for scored in part.listed if not scored.inflated] for part in parts]
+    halves = list(map_forked(lambda i: held_out(parts[i].linearized, weighed[i], parts[i].found.none, settings), len(parts)))
+    none = {part.axes: nothing for part, (nothing, _) in zip(parts, halves, strict=True)}
     errors = {
-        (part.axes, scored.names): held_out(part.linearized, scored, part.found.none, settings)
-        for part in diagnosis.parts
-        for scored in part.listed
-        if not scored.inflated
+        (part.axes, scored.names): half
+        for part, some, (_, each) in zip(parts, weighed, halves, strict=True)
+        for scored, half in zip(some, each, strict=True)
     }
-    none = {part.axes: held_out(part.linearized, part.found.none, part.found.none, settings) for part in diagnosis.parts}
     whole = sum(float(none[part.axes].before.sum()) for part in diagnosis.parts)
     named = []
     for name, places in found.items():

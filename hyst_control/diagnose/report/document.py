@@ -14,7 +14,7 @@ import numpy as np
 from hyst_control.diagnose.decide.policy import join
 from hyst_control.diagnose.report.attribution import Attribution, Named
 from hyst_control.diagnose.report.block_replay import Block
-from hyst_control.diagnose.report.gap_breakdown import SESSION, budget, stages
+from hyst_control.diagnose.report.gap_breakdown import SESSION, Rows, stages
 from hyst_control.diagnose.report.next_experiment import next_experiment
 from hyst_control.diagnose.run.diagnosis import Diagnosis
 from hyst_control.diagnose.verdict import Reason, Verdict
@@ -39,12 +39,14 @@ DISTORTED_BY = {
 def gap_report(
     diagnosis: Diagnosis,
     attribution: Attribution,
+    split: Mapping[str, Rows],
     blocks: Sequence[Block] = (),
     augmented: str | None = None,
     with_next: bool = True,
     remainder: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Make the report."""
+    # split: the gap by kind, band, amplitude, axis and time, as `budget` has it
     joint = join([part.decision for part in diagnosis.parts])
     document: dict[str, Any] = _finite(
         {
@@ -55,7 +57,7 @@ def gap_report(
             "gap": _gap(diagnosis),
             "where": {
                 "stage": stages(diagnosis, attribution, [block.name for block in blocks if not block.faithful]),
-                **budget(diagnosis),
+                **split,
             },
             "effects": [_effect(effect) for effect in attribution.effects],
             "candidates": [{"name": name, "probability": _number(p)} for name, p in attribution.candidates],

@@ -202,9 +202,7 @@ def _features(part: AxisDiagnosis, axis: int) -> list[tuple[str, Array]]:
     delayed = [np.concatenate([np.full(n, y[0]), y[:-n]]) for n in (1, 2, 4, 8)]
     slow = [lagging(y, float(a), 0.0, float(1.0 - a)) for a in (np.exp(-1.0 / n) for n in (20, 100, 500, 2500))]
     turned = np.sign(np.gradient(command))
-    for k in range(1, count):
-        if turned[k] == 0:
-            turned[k] = turned[k - 1]
+    turned = turned[np.maximum.accumulate(np.where(turned != 0, np.arange(count), 0))]  # at rest that of the motion before
     groups = [
         ("offset and drift", np.stack([np.ones(count), time, time**2, time**3], axis=1)),
         ("linear dynamics", np.stack([y, rate, np.gradient(rate), *delayed, *slow], axis=1)),

@@ -21,16 +21,15 @@ INVALID_RECORD = "invalid_record"
 """First of the report's reasons; the findings' names follow it."""
 
 
-def invalid_report(records: Sequence[Record], model: Model, notes: list[str]) -> tuple[dict[str, Any], str] | None:
-    """Report on records that show something else than the plant's answer to the command; other findings are added to `notes`."""
+def invalid_report(records: Sequence[Record], model: Model) -> tuple[tuple[dict[str, Any], str] | None, list[str]]:
+    """Report on records that show something else than the plant's answer to the command, None where they do not, and further notes."""
     trials = trials_of(records, model)
     found, remarks = examined(trials)
-    notes += [each.text() for each in remarks]
+    notes = [each.text() for each in remarks]
     if not found:
-        return None
-    return _document(trials, model, found), "\n".join(
-        ["The record is no measurement of its command, and is not diagnosed:", *_lines(found)]
-    )
+        return None, notes
+    words = ["The record is no measurement of its command, and is not diagnosed:", *_lines(found)]
+    return (_document(trials, model, found), "\n".join(words)), notes
 
 
 def trials_of(records: Sequence[Record], model: Model) -> list[Trial]:

@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from markupsafe import Markup
-from plotly.subplots import make_subplots
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.signals import averaged_periodogram
@@ -29,10 +27,12 @@ from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.model_file import Model
-from hyst_control.reporting.html_page import BAND, Palette, figure_markup
+from hyst_control.reporting.figure import Figure
+from hyst_control.reporting.html_page import BAND, Palette, figure_markup, library
 from hyst_control.reporting.html_page import write_page as write_template
 from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.quantities import quantity
+from hyst_control.reporting.signal_figures import thinned
 
 BINS = 1000
 """Stretches of a drawn signal of which the least and the greatest sample are kept."""
@@ -85,6 +85,7 @@ def write_page(
     path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
 ) -> None:
     """Write the page of a diagnosis."""
+    library()  # is compressed while the figures are drawn
     pieces, unit = traces_of(diagnosis, better), document["gap"]["unit"]
     signals = [
         figure_markup(_signals(piece, axis, _title(index, name, len(pieces), diagnosis), unit), 620)
@@ -186,40 +187,33 @@ def _title(index: int, axis: str, pieces: int, diagnosis: Diagnosis) -> str:
     return ", ".join(parts)
 
 
-def envelope(time: Annotated[Array, "N"], values: Annotated[Array, "N"], bins: int = BINS) -> tuple[Array, Array]:
-    """Thin a signal to the least and greatest sample of every bin, in order; a short signal is kept whole."""
-    if len(values) <= 2 * bins:
-        return time.astype(np.float32), values.astype(np.float32)
-    edges = np.linspace(0, len(values), bins + 1).astype(int)
-    kept = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
-        kept += sorted((begin + int(np.argmin(values[begin:end])), begin + int(np.argmax(values[begin:end]))))
-    return time[kept].astype(np.float32), values[kept].astype(np.float32)
+def _curve(time: Array, values: Array) -> dict[str, Any]:
+    """A signal thinned to the least and greatest sample of every stretch."""
+    x, y = thinned(time, values, 2 * BINS)
+    return {"x": x.astype(np.float32), "y": y.astype(np.float32)}
 
 
-def _signals(piece: Traces, axis: int, title: str, unit: str) -> go.Figure:
+def _signals(piece: Traces, axis: int, title: str, unit: str) -> Figure:
     """Signals small, as they nearly coincide; what they differ by large, over the band of what the model does not claim to know."""
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.34, 0.66])
+    figure = Figure(2, spacing=(None, 0.06), heights=[0.34, 0.66], shared_x=True)
     x, half = _thinned_band(piece.time, piece.band[:, axis])
-    look = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
-    figure.add_scatter(x=x, y=-half, showlegend=False, **look, row=2, col=1)
+    look: dict[str, Any] = {"mode": "lines", "line": {"width": 0}, "legendgroup": "band", "hoverinfo": "skip"}
+    figure.add("scatter", 2, x=x, y=-half, showlegend=False, **look)
     name = "noise, tolerance and model discrepancy, 90 %"
-    figure.add_scatter(x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look, row=2, col=1)
+    figure.add("scatter", 2, x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look)
     lines = [("measured", piece.measured, MEASURED), ("simulated", piece.simulated, SIMULATED)]
     if piece.augmented is not None:
         lines.append(("augmented", piece.augmented, AUGMENTED))
     for name, values, color in lines:
-        x, y = envelope(piece.time, values[:, axis])
-        figure.add_scatter(x=x, y=y, name=name, legendgroup=name, line={"color": color, "width": 1.2}, row=1, col=1)
+        look = {"name": name, "legendgroup": name, "line": {"color": color, "width": 1.2}}
+        figure.add("scatter", **_curve(piece.time, values[:, axis]), **look)
         if name != "measured":
-            x, y = envelope(piece.time, piece.measured[:, axis] - values[:, axis])
-            figure.add_scatter(
-                x=x, y=y, name=name, legendgroup=name, showlegend=False, line={"color": color, "width": 1.0}, row=2, col=1
-            )
-    figure.update_yaxes(title_text=f"displacement [{unit}]", row=1, col=1)
-    figure.update_yaxes(title_text=f"residual [{unit}]", row=2, col=1)
-    figure.update_xaxes(title_text="time [s]", row=2, col=1)
-    figure.update_layout(title=title, hovermode="x unified")
+            look |= {"showlegend": False, "line": {"color": color, "width": 1.0}}
+            figure.add("scatter", 2, **_curve(piece.time, piece.measured[:, axis] - values[:, axis]), **look)
+    figure.axes("y", 1, title=f"displacement [{unit}]")
+    figure.axes("y", 2, title=f"residual [{unit}]")
+    figure.axes("x", 2, title="time [s]")
+    figure.layout |= {"title": {"text": title}, "hovermode": "x unified"}
     return figure
 
 
@@ -230,31 +224,31 @@ def _thinned_band(time: Array, half: Array) -> tuple[Array, Array]:
     return time[edges[:-1]].astype(np.float32), np.maximum.reduceat(counted, edges[:-1]).astype(np.float32)
 
 
-def _waterfall(document: Mapping[str, Any]) -> go.Figure:
+def _waterfall(document: Mapping[str, Any]) -> Figure:
     """The gap's energy from the simulator as given to what is left: each bar carries what it takes off, in shares of the gap."""
     rows = taken_off(document)
     left = 1.0 - sum(share for _, share in rows)
     gap, unit = document["gap"], document["gap"]["unit"]
     labels = ["gap", *(f"− {name.replace('_', ' ')}" for name, _ in rows), "left"]
     values = [100.0, *(-100.0 * share for _, share in rows), 0.0]
-    figure = go.Figure(
-        go.Waterfall(
-            x=labels,
-            y=values,
-            measure=["absolute", *["relative"] * len(rows), "total"],
-            text=[
-                f"100 %, {gap['rms']:.3g} {unit} rms",
-                *(f"−{_percent(share)}" for _, share in rows),
-                f"{_percent(left)}, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
-            ],
-            textposition=["outside", *["inside" if share > 0.2 else "outside" for _, share in rows], "outside"],
-            connector={"line": {"color": "#9aa1ab"}},
-            totals={"marker": {"color": SIMULATED}},
-            decreasing={"marker": {"color": TAKEN_OFF}},
-        )
+    figure = Figure()
+    figure.add(
+        "waterfall",
+        x=labels,
+        y=np.array(values),
+        measure=["absolute", *["relative"] * len(rows), "total"],
+        text=[
+            f"100 %, {gap['rms']:.3g} {unit} rms",
+            *(f"−{_percent(share)}" for _, share in rows),
+            f"{_percent(left)}, {gap['rms'] * np.sqrt(max(left, 0.0)):.3g} {unit} rms",
+        ],
+        textposition=["outside", *["inside" if share > 0.2 else "outside" for _, share in rows], "outside"],
+        connector={"line": {"color": "#9aa1ab"}},
+        totals={"marker": {"color": SIMULATED}},
+        decreasing={"marker": {"color": TAKEN_OFF}},
+        cliponaxis=False,
     )
-    figure.update_traces(cliponaxis=False)
-    figure.update_yaxes(title_text="share of the gap's energy", ticksuffix=" %", range=[-12.0, 118.0])
+    figure.axes("y", title="share of the gap's energy", ticksuffix=" %", range=[-12.0, 118.0])
     return figure
 
 
@@ -267,8 +261,8 @@ def taken_off(document: Mapping[str, Any]) -> list[tuple[str, float]]:
     return [*rows, ("coefficients", stage.get("coefficients", 0.0))]
 
 
-def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.Figure:
-    rate, figure = 1.0 / diagnosis.problem.sample_time, go.Figure()
+def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> Figure:
+    rate, figure = 1.0 / diagnosis.problem.sample_time, Figure()
     axes = diagnosis.model.axes
     longest = max(pieces, key=lambda piece: len(piece.time))
     window = min(len(longest.time), max(len(longest.time) // 4, 256))
@@ -280,19 +274,15 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> go.F
         dash = ("solid", "dot", "dashdot")[axis % 3]
         for label, values, colour in lines:
             frequency, power = averaged_periodogram(longest.measured[:, axis] - values[:, axis], rate, window, centered=False)
-            figure.add_scatter(
-                x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line={"color": colour, "width": 1.3, "dash": dash}
-            )
+            line = {"color": colour, "width": 1.3, "dash": dash}
+            figure.add("scatter", x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line=line)
         floor = float(diagnosis.parts[_part(diagnosis, axis)].problem.sigma[_within(diagnosis, axis)]) * np.sqrt(2.0 / rate)
-        figure.add_scatter(
-            x=frequency[[1, -1]],
-            y=[floor, floor],
-            name="noise floor" + suffix,
-            mode="lines",
-            line={"color": MEASURED, "dash": "dash"},
+        line = {"color": MEASURED, "dash": "dash"}
+        figure.add(
+            "scatter", x=frequency[[1, -1]], y=np.array([floor, floor]), name="noise floor" + suffix, mode="lines", line=line
         )
-    figure.update_xaxes(type="log", title_text="frequency [Hz]")
-    figure.update_yaxes(type="log", title_text=f"residual [{unit}/√Hz]", exponentformat="power")
+    figure.axes("x", type="log", title="frequency [Hz]")
+    figure.axes("y", type="log", title=f"residual [{unit}/√Hz]", exponentformat="power")
     return figure
 
 
@@ -304,17 +294,11 @@ def _within(diagnosis: Diagnosis, axis: int) -> int:
     return diagnosis.parts[_part(diagnosis, axis)].axes.index(axis)
 
 
-def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
+def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> Figure:
     """Slow loops of the first piece, and below what the curves differ from the measured one by, which the loops are too large to show."""
     axes = diagnosis.model.axes
-    figure = make_subplots(
-        rows=2,
-        cols=len(axes),
-        shared_xaxes=True,
-        vertical_spacing=0.05,
-        row_heights=[0.5, 0.5],
-        subplot_titles=[f"axis {name}" for name in axes] if len(axes) > 1 else None,
-    )
+    titles = [f"axis {name}" for name in axes] if len(axes) > 1 else []
+    figure = Figure(2, len(axes), titles=titles, spacing=(None, 0.05), shared_x=True)
     looks = [
         ("measured", piece.measured, {"color": MEASURED, "width": 3.0}),
         ("simulated", piece.simulated, {"color": SIMULATED, "width": 1.6, "dash": "dash"}),
@@ -327,13 +311,13 @@ def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> go.Figure:
             x = _joined([piece.command[rows, axis] for rows in chosen])
             y = _joined([values[rows, axis] for rows in chosen])
             look = {"name": name, "legendgroup": name, "line": line, "mode": "lines"}
-            figure.add_scatter(x=x, y=y, showlegend=axis == 0, **look, row=1, col=axis + 1)
+            figure.add("scatter", 1, axis + 1, x=x, y=y, showlegend=axis == 0, **look)
             if name != "measured":
                 error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
-                figure.add_scatter(x=x, y=error, showlegend=False, **look, row=2, col=axis + 1)
-    figure.update_xaxes(title_text="command [V]", row=2)
-    figure.update_yaxes(title_text=f"displacement [{unit}]", row=1, col=1)
-    figure.update_yaxes(title_text=f"measured − curve [{unit}]", row=2, col=1)
+                figure.add("scatter", 2, axis + 1, x=x, y=error, showlegend=False, **look)
+    figure.axes("x", 2, title="command [V]")
+    figure.axes("y", 1, 1, title=f"displacement [{unit}]")
+    figure.axes("y", 2, 1, title=f"measured − curve [{unit}]")
     return figure
 
 
@@ -352,30 +336,24 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
     counts = [
         max((len(document["where"][name]) for name in names[i : i + columns]), default=1) for i in range(0, len(names), columns)
     ]
-    figure = make_subplots(
-        rows=lines,
-        cols=columns,
-        subplot_titles=[f"<b>{WHERE[name]}</b>" for name in names],
-        horizontal_spacing=0.2,
-        vertical_spacing=0.22 / lines,
-        row_heights=counts,
-    )
+    titles = [f"<b>{WHERE[name]}</b>" for name in names]
+    figure = Figure(lines, columns, titles=titles, spacing=(0.2, 0.22 / lines), heights=counts)
     for index, name in enumerate(names):
         rows = document["where"][name][::-1]
         share = 100.0 * np.array([row["share"] for row in rows])
         low, high = 100.0 * np.array([row["ci90"] for row in rows], dtype=float).reshape(-1, 2).T
-        figure.add_bar(
+        figure.add(
+            "bar",
+            index // columns + 1,
+            index % columns + 1,
             x=share,
             y=[row["name"] for row in rows],
             orientation="h",
             marker={"color": SIMULATED},
             showlegend=False,
             error_x={"type": "data", "symmetric": False, "array": high - share, "arrayminus": share - low, "thickness": 1},
-            row=index // columns + 1,
-            col=index % columns + 1,
         )
-    figure.update_xaxes(range=[0, 105], ticksuffix=" %", nticks=4)
-    figure.update_annotations(font_size=13)
+    figure.axes("x", range=[0, 105], ticksuffix=" %", nticks=4)
     return figure_markup(figure, 120 * lines + 24 * sum(counts), 560)
 
 
@@ -407,17 +385,17 @@ def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _candidates(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
-    figure = go.Figure(
-        go.Bar(
-            x=[row["probability"] for row in rows][::-1],
-            y=[row["name"].replace("_", " ") for row in rows][::-1],
-            orientation="h",
-            marker={"color": AUGMENTED},
-            text=[f"{row['probability']:.3f}" for row in rows][::-1],
-        )
+def _candidates(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = Figure()
+    figure.add(
+        "bar",
+        x=np.array([row["probability"] for row in rows][::-1]),
+        y=[row["name"].replace("_", " ") for row in rows][::-1],
+        orientation="h",
+        marker={"color": AUGMENTED},
+        text=[f"{row['probability']:.3f}" for row in rows][::-1],
     )
-    figure.update_xaxes(range=[0, 1.05], title_text="probability")
+    figure.axes("x", range=[0, 1.05], title="probability")
     return figure
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import forked
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration
 from hyst_control.diagnose.decide.record_findings import not_received
 from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
-from hyst_control.diagnose.likelihood.core import by_likelihood
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
@@ -117,6 +117,8 @@ def diagnose(
     for part, known, bare in beside:
         axes = tuple(range(axis, axis + len(part.model.axes)))
         if core == LIKELIHOOD:
+            from hyst_control.diagnose.likelihood.core import by_likelihood  # only here, it takes long to load
+
             judged = by_likelihood(part, known, bare, without, progress, configuration)
             parts.append(
                 AxisDiagnosis(
@@ -285,10 +287,11 @@ def _axis(
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
-    found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
-    collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
-    tests = ContenderTests(prepared, found, collected, baseline, configuration)
-    evidence, decision = settled(collected.evidence, tests, thresholds)
+    with forked([linearized, problem, linearized.scatter, linearized.scatter.model, configuration, *members]):
+        found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
+        collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
+        tests = ContenderTests(prepared, found, collected, baseline, configuration)
+        evidence, decision = settled(collected.evidence, tests, thresholds)
     return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline, tests)
 
 

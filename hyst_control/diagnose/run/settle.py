@@ -4,19 +4,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
+from hyst_control.base.arrays import Array
+from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.configuration import Configuration, Thresholds
 from hyst_control.diagnose.decide.policy import contenders, decide
-from hyst_control.diagnose.evidence import Evidence, ResidualEvidence
+from hyst_control.diagnose.evidence import Evidence, Finding, ResidualEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.run.collect import Collected, companions, residual_evidence
 from hyst_control.diagnose.run.prepare import Prepared, clean_rows
-from hyst_control.diagnose.search.beam_search import Found
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
+from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.constancy import distortions
 from hyst_control.diagnose.validate.cross_validation import holds, widens
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision
+from hyst_control.effects.effect import RecordCheck
 
 VETOES = 6
 """Explanations in turn that are dropped."""
@@ -25,8 +30,8 @@ VETOES = 6
 class Tests(Protocol):
     """Tests of a candidate, by its index among the hypotheses."""
 
-    def residual(self, index: int) -> ResidualEvidence:
-        """Measure what it leaves."""
+    def residuals(self, indices: Sequence[int]) -> dict[int, ResidualEvidence]:
+        """Measure what some of them leave."""
 
     def dropped(self, index: int) -> tuple[int, ...]:
         """Hypotheses that are dropped because it does not hold; none where it does."""
@@ -48,7 +53,7 @@ def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[E
 def _measured(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> Evidence:
     """The evidence with what every candidate leaves."""
     missing = [index for index in contenders(evidence, thresholds) if evidence.hypotheses[index].residual is None]
-    return evidence.with_residuals({index: tests.residual(index) for index in missing})
+    return evidence.with_residuals(tests.residuals(missing))
 
 
 class ContenderTests:
@@ -63,30 +68,23 @@ class ContenderTests:
         self._baseline, self._configuration = baseline, configuration
         self._rows = None if baseline is None else clean_rows(baseline, prepared.problem)
         self._clean: CleanRecords | None = None
-        self.residuals: dict[int, ResidualEvidence] = {}
-        self.drops: dict[int, tuple[int, ...]] = {}
+        self._residuals: dict[int, ResidualEvidence] = {}
+        self._drops: dict[int, tuple[int, ...]] = {}
 
-    def residual(self, index: int) -> ResidualEvidence:
-        """Measure what a hypothesis leaves."""
-        if index not in self.residuals:
-            prepared, temper, scored = self._prepared, self._found.temper, self._hypotheses[index]
-            beside = self._baseline
-            self.residuals[index] = residual_evidence(
-                prepared.problem,
-                scored,
-                prepared.findings,
-                prepared.checks,
-                self._configuration,
-                companions(prepared.linearized, scored, beside.usual_zero, temper) if beside else (),
-                distortions(prepared.linearized, scored, temper),
-            )
-        return self.residuals[index]
+    def residuals(self, indices: Sequence[int]) -> dict[int, ResidualEvidence]:
+        """Measure what hypotheses leave."""
+        prepared, beside = self._prepared, self._baseline
+        new = [index for index in indices if index not in self._residuals]
+        same = (prepared.findings, prepared.checks, self._configuration, self._found.temper, beside and beside.usual_zero)
+        measured = map_known(_residual, [(prepared.linearized, self._hypotheses[index], *same) for index in new])
+        self._residuals.update(zip(new, measured, strict=True))
+        return {index: self._residuals[index] for index in indices}
 
     def dropped(self, index: int) -> tuple[int, ...]:
         """Hypotheses with an effect that baseline records ask for too; or this one, if it does not hold on the record itself."""
-        if index not in self.drops:
-            self.drops[index] = self._dropped(index)
-        return self.drops[index]
+        if index not in self._drops:
+            self._drops[index] = self._dropped(index)
+        return self._drops[index]
 
     def _dropped(self, index: int) -> tuple[int, ...]:
         evidence, hypotheses = self.evidence, self._hypotheses
@@ -100,3 +98,18 @@ class ContenderTests:
         if self._rows is not None and widens(linearized, best, none):
             return (index,)
         return () if holds(linearized, best, none, self._configuration.reduction) else (index,)
+
+
+def _residual(
+    linearized: Linearized,
+    scored: FittedHypothesis,
+    findings: Sequence[Finding],
+    checks: frozenset[RecordCheck],
+    configuration: Configuration,
+    temper: float,
+    usual: Array | None,
+) -> ResidualEvidence:
+    """What a hypothesis leaves, beside the usual zero of a session (A, 3)."""
+    zero = () if usual is None else companions(linearized, scored, usual, temper)
+    distorted = distortions(linearized, scored, temper)
+    return residual_evidence(linearized.problem, scored, findings, checks, configuration, zero, distorted)

@@ -21,18 +21,17 @@ from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_factor
-from scipy.optimize import minimize_scalar
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.parallel import map_forked
+from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.decide.policy import strained as are_strained
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_of, promising_pairs, within
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_at, promising_pairs, within
 from hyst_control.records.correlation import correlation_length
 
 
@@ -190,18 +189,14 @@ def _screened(linearized: Linearized, members: Sequence[Member], most: int) -> l
     ready = [member for member in members if not member.size]
     if len(ready) <= most:
         return list(members)
-    nominal = np.zeros(linearized.count)
-
-    def left(i: int) -> float:
-        try:
-            simulated = linearized.simulate(nominal, Candidate((ready[i],)).unknowns(), np.zeros(0))
-        except InputError:
-            return np.inf
-        return misfit_of(linearized, linearized.measured - simulated)
-
-    order = np.argsort(list(map_forked(left, len(ready))))
+    order = np.argsort(map_known(_left_by, [(linearized, member) for member in ready]))
     kept = {id(ready[i]) for i in order[:most]}
     return [member for member in members if member.size or id(member) in kept]
+
+
+def _left_by(linearized: Linearized, member: Member) -> float:
+    """The misfit of an effect without anything to fit."""
+    return misfit_at(linearized, Candidate((member,)).unknowns(), np.zeros(0))
 
 
 def _alone(member: Member) -> Candidate:
@@ -314,16 +309,18 @@ def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]])
     places = candidate.slices()
     candidates = [candidate.without(dropped) for dropped in range(len(places))]
 
-    def solved(dropped: int) -> Solution | None:
-        unknowns = candidates[dropped].unknowns()
-        start = np.concatenate([solution.x[place] for place in places[:dropped] + places[dropped + 1 :]])
-        try:
-            return refined(linearized, unknowns, fit(linearized, unknowns, start, solution.z))
-        except InputError:
-            return None
-
-    solutions = map_forked(solved, len(candidates))
+    starts = [np.concatenate([solution.x[place] for place in places[:i] + places[i + 1 :]]) for i in range(len(places))]
+    solutions = map_known(_refitted, [(linearized, one, start, solution.z) for one, start in zip(candidates, starts, strict=True)])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
+
+
+def _refitted(linearized: Linearized, candidate: Candidate, start: Array, z: Array) -> Solution | None:
+    """The fit of a candidate from a start; None where it cannot be simulated."""
+    unknowns = candidate.unknowns()
+    try:
+        return refined(linearized, unknowns, fit(linearized, unknowns, start, z))
+    except InputError:
+        return None
 
 
 def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
@@ -359,14 +356,14 @@ def _gone_on(
     linearized: Linearized, begun: Sequence[Begun], rival: float, without: float, configuration: Configuration
 ) -> list[Solution]:
     """Fits of the chain as it is, gone on with by the columns of the nominal coefficients."""
+    return map_known(_ended, [(linearized, one, rival, without, configuration) for one in begun])
 
-    def ended(index: int) -> Solution:
-        solution = gone_on(linearized, begun[index], rival)
-        if len(solution.x) == 1 and (solution.misfit > without or _strained(solution, configuration.policy)):
-            solution = _from_grid_minimum(linearized, begun[index].candidate, solution, configuration.search.scanned)
-        return solution
 
-    return list(map_forked(ended, len(begun)))
+def _ended(linearized: Linearized, begun: Begun, rival: float, without: float, configuration: Configuration) -> Solution:
+    solution = gone_on(linearized, begun, rival)
+    if len(solution.x) == 1 and (solution.misfit > without or _strained(solution, configuration.policy)):
+        solution = _from_grid_minimum(linearized, begun.candidate, solution, configuration.search.scanned)
+    return solution
 
 
 def _all_settled(
@@ -375,13 +372,15 @@ def _all_settled(
     """Such fits settled where they are not behind the limit: the best one, then the others that may come near it."""
 
     def settled(fits: Sequence[tuple[Begun, Solution]], limit: float, rival: float) -> list[Solution]:
-        def ended(index: int) -> Solution:
-            begun, solution = fits[index]
-            # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
-            behind = min(begun.misfit, solution.misfit) > limit
-            return solution if behind else _settled(linearized, begun.candidate, solution, rival, configuration.policy)
-
-        return list(map_forked(ended, len(fits)))
+        # A fit by columns of the nominal coefficients may stop far from its minimum: what it was begun with says where that is.
+        near = [min(begun.misfit, solution.misfit) <= limit for begun, solution in fits]
+        jobs = [
+            (linearized, begun.candidate, solution, rival, configuration.policy)
+            for (begun, solution), is_near in zip(fits, near, strict=True)
+            if is_near
+        ]
+        ends = iter(map_known(_settled, jobs))
+        return [next(ends) if is_near else solution for (_, solution), is_near in zip(fits, near, strict=True)]
 
     if not fits:
         return []
@@ -428,6 +427,8 @@ def _from_grid_minimum(linearized: Linearized, candidate: Candidate, solution: S
 
 def _best_alone(linearized: Linearized, candidate: Candidate, count: int) -> Array:
     """The value (1,) of a candidate's one parameter that comes closest to the record with the nominal coefficients."""
+    from scipy.optimize import minimize_scalar  # seldom needed, and takes long to import
+
     unknowns, nominal = candidate.unknowns(), np.zeros(linearized.count)
 
     def misfit(value: float) -> float:

@@ -397,6 +397,7 @@ class Candidate:
             centre,
             np.concatenate([member.steps() for member in self.members]),
             known_columns if known else None,
+            self.unknowns,
         )
 
     def with_member(self, member: Member) -> Candidate:

@@ -28,6 +28,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import known_workers, map_known
 from hyst_control.chain.external_simulator import together
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.coefficient_prior import Scatter
@@ -74,6 +75,11 @@ class Unknowns:
     centre: Array
     step: float | Array = 0.02
     known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
+    again: Callable[[], Unknowns] | None = None
+    """Makes the same unknowns in another process."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return self.again, ()
 
     def difference(self, x: Array, p: int) -> float:
         """Step of the difference quotient by parameter p from x (P,): upwards, but inwards from the upper bound."""
@@ -107,13 +113,14 @@ class Linearized:
         self.count = len(scatter.coefficients)
         self.measured = problem.measured()
         centre = np.zeros(self.count) if z is None else z
-        with together(self._known_chains([centre, *(centre + STEP * np.eye(self.count))])):
+        with together(self._known_chains([centre, *(centre + STEP * np.eye(self.count))])) as at_once:
             self.nominal = self.simulate(centre, unknowns, x)
             if not is_bounded(self.nominal):
                 raise InputError("model: its simulation of the record grows without limit: check its dynamics")
-            self.columns = np.empty((len(self.nominal), self.count), order="F")  # a column's values side by side: it is faster
-            for k in range(self.count):
-                self.columns[:, k] = self._column(centre, k, unknowns, x)
+            parts = np.array_split(np.arange(self.count), 1 if at_once else known_workers())
+            jobs = [(problem, scatter, self.nominal, centre, part, unknowns, x) for part in parts]
+            columns = map_known(_columns, jobs)
+            self.columns = columns[0] if len(columns) == 1 else np.asfortranarray(np.hstack(columns))
         self.gram = problem.weight * (self.columns.T @ self.columns)
         self.factor = cho_factor(self.gram + np.eye(self.count)) if self.count else None
 
@@ -122,19 +129,6 @@ class Linearized:
         for point in points:
             with suppress(InputError):
                 yield self.scatter.at(point)
-
-    def _column(self, centre: Array, k: int, unknowns: Unknowns | None, x: Array | None) -> Array:
-        """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
-        for step in (STEP, -STEP):
-            moved = centre.copy()
-            moved[k] += step
-            try:
-                column = (self.simulate(moved, unknowns, x) - self.nominal) / step
-            except InputError:
-                continue
-            if is_bounded(column):
-                return column
-        return np.zeros_like(self.nominal)
 
     def unexplained(self, vectors: Annotated[Array, "M"]) -> Array:
         """Remove from vectors what the scattered coefficients explain, under their prior."""
@@ -157,17 +151,46 @@ class Linearized:
 
     def simulate(self, z: Annotated[Array, "K"], unknowns: Unknowns | None = None, x: Array | None = None) -> Annotated[Array, "M"]:
         """Simulate all records."""
-        try:
-            stages = self.scatter.at(z)
-            if unknowns is None:
-                return self.problem.simulate(stages)
-            assert x is not None, "unknowns without their values"
-            output = self.problem.simulate(unknowns.stages(stages, x))
-            return output if unknowns.extra is None else output + unknowns.extra(x)
-        except InputError:
-            raise
-        except (ArithmeticError, ValueError) as error:  # linear algebra of values beyond all bounds, among others
-            raise InputError(f"these values cannot be simulated ({error})") from None
+        return _simulated(self.problem, self.scatter, z, unknowns, x)
+
+
+def _simulated(problem: Problem, scatter: Scatter, z: Array, unknowns: Unknowns | None, x: Array | None) -> Array:
+    try:
+        stages = scatter.at(z)
+        if unknowns is None:
+            return problem.simulate(stages)
+        assert x is not None, "unknowns without their values"
+        output = problem.simulate(unknowns.stages(stages, x))
+        return output if unknowns.extra is None else output + unknowns.extra(x)
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError) as error:  # linear algebra of values beyond all bounds, among others
+        raise InputError(f"these values cannot be simulated ({error})") from None
+
+
+def _columns(
+    problem: Problem,
+    scatter: Scatter,
+    nominal: Array,
+    centre: Array,
+    wanted: Sequence[int],
+    unknowns: Unknowns | None,
+    x: Array | None,
+) -> Annotated[Array, "M K'"]:
+    """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
+    found = np.zeros((len(nominal), len(wanted)), order="F")  # a column's values side by side: it is faster
+    for place, k in enumerate(wanted):
+        for step in (STEP, -STEP):
+            moved = centre.copy()
+            moved[k] += step
+            try:
+                column = (_simulated(problem, scatter, moved, unknowns, x) - nominal) / step
+            except InputError:
+                continue
+            if is_bounded(column):
+                found[:, place] = column
+                break
+    return found
 
 
 def fit(

@@ -17,7 +17,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.parallel import map_forked
+from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 
@@ -35,7 +35,7 @@ class Tangent:
 def joint_pairs(linearized: Linearized, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
     """Find the pairs of effects that together come closest to the records, to first order."""
     fitted = [member for member in members if member.size]
-    found = map_forked(lambda i: _tangents(linearized, fitted[i], starts), len(fitted))  # arrays only: members cannot be sent back
+    found = map_known(_tangents, [(linearized, member, starts) for member in fitted])
     tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]
     if len(tangents) < 2:
         return []

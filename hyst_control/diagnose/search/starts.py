@@ -13,7 +13,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.parallel import map_forked
+from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.configuration import SearchSettings
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import LENGTHS, MIN_APPROACH, Linearized, Solution, Unknowns, effect_columns, fit, is_bounded
@@ -46,12 +46,12 @@ def begin(
     Each has to come below a rival, the misfit without it.
     """
     order = sorted(range(len(candidates)), key=lambda i: -len(candidates[i][1]) * len(candidates[i][1][0]))  # the longest first
-    stepped = map_forked(lambda i: _first_steps(linearized, *candidates[order[i]], settings, rival), len(order))
+    stepped = map_known(_first_steps, [(linearized, *candidates[i], settings, rival) for i in order])
     found = {i: ends for i, ends in zip(order, stepped, strict=True) if ends}
 
     def go_on(chosen: Sequence[int], rival: float) -> None:
         running = [i for i in chosen if any(_may_reach(one, rival) for one in found[i])]
-        ends = map_forked(lambda i: _continued(linearized, candidates[running[i]][0], found[running[i]], rival), len(running))
+        ends = map_known(_continued, [(linearized, candidates[i][0], found[i], rival) for i in running])
         found.update(zip(running, ends, strict=True))
 
     first = _first(found, [candidate for candidate, _ in candidates], settings.first)
@@ -130,7 +130,7 @@ def _near(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], m
 
     An effect that explains a gap is about as large as the gap: a linear step from a much larger one tells nothing.
     """
-    misfits = [_misfit_at(linearized, unknowns, start) for start in starts]
+    misfits = [misfit_at(linearized, unknowns, start) for start in starts]
     nearest, *others = sorted(range(len(starts)), key=misfits.__getitem__)
     return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
 
@@ -152,7 +152,7 @@ def best_scaled(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Arr
     return sorted(starts, key=explained, reverse=True)[:count]
 
 
-def _misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> float:
+def misfit_at(linearized: Linearized, unknowns: Unknowns, start: Array) -> float:
     """Misfit of an effect as it is, coefficients marginalized about the nominal ones; infinite where it cannot be simulated."""
     try:
         return misfit_of(linearized, linearized.measured - linearized.simulate(np.zeros(linearized.count), unknowns, start))
@@ -247,12 +247,15 @@ def promising_pairs(
         if not any(member.excludes(other) for other in one.candidate.members)
     ]
 
-    def gained(i: int) -> tuple[float, Array] | None:
-        parent, index = pairs[i]
-        return _gain_on_top(linearized, parents[parent], members[index], before[parent], settings)
-
+    gains = map_known(
+        _gain_on_top,
+        [
+            (linearized, parents[parent].candidate, parents[parent].ends[0].x, members[index], before[parent], settings)
+            for parent, index in pairs
+        ],
+    )
     best = [dict[tuple[object, ...], tuple[float, int, Array]]() for _ in parents]
-    for (parent, index), found in zip(pairs, map_forked(gained, len(pairs)), strict=True):
+    for (parent, index), found in zip(pairs, gains, strict=True):
         variant = members[index].variant
         if found is not None and found[0] > max(least, best[parent].get(variant, (-np.inf,))[0]):
             best[parent][variant] = found[0], index, found[1]
@@ -263,15 +266,13 @@ def promising_pairs(
 
 
 def _gain_on_top(
-    linearized: Linearized, parent: Begun, member: Member, before: float, settings: SearchSettings
+    linearized: Linearized, parent: Candidate, known: Array, member: Member, before: float, settings: SearchSettings
 ) -> tuple[float, Array] | None:
     """Gain and end of the best linear step of an effect on top of others; None where no start can be simulated."""
-    pair, best, starts = parent.candidate.with_member(member), None, member.starts()
+    # known: parameters of the parent
+    pair, best, starts = parent.with_member(member), None, member.starts()
     unknowns = pair.unknowns()
-    begins = [
-        merged_start(pair, parent.candidate, parent.ends[0].x, member, start)
-        for start in starts[:: max(len(starts) // settings.screened, 1)]
-    ]
+    begins = [merged_start(pair, parent, known, member, start) for start in starts[:: max(len(starts) // settings.screened, 1)]]
     for x in _near(linearized, unknowns, begins, before) if 1 < len(begins) <= settings.screened else begins:
         try:
             left, there = _after_step(linearized, unknowns, pair, member, x, settings)

@@ -11,6 +11,7 @@ session's zero, its initial memory) are free on the blocks that are evaluated to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import factorial
@@ -18,7 +19,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.configuration import CONFIGURATION, ReductionSettings
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
@@ -38,38 +39,43 @@ class HeldOut:
 
 
 def held_out(
-    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
-) -> HeldOut:
-    """Squared errors of an explanation by two-fold blocked cross-validation."""
+    linearized: Linearized,
+    explanations: Sequence[FittedHypothesis],
+    none: FittedHypothesis,
+    settings: ReductionSettings = CONFIGURATION.reduction,
+) -> tuple[HeldOut, list[HeldOut]]:
+    """Squared errors without an effect and of explanations, by two-fold blocked cross-validation."""
     count = len(linearized.measured)
     fold = (np.arange(count) * settings.blocks // count) % 2
-    unknowns = scored.candidate.unknowns() if scored.candidate else None
+    halves = [(fold == held, (fold != held).astype(float)) for held in (0, 1)]
     in_noise = linearized.problem.in_noise
+
+    def left(within: Linearized, simulated: Array, rows: Mask) -> Array:
+        companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
+        columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
+        return _beside_companions(columns, in_noise(linearized.measured - simulated)[rows]) ** 2
+
     as_given = linearized.simulate(linearized.companions(none.solution.z))
-    before, after, before_fitted, after_fitted = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     without = Linearized(linearized.problem, linearized.scatter, none.solution.z)
-    within = (
-        Linearized(linearized.problem, linearized.scatter, scored.solution.z, unknowns, scored.solution.x) if unknowns else without
-    )
-    for held in (0, 1):
-        weight = (fold != held).astype(float)
-        rows = fold == held
-
-        def left(within: Linearized, simulated: Array, rows: Array = rows) -> Array:
-            companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
-            columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
-            return _beside_companions(columns, in_noise(linearized.measured - simulated)[rows]) ** 2
-
+    before, before_fitted = np.empty(count), np.empty(count)
+    for rows, weight in halves:
         alone = fit(without, z=none.solution.z, weight=weight, rounds=settings.rounds)
-        before[rows] = left(without, as_given)
-        before_fitted[rows] = left(without, linearized.simulate(alone.z))
-        if unknowns is None:
-            after[rows], after_fitted[rows] = before[rows], before_fitted[rows]
+        before[rows] = left(without, as_given, rows)
+        before_fitted[rows] = left(without, linearized.simulate(alone.z), rows)
+    nothing, found = HeldOut(before, before, before_fitted, before_fitted), []
+    for scored in explanations:
+        if scored.candidate is None:
+            found.append(nothing)
             continue
-        both = fit(within, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
-        after_fitted[rows] = left(within, linearized.simulate(both.z, unknowns, both.x))
-        after[rows] = left(within, linearized.simulate(linearized.companions(both.z), unknowns, both.x))
-    return HeldOut(before, after, before_fitted, after_fitted)
+        unknowns, x = scored.candidate.unknowns(), scored.solution.x
+        within = Linearized(linearized.problem, linearized.scatter, scored.solution.z, unknowns, x)
+        after, after_fitted = np.empty(count), np.empty(count)
+        for rows, weight in halves:
+            both = fit(within, unknowns, x, scored.solution.z, weight=weight, rounds=settings.rounds)
+            after_fitted[rows] = left(within, linearized.simulate(both.z, unknowns, both.x), rows)
+            after[rows] = left(within, linearized.simulate(linearized.companions(both.z), unknowns, both.x), rows)
+        found.append(HeldOut(before, after, before_fitted, after_fitted))
+    return nothing, found
 
 
 def _beside_companions(columns: Array, residual: Array) -> Array:
