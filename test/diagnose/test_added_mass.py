@@ -16,7 +16,17 @@ from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import all_but
 
 RATE = 5000.0
-RIVALS = ("added_mass", "resonance", "delay", "gain", "creep", "amplifier_lowpass", "sensor_lowpass", "cubic_stiffness", "dry_friction")
+RIVALS = (
+    "added_mass",
+    "resonance",
+    "delay",
+    "gain",
+    "creep",
+    "amplifier_lowpass",
+    "sensor_lowpass",
+    "cubic_stiffness",
+    "dry_friction",
+)
 
 
 @pytest.mark.parametrize("ratio", [0.5, 2.5])
