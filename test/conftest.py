@@ -96,6 +96,13 @@ def browser() -> Iterator[Callable[..., browsers.Seen]]:
 
 
 @pytest.fixture(scope="session")
+def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of this run that all of its workers share."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+
+@pytest.fixture(scope="session")
 def measured_data() -> Path:
     """The folder with measured records."""
     return _shared("data", "HYST_DATA")

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -28,15 +27,13 @@ Answer = tuple[dict[str, Any], Diagnosis, Model | None]
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def own_cache(run_folder: Path) -> Iterator[Path]:
     """The null's thresholds of these tests, away from the user's."""
-    patch = pytest.MonkeyPatch()
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "null_cache"  # one for all workers of a run
+    folder = run_folder / "null_cache"
     folder.mkdir(exist_ok=True)
-    patch.setenv("XDG_CACHE_HOME", str(folder))
-    yield folder
-    patch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        yield folder
 
 
 def record_of(

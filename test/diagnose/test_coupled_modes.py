@@ -19,7 +19,7 @@ from hyst_control.records.record import Record, Signal
 
 pytestmark = pytest.mark.long_file
 
-STEP, COUNT, SHORT, SIGMA = 1e-4, 6000, 2500, 1e-3
+STEP, COUNT, SHORT, SIGMA = 1e-4, 3000, 2500, 1e-3
 MODES = ((310.0, 0.02), (820.0, 0.015), (1900.0, 0.03))
 LOST = 1
 RIVALS = {"resonance", "cross_coupling", "gain", "delay", "added_mass", "creep", "sensor_lowpass", "amplifier_lowpass", "vibration"}

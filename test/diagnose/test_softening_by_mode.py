@@ -19,7 +19,7 @@ from hyst_control.records.record import Record, Signal
 
 pytestmark = pytest.mark.long_file
 
-STEP, COUNT, WARM_UP, SIGMA = 1e-4, 6000, 0.3, 1e-3
+STEP, COUNT, WARM_UP, SIGMA = 1e-4, 4500, 0.2, 1e-3
 FREQUENCIES, DAMPING = np.array([310.0, 820.0, 1900.0]), np.array([0.02, 0.015, 0.03])
 LOST, GROWN = np.array([0.04, 0.004, 0.015]), np.array([0.3, 0.0, -0.2])
 """Shares by which the frequencies fall and the damping grows, mode by mode."""

@@ -12,10 +12,10 @@ from hyst_control.export.compiled import COMPILERS
 
 
 @pytest.fixture(autouse=True, scope="session")
-def compiled_cache(tmp_path_factory):
-    """Libraries go to a folder of this run."""
+def compiled_cache(run_folder):
+    """Libraries go to a folder of this run: what one worker has compiled serves the others."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str(run_folder / "compiled"))
         yield
 
 

@@ -23,7 +23,7 @@ def make(folder: Path, target: str, *words: str) -> str:
     return done.stdout
 
 
-def fuzzed(folder: Path, steps: int = 1_000_000) -> None:
+def fuzzed(folder: Path, steps: int = 100_000) -> None:
     """Compared after so many odd steps, with sanitizers."""
     compared(folder, f"STEPS={steps}", target="fuzz")
 

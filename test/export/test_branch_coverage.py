@@ -8,12 +8,11 @@ import json
 import shutil
 import subprocess
 from collections import Counter
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_controller import LAWS, RATE, rows
+from test_controller import CHOICES, LAWS, RATE, rows
 from test_odd_numbers import odd_rows
 
 from hyst_control.base.config_files import config_path
@@ -54,7 +53,7 @@ Branch = tuple[str, int, int]
 
 def variants():
     """Controllers of every choice that changes the C, each with the rows of `test_controller`."""
-    for law, recovery, (axes, axis_fault) in product(LAWS, ("automatic", "manual"), ((1, "all"), (2, "all"), (2, "own"))):
+    for law, recovery, axes, axis_fault in CHOICES:
         response = FaultResponse((2.0,), 3000.0, axis_fault, 0.005, recovery, 0.01, -10.0, 30.0, 0.005)
         learned = np.random.default_rng(3).normal(0.0, 2.0, (37, axes)) if recovery == "manual" else None
         table = rows(4, 3000, axes)

@@ -53,11 +53,13 @@ LAWS = {
     "filters": PI(0.3, 900.0, 1 / RATE, 0.0, 50.0, 2e5, roll_off=2000.0, filters=FILTERS),
     "filters, proportional": PI(0.8, 0.0, 1 / RATE, -5.0, 50.0, roll_off=2000.0, filters=FILTERS),
 }
+RESPONSES = [("automatic", 1, "all"), ("manual", 2, "own")]
+MORE = [("manual", 1, "all"), ("automatic", 2, "own"), ("automatic", 2, "all"), ("manual", 2, "all")]
+CHOICES = [(law, *response) for law in LAWS for response in RESPONSES] + [("integral", *response) for response in MORE]
+"""Law, recovery, axes, and which of them a fault stops: every law, and every response to faults, which knows nothing of the law."""
 
 
-@pytest.mark.parametrize("recovery", ["automatic", "manual"])
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize(("axes", "axis_fault"), [(1, "all"), (2, "all"), (2, "own")])
+@pytest.mark.parametrize(("law", "recovery", "axes", "axis_fault"), CHOICES)
 def test_c_and_python_agree_to_the_last_bit(law, recovery, axes, axis_fault):
     learned = np.random.default_rng(3).normal(0.0, 2.0, (37, axes))
     loop = FaultResponse((2.0,), 3000.0, axis_fault, 0.005, recovery, 0.01, -10.0, 30.0, 0.005)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from exported_folder import compared
@@ -65,7 +67,10 @@ def test_a_madelung_loop_follows_again_after_nan(inverse):
 
 
 def test_no_stage_does_anything_undefined(tmp_path):
-    """All stages beside each other in one program: compiled with sanitizers, and as from Python once they settle again."""
+    """All stages beside each other in one program: compiled with sanitizers, and as from Python once they settle again.
+
+    By clang where it is: the other tests compile each stage with gcc.
+    """
     hold, axes = "zoh", 2
     running = [started(case, axes, hold) for case in EXPORTED]
     slots = tuple(Slot(f"x{i}", "V") for i in range(axes))
@@ -82,6 +87,7 @@ def test_no_stage_does_anything_undefined(tmp_path):
     compared(
         tmp_path,
         "STEPS=3000",
+        f"COMPILERS={'clang' if shutil.which('clang') else 'gcc'}",
         "SANITIZERS=-O0 -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all",
         target="fuzz",
     )

@@ -40,11 +40,11 @@ def test_every_family_has_a_round_trip():
 
 @pytest.fixture(scope="module", autouse=True)
 def brief() -> Iterator[None]:
-    """Records half as long as those of `hyst bench`; not of oscillators, whose memory fades slower."""
+    """Records half as long as those of `hyst bench`; of oscillators, whose memory fades slower, two thirds."""
     with pytest.MonkeyPatch.context() as patch:
         for name, plant in PLANTS.items():
-            if plant.pace > 1.0 and name not in OSCILLATORS:
-                patch.setitem(PLANTS, name, replace(plant, seconds=0.5 * plant.seconds))
+            if plant.pace > 1.0:
+                patch.setitem(PLANTS, name, replace(plant, seconds=plant.seconds * (0.67 if name in OSCILLATORS else 0.5)))
         yield
 
 
