@@ -78,7 +78,7 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     plays = np.column_stack([_plays(data, axis, first + rows.start, len(command)), _powers(command)])
     references = {
         f"a linear model of order {len(linear.poles) + np.count_nonzero(linear.poles.imag)}": linear.error,
-        "play operators with a cubic": _mean_square_left(plays, measurement),
+        "a chain of play operators with a cubic": _mean_square_left(plays, measurement),
     }
     best = min(references, key=lambda each: references[each])
     reference = float(np.sqrt(max(references[best] - noise, 0.0))) / span

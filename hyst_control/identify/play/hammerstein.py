@@ -35,6 +35,8 @@ PRECISION = 1e-3
 """Share of the bracket to which the widening with the rate is found."""
 MOST_MODES = 2
 """Largest number of modes of G."""
+SEEN_ROWS = 16_000
+"""Rows in which vector fitting looks for modes."""
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03
@@ -133,9 +135,10 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
     report(best)
     if not plain.highest:
         return best
-    first = first_modes(problem, best)
+    new = first_modes(problem, best)
+    start = new[0][0]
     while True:
-        grown = _grown(problem, best, first)
+        grown = _grown(problem, best, start, new)
         trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
         for trial in trials:
             report(trial)
@@ -145,20 +148,21 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         if not lowest < (1.0 - MIN_IMPROVEMENT) * best.held_out:
             return best
         # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
-        best = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
+        poorer, best = best, next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
+        if best.structure.modes > poorer.structure.modes:
+            new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
 
 
-def _grown(problem: Problem, best: Solution, first: Sequence[tuple[float, float]]) -> list[Solution]:
-    """Solve for every structure with one factor more, on all cores."""
+def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tuple[float, float]]) -> list[Solution]:
+    """Solve for every structure with one factor more, on all cores. new: frequency (Hz) and damping of what may be its further mode."""
     structures = best.structure.extensions()
     theta = best.theta if np.any(best.theta) else None
-    known = len(best.structure.split(best.parameters)["modes"])
-    new = first if not known else seen_modes(problem, best, known + 1) if known < MOST_MODES else []
     starts: list[tuple[Structure, Array]] = []
     for structure in structures:
-        start = structure.grow(best.structure, best.parameters, first[0][0])
-        starts.append((structure, start))
-        if structure.modes > known:
+        start = structure.grow(best.structure, best.parameters, frequency)
+        if structure.modes == best.structure.modes or best.structure.modes:
+            starts.append((structure, start))
+        if structure.modes > best.structure.modes:
             starts += [(structure, structure.with_last_mode(start, *mode)) for mode in new]
 
     def grown(index: int) -> Solution:
@@ -187,13 +191,20 @@ def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]
 
 
 def seen_modes(problem: Problem, at: Solution, count: int) -> list[tuple[float, float]]:
-    """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators."""
-    windows, sample_time = [], min(window.sample_time for window in problem.windows)
-    for window in problem.windows:
-        if window.sample_time == sample_time:
-            windows.append(replace(window, command=weighted_operators(window, problem.operators, at.theta)))
-    rows = max(len(window.command) for window in windows)
-    found = vector_fit(windows, spread_poles(2 * count, rows), at.structure.tau(at.parameters) / sample_time, direct=False)
+    """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators, where the command moves fastest."""
+    sample_time = min(window.sample_time for window in problem.windows)
+    windows = [window for window in problem.windows if window.sample_time == sample_time]
+    rows = max(SEEN_ROWS // len(windows), 1)
+    parts = []
+    for window in windows:
+        command = weighted_operators(window, problem.operators, at.theta)
+        steps = np.diff(command, prepend=command[:1]) ** 2
+        total = np.concatenate([[0.0], np.cumsum(steps)])
+        begin = int(np.argmax(total[rows:] - total[:-rows])) if rows < len(command) else 0
+        cut = slice(begin, begin + rows)
+        parts.append(replace(window, command=command[cut], measurement=window.measurement[cut], skip=0))
+    longest = max(len(part.command) for part in parts)
+    found = vector_fit(parts, spread_poles(2 * count, longest), at.structure.tau(at.parameters) / sample_time, direct=False)
     return [(abs(pole) / (2 * np.pi * sample_time), -pole.real / abs(pole)) for pole in found.poles if pole.imag]
 
 
