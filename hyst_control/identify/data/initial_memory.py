@@ -23,7 +23,7 @@ from hyst_control.identify.data.fit_windows import closed_loop, memory_filled
 from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.identify.solve.bounded_least_squares import solve_bounded
 from hyst_control.records.record import Beginning, Record
-from hyst_control.records.stream.row_store import all_finite, total_variation
+from hyst_control.records.stream.row_store import all_finite, blocks, total_variation
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
@@ -33,8 +33,8 @@ DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
-HELD = 8
-"""Rows for which a command keeps a level that counts as held."""
+HELD, MOST_LEVELS = 8, 20_000
+"""Rows for which a command keeps a level that counts as held, and levels of a record beyond which none is looked for."""
 LEG, LEG_ROWS = 0.05, (500, 2000)
 """Time (s) of a smooth way between two remembered turning points, and its least and largest number of rows."""
 
@@ -144,14 +144,17 @@ def spread_rows(begin: int, end: int) -> Integers:
 
 def at_rest(command: Annotated[Array, "N"], measurement: Annotated[Array, "N"]) -> tuple[Array, Array]:
     """Command and measurement, a row each where a command of held levels stands: the mean of the second half, in which modes ring out."""
-    moved = np.flatnonzero(np.diff(command, prepend=np.nan) != 0)
+    moved = np.zeros(1, dtype=np.int64)
+    for part in blocks(len(command) - 1):
+        after = command[part.start + 1 : part.stop + 1] != command[part.start : part.stop]
+        moved = np.append(moved, part.start + 1 + np.flatnonzero(after))
+        if len(moved) > MOST_LEVELS:
+            return command, measurement
     length = np.diff(moved, append=len(command))
     if np.sum(length[length >= HELD]) < 0.5 * len(command):
         return command, measurement
-    total = np.cumsum(measurement)
-    end, half = moved + length - 1, length - np.maximum(length // 2, 1)
-    mean = (total[end] - np.where(moved + half > 0, total[moved + half - 1], 0.0)) / (length - half)
-    return command[moved], mean
+    half = moved + length // 2
+    return command[moved], np.array([np.mean(measurement[a:b]) for a, b in zip(half, moved + length, strict=True)])
 
 
 def play_states(turns: Array, thresholds: Array, rows: Integers) -> Array:
