@@ -55,7 +55,6 @@ def simulations(monkeypatch) -> list[int]:
     """A list that has an item for every simulation."""
     usual, seen = Linearized.simulate, list[int]()
     monkeypatch.setattr(Linearized, "simulate", lambda *given: seen.append(1) or usual(*given))
-    monkeypatch.setattr("hyst_control.diagnose.search.starts.map_forked", lambda work, count: map(work, range(count)))
     return seen
 
 
