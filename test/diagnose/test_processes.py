@@ -19,7 +19,7 @@ from hyst_control.records.record import Record, Signal
 forks = []
 os.register_at_fork(after_in_parent=lambda: forks.append(1))
 model = load_model(config_path("models/pea_hampi.yaml"))
-command = build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.5}, model.sample_time)
+command = build({"signal": "diagnostic", "lowest": 0.0, "highest": 50.0, "duration": 0.3}, model.sample_time)
 measured = 1.2 * simulate(model, command) + 0.003 * np.random.default_rng(0).normal(size=command.shape)
 time = np.arange(len(command)) * model.sample_time
 
