@@ -13,7 +13,7 @@ import logging
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from functools import cache
 from importlib import metadata
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from hyst_control.base.errors import InputError
 
@@ -23,13 +23,13 @@ Item = TypeVar("Item")
 
 
 @cache
-def _all_entry_points() -> metadata.EntryPoints:
+def _all_entry_points() -> Any:
     return metadata.entry_points()
 
 
 def entry_points(group: str) -> metadata.EntryPoints:
     """Entry points of a group; the metadata of all distributions are read once."""
-    return _all_entry_points().select(group=group)
+    return cast(metadata.EntryPoints, _all_entry_points().select(group=group))
 
 
 def load(group: str, add: Callable[[str, object], object] = lambda name, value: None) -> None:

@@ -114,8 +114,12 @@ class ExternalSimulator(Stage):
 @contextmanager
 def together(chains: Iterable[Sequence[Stage]]) -> Iterator[bool]:
     """Within, a vectorized simulator computes the values of all these chains in one call a command; True where there is one."""
-    found = [stage for chain in chains for stage in chain if isinstance(stage, ExternalSimulator)]
-    found = [stage for stage in found if getattr(stage.simulate, "vectorized", False)]
+    found: list[ExternalSimulator] = []
+    for chain in chains:  # of which all have the same stages by other values
+        here = [stage for stage in chain if isinstance(stage, ExternalSimulator) and getattr(stage.simulate, "vectorized", False)]
+        if not here:
+            break  # the others need not be built
+        found += here
     for stage in found:
         stage.batch[stage.values] = {}
     try:

@@ -72,7 +72,7 @@ def figure_markup(figure: Drawn, height: int = 420, min_width: int = 0) -> Marku
             axis.update(GRID)
         if name.startswith("xaxis"):
             axis["ticklabelstandoff"] = 7  # the label below the corner does not touch the one beside it
-    data = json.dumps({"data": found["data"], "layout": layout}, allow_nan=False).replace("</", "<\\/")
+    data = json.dumps({"data": found["data"], "layout": layout}, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
     return Markup(  # JSON within a script element needs no escape but that of its end
         f"<div class='wide'><figure class='chart' style='height:{height}px;min-width:{min_width}px'>"
         f"<script type='application/json'>{data}</script></figure></div>"

@@ -55,7 +55,6 @@ def simulations(monkeypatch) -> list[int]:
     """A list that has an item for every simulation."""
     usual, seen = Linearized.simulate, list[int]()
     monkeypatch.setattr(Linearized, "simulate", lambda *given: seen.append(1) or usual(*given))
-    monkeypatch.setattr("hyst_control.diagnose.search.starts.map_forked", lambda work, count: map(work, range(count)))
     return seen
 
 
@@ -167,7 +166,6 @@ def test_the_best_fit_is_settled_first_and_then_those_that_may_come_near_it(monk
         return replace(solution, misfit=2000.0 if candidate.names == ("delay",) else solution.misfit)
 
     monkeypatch.setattr(beam_search, "_settled", settled)
-    monkeypatch.setattr(beam_search, "map_forked", lambda work, count: map(work, range(count)))
     found = beam_search._all_settled(linearized, fits, limit, 10000.0, CONFIGURATION)
     assert {candidate.names[0]: one.misfit for candidate, one in found} == {"delay": 2000.0, "gain": 9500.0, "offset": 8000.0}
     assert seen[0] == ("delay", np.inf) and sorted(name for name, _ in seen) == expected

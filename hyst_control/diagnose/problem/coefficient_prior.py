@@ -60,6 +60,8 @@ class Scatter:
     joint: Joint | None = None
     """Numbers that scatter together, by the first coefficients; None where each scatters by itself."""
     _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _made: dict[object, Stage] = field(default_factory=dict, init=False, compare=False, repr=False)
+    """Stages by other values: where one coefficient moves, the other stages are those of the chain before."""
 
     def __reduce__(self) -> tuple[object, ...]:
         return Scatter, (self.model, self.coefficients, self.joint)
@@ -101,7 +103,26 @@ class Scatter:
                     changed[coefficient.field][coefficient.index] += coefficient.tolerance * value
                 else:
                     changed[coefficient.field][coefficient.index] *= 1.0 + coefficient.tolerance * value
-        return tuple(_changed(stage, (i,), changes) for i, stage in enumerate(stages))
+        return tuple(self._changed(stage, (i,), changes) for i, stage in enumerate(stages))
+
+    def _changed(self, stage: Stage, path: tuple[int, ...], changes: Mapping[tuple[int, ...], Mapping[str, Array]]) -> Stage:
+        if stage.inner_chains:
+            return stage.with_inner_chains(
+                [
+                    [self._changed(member, (*path, b, m), changes) for m, member in enumerate(chain)]
+                    for b, chain in enumerate(stage.inner_chains)
+                ]
+            )
+        if path not in changes:
+            return stage
+        if self.joint is not None:  # the stage itself is another one for every z
+            return stage.with_values(changes[path])
+        key = path, *((name, values.tobytes()) for name, values in changes[path].items())
+        if key not in self._made:
+            if len(self._made) >= KEPT:
+                self._made.clear()
+            self._made[key] = stage.with_values(changes[path])
+        return self._made[key]
 
 
 @dataclass(frozen=True)
@@ -276,14 +297,3 @@ def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Mapping[str, f
 def _find(stages: Sequence[Stage], path: tuple[int, ...]) -> Stage:
     stage = stages[path[0]]
     return stage if len(path) == 1 else _find(stage.inner_chains[path[1]], path[2:])
-
-
-def _changed(stage: Stage, path: tuple[int, ...], changes: Mapping[tuple[int, ...], Mapping[str, Array]]) -> Stage:
-    if stage.inner_chains:
-        return stage.with_inner_chains(
-            [
-                [_changed(member, (*path, b, m), changes) for m, member in enumerate(chain)]
-                for b, chain in enumerate(stage.inner_chains)
-            ]
-        )
-    return stage.with_values(changes[path]) if path in changes else stage

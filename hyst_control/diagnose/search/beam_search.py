@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.parallel import map_known
+from hyst_control.base.parallel import Beside, beside, map_known
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.decide.policy import strained as are_strained
 from hyst_control.diagnose.problem.problem import Problem
@@ -89,6 +89,25 @@ def search(
     configuration: Configuration = CONFIGURATION,
 ) -> Found:
     """Fit and weigh all candidates."""
+    inflation = configuration.search.inflation
+    none, wide = FittedHypothesis(None, settled(linearized), 0.0), inflated(linearized, inflation)
+    # The coefficients alone are needed when all is weighed.
+    with beside(lambda: settled(wide, none.solution.z / inflation)) as alone:
+        return _searched(linearized, members, threshold, floor, leaves, progress, configuration, none, wide, alone)
+
+
+def _searched(
+    linearized: Linearized,
+    members: Sequence[Member],
+    threshold: float,
+    floor: float,
+    leaves: float,
+    progress: Callable[[str], None],
+    configuration: Configuration,
+    none: FittedHypothesis,
+    wide: Linearized,
+    alone: Beside[Solution],
+) -> Found:
     settings, thresholds = configuration.search, configuration.policy
     beam, depth = settings.beam, settings.depth
     whitened = linearized.problem.own_spectrum is not None
@@ -97,9 +116,6 @@ def search(
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
     side_by_side = whitened and len(linearized.problem.model.axes) == 1
-    none = FittedHypothesis(None, settled(linearized), 0.0)
-    wide = inflated(linearized, settings.inflation)
-    parameters = FittedHypothesis(None, settled(wide, none.solution.z / settings.inflation), 0.0, True, settings.inflation)
     # Every effect is as likely as any other before the record is seen, however many realizations it has.
     realizations = Counter(member.name for member in members)
     alternatives = np.log(max(len(realizations), 1))
@@ -180,7 +196,9 @@ def search(
         if wide.count
         else 0.0
     )
-    parameters = replace(parameters, score=temper * (none.solution.misfit - parameters.solution.misfit) - wider - alternatives)
+    fitted = alone.result()
+    score = temper * (none.solution.misfit - fitted.misfit) - wider - alternatives
+    parameters = FittedHypothesis(None, fitted, float(score), True, settings.inflation)
     return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
