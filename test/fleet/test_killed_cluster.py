@@ -26,7 +26,7 @@ from hyst_control.model_file import load_model, simulate
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
 
-UNITS, RUNS, TS = 4, 8, 1e-4
+UNITS, RUNS, TS = 3, 8, 1e-4
 
 
 @pytest.fixture(scope="module")

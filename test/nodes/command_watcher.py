@@ -23,6 +23,7 @@ class CommandWatcher:
     def __init__(self, domain, period, lower, upper, step):
         self.period, self.lower, self.upper, self.step = period, lower, upper, step
         self.rows = []  # (topic, tick, values), in order of arrival
+        self._commands = []  # those of `command`: asked for again and again while a test waits
         self._sent = []  # times of sending: an executor does not keep the order of two topics
         self.foreign = set()  # values of rivals
         self._context = rclpy.Context()
@@ -48,10 +49,12 @@ class CommandWatcher:
             tick = round(time / self.period) if math.isfinite(time) and abs(time) < 1e200 else None
             self._sent.append(information["source_timestamp"])
             self.rows.append((topic, tick, tuple(values)))
+            if topic == "command":
+                self._commands.append((tick, tuple(values)))
 
     def command(self, since=0):
         """Rows (tick, values) of `command` that are no rival's, from this one on in order of arrival."""
-        return [(tick, values) for topic, tick, values in self.rows if topic == "command" and values not in self.foreign][since:]
+        return [row for row in self._commands if row[1] not in self.foreign][since:]
 
     @property
     def applied(self):
@@ -59,8 +62,7 @@ class CommandWatcher:
 
     @property
     def last(self):
-        command = self.command()
-        return command[-1][1] if command else None
+        return next((values for _, values in reversed(self._commands) if values not in self.foreign), None)
 
     def check(self):
         """Every row to the last one: finite, within the limits, and no further from the actuator than the slew limit allows.

@@ -67,7 +67,7 @@ def once(rows):
 
 
 def test_silent_beside_a_plant_within_tolerance(bench, tmp_path):
-    model, count = load_model(MODEL), 8000
+    model, count = load_model(MODEL), 5000
     bench.listen("command", "measurement")
     _, gap, residual = run_loop(bench, tmp_path, Noisy(model, 5), count)
     assert len(gap) >= (count / RATE - 0.02) / WINDOW - 1
@@ -87,7 +87,7 @@ def test_alarm_and_diagnosis_once_a_delay_switches_on(bench, tmp_path, monkeypat
         {"plant": "pea_published", "seed": 3, "effects": [{"name": "delay", "tau": 2e-4, "from": 0.4}]}, sample_time=1 / RATE
     )
     bench.listen_to_diagnostics()
-    node, gap, _ = run_loop(bench, tmp_path, plant, 14000, buffer=0.25)
+    node, gap, _ = run_loop(bench, tmp_path, plant, 12000, buffer=0.25)
     alarmed = gap[gap[:, 2] > 0, 0]
     assert 0.4 < alarmed[0] <= 0.4 + (CONSECUTIVE + 1) * WINDOW
     assert gap[-1, 2] == 1.0

@@ -17,10 +17,10 @@ benchmark = needs("bouc_wen")
 
 @pytest.fixture(scope="module")
 def outcome():
-    """The gray box and a small table, with half of the points of interpolation."""
+    """The gray box and a small table, with two fifths of the points of interpolation."""
     grey = bouc_wen.Candidate(CANDIDATES[0].subject, "bouc_wen", {"exponent": 1.0})
     generic = bouc_wen.Candidate(CANDIDATES[1].subject, "duhem_oscillator", {"table_size": 3})
-    return bouc_wen.run(None, (grey, generic), refinement=5)
+    return bouc_wen.run(None, (grey, generic), refinement=4)
 
 
 @benchmark
