@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Injected cases: known effects put into records of machines, so that the physics is real and the truth exact.
 
-Every size is a multiple of what the identified model leaves on clean records that it was not identified from.
+Every size is a multiple of what the identified model leaves on baseline records that it was not identified from.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ONE_FREQUENCY = ("stack",)
 
 
 def made(case: Case) -> Made:
-    """Make a case: its effects, each as strong as is asked for, are put into the machine's clean record."""
+    """Make a case: its effects, each as strong as is asked for, are put into the machine's baseline record."""
     machine = machine_of(case.plant, case.seed >= SCORING)
     model, step = machine.model(), machine.sample_time
     record = next(index for index, clean in enumerate(machine.cases) if clean.name == case.excitation)
@@ -82,7 +82,7 @@ Step = tuple[str, str, str, float]
 
 STEPS: dict[str, tuple[Step, ...]] = table_file("blind_test/injected_plan.yaml")
 CLEAN = 2
-"""Clean records in a round."""
+"""Baseline records in a round."""
 
 
 def planned(machines: Sequence[Machine], seed: int, number: int) -> Iterator[Case]:
@@ -114,7 +114,7 @@ def _group(machine: Machine) -> str:
 
 
 def _clean_cells(machines: Sequence[Machine], random: np.random.Generator) -> list[Case]:
-    """Every clean record with every set of clean records beside it, in random order; of each of the mirror's levels one set."""
+    """Every baseline record with every set of baseline records beside it, in random order; of each of the mirror's levels one set."""
     cells = []
     mirrors = [machine for machine in machines if _group(machine) == "mirror"]
     cells += [_row(machine, 0, "none", MODES[index % len(MODES)]) for index, machine in enumerate(mirrors)]

@@ -5,7 +5,7 @@
 - stack (`pea_p885`): stretches of eight cycles, the first two of which fill the memory; tuning seeds see the second file's first half,
   scoring seeds its second half, where an inverse operator shaped the command.
 - mirror (`fsm_cubespec`): models from realizations 1-4, tuning seeds see the fifth, scoring seeds the sixth; the other measured period of
-  a record is its clean record.
+  a record is its baseline record.
 - `third` and a Bouc-Wen stage, simulated with noise: machines that no family here matches. Only scoring seeds see the Bouc-Wen stage.
 """
 
@@ -50,10 +50,10 @@ class Machine:
     axes: tuple[str, ...]  # Names of the axes
     sample_time: float  # Sample time, s
     warm_up: float  # Begin of each record that does not count, s
-    cases: tuple[Record, ...]  # Clean records for cases
+    cases: tuple[Record, ...]  # Baseline records for cases
     # By the index of a case's record, a clean one of the same command; absent where there is none
     same: Mapping[int, Record]
-    others: tuple[Record, ...]  # Clean records of other commands
+    others: tuple[Record, ...]  # Baseline records of other commands
     model: Callable[[], Model]  # Identifies the model, with its own error in it
 
 

@@ -31,7 +31,7 @@ CLEAN_SEEDS = (5000, 5001, 5002, 5003)
 def nominal(plant: str, noise: float) -> Model:
     """Return the model against which a case is diagnosed.
 
-    It is the published model, or one identified from clean records of the nominal plant, which says what it leaves on such records. Its
+    It is the published model, or one identified from baseline records of the nominal plant, which says what it leaves on such records. Its
     tolerance is the scatter of the plants; its noise is that of the sensor.
     """
     setup = SETUPS[plant]

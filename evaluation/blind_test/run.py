@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The blind test: cases are made, diagnosed by processes that never see their labels, then scored.
 
-Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is all the input of a diagnosis (clean records; the command of
+Folder of a run: cases/NAME/{bag, clean_*, model.yaml, next.npy, case.json} is the input of a diagnosis (baseline records; the command of
 a later session; the begin that does not count). labels.json, whose SHA-256 is printed first, is kept apart. Its output is
 reports/NAME.json, with the augmented model in .yaml, and separation/NAME.json for the ideal observer. results.csv has a row for every
 case.

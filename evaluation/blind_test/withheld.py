@@ -98,7 +98,7 @@ def _stack() -> dict[str, Made]:
     cycle = stack.cycles(full)[0]
     rows = stack.SCORED["rows 7950-14150"]
     whole = identify([cycle], "pi", operators=stack.OPERATORS, nuisance="offset").model
-    # Clean records that nothing was fitted to and nothing is diagnosed on: full cycles, and stretches of growing and shrinking loops.
+    # Baseline records that nothing was fitted to and nothing is diagnosed on: full cycles, and stretches of growing and shrinking loops.
     stretches = [nested.rows(begin, begin + STRETCH) for begin in range(0, CLEAN_ROWS - STRETCH + 1, STRETCH)]
     own = discrepancy(whole, [*stack.cycles(full)[1:3], *stretches])
     few = identify([cycle], "pi", operators=FEW_OPERATORS, nuisance="offset").model

@@ -105,10 +105,10 @@ def diagnose(
     records
         Records of today.
     model
-        The model, or a function ``simulate(command, sample_time, **parameters)`` that returns the measurement; None: the clean record
+        The model, or a function ``simulate(command, sample_time, **parameters)`` that returns the measurement; None: the baseline record
         of the same command in `baseline` is the prediction.
     baseline
-        Clean records of the same stage: what the model leaves on them is its discrepancy.
+        Baseline records of the same stage: what the model leaves on them is its discrepancy.
     parameters
         Of such a function, by name: value, standard deviation, and the unit if it has one.
     without

@@ -58,7 +58,7 @@ class Thresholds:
     stuck: int = 2  # stretches: stretches on one value from which the sensor does not follow: none comes back by chance
     repeated_share: float = 0.002  # The same, as a share of the samples
     lattice_noise: float = 0.2  # noise rms: rounding error from which a lattice is a quantization
-    beyond_clean: float = 2.0  # Times as much as in clean records from which repeats, a lattice or a rough command are new
+    beyond_clean: float = 2.0  # Times as much as in baseline records from which repeats, a lattice or a rough command are new
     rough_share: float = 0.5  # share of the smooth command's energy: most that a roughness of the command may have
     rough_correlation: float = 0.2  # Most that it may be correlated from sample to sample
     rough_tail: float = 2.4  # median size: 95 % quantile of its size up to which it is uniform (1.9), and not normal (2.9)
@@ -70,7 +70,7 @@ class Thresholds:
     outliers_share: float = 0.7  # share of the excess noise, rms: size of the outliers from which they are what the excess noise is
     flicker_margin: float = 5.0  # nats: gain of 1/f noise above what a claim needs
     flicker_size: float = 0.1  # noise rms: least 1/f noise that is named
-    # noise rms: the same beside a single clean record, whose own 1/f noise nobody knows and is in the difference as well
+    # noise rms: the same beside a single baseline record, whose own 1/f noise nobody knows and is in the difference as well
     flicker_size_beside_one: float = 2.0
     flicker_hides: float = 0.3  # share of the power: 1/f noise at the top of the spectrum from which it hides the white noise
     companion_deviations: float = 5.0  # standard deviations: size from which a session's zero or drift is named
@@ -120,7 +120,7 @@ class CheckSettings:
     mains_bins: float = 1.2  # bins: the same on a short record, at the mains frequency
     mains_harmonic_bins: float = 2.0  # bins: the same on a short record, around the harmonics where no other line is suggested
     mains_harmonics: tuple[int, ...] = (1, 2, 3, 5, 7)  # orders: harmonics of the mains that are no other line
-    clean_line: float = 3.0  # amplitude in a clean record: amplitude from which a line that clean records have too is new
+    clean_line: float = 3.0  # amplitude in a baseline record: amplitude from which a line that baseline records have too is new
     truncation: float = 0.15  # steps: distance of a mean error from half a step up to which a converter rounds down or up
     lattice_ratio: float = 20.0  # power of the spectrum around: power over the command from which a lattice of it is suggested
     lattice_bins: int = 16384  # bins: bins of the command's range for that spectrum
@@ -197,7 +197,7 @@ class SearchSettings:
     realizations: int = 8  # realizations: realizations without a number to fit that go on: those that come closest to the record
     promising: int = 5  # effects: effects that a linear step makes most of, added to an explanation
     promise: float = 0.5  # share of the threshold: least that such a step must gain
-    joint_pairs: int = 8  # pairs: pairs that are closest to the record to first order and fitted, beside clean records of one axis
+    joint_pairs: int = 8  # pairs: pairs that are closest to the record to first order and fitted, beside baseline records of one axis
     joint_starts: int = 4  # starts: starts of an effect that are laid beside those of another for that
     spent: float = 0.03  # share of the noise's energy: energy beyond the noise's under which no further effect is looked for
     spent_floor: float = 0.5  # practical sizes squared: the same, of what is too small to be named
@@ -213,7 +213,7 @@ class NullSettings:
     records: int = 200  # records: records without a gap that are drawn
     quantile: float = 0.99  # Quantile of the best score in them that a claim must exceed
     starts: int = 6  # starts: starts of an effect that are tried
-    estimated_spectrum: float = 2.5  # Factor where the spectrum of the model discrepancy comes from a few clean records
+    estimated_spectrum: float = 2.5  # Factor where the spectrum of the model discrepancy comes from a few baseline records
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class AttributionSettings:
 
     draws: int = 400  # draws: draws of the fit's covariance for an interval
     interval: float = 0.005  # share of the value: least width of an interval on either side: a stage is not the physics
-    # degrees: of Student's t for intervals where the model's file alone states its own error: clean records have two each
+    # degrees: of Student's t for intervals where the model's file alone states its own error: baseline records have two each
     freedom: float = 5.0
     coefficient_deviations: float = 2.0  # tolerances: distance from the nominal value from which a coefficient is listed
     candidate_probability: float = 0.0001  # Least probability of a candidate that is listed
@@ -284,15 +284,15 @@ class BaselineSettings:
     zero_share: float = 0.3  # share of the range: standard deviation of the zero, drift and curvature of a session
     # share of the mean slope: standard deviation of the weights by which the initial memory of sessions differs
     memory_share: float = 0.2
-    # share of the record: most rows that are left out beside a clean record of the same command until this memory is wiped out
+    # share of the record: most rows that are left out beside a baseline record of the same command until this memory is wiped out
     memory_rows: float = 0.34
     unseen: float = 1.5  # own errors: size of the model's error on a command on which it was not measured
-    # share of the range: zero, drift and curvature that are usual where few clean records are at hand
+    # share of the range: zero, drift and curvature that are usual where few baseline records are at hand
     usual_share: tuple[float, ...] = (0.1, 0.03, 0.03)
     same_floor: float = 0.15  # own error and noise, rms: least that an effect must take off
-    # share of the motion, rms: what sessions differ by where a single clean record without a period does not tell
+    # share of the motion, rms: what sessions differ by where a single baseline record without a period does not tell
     usual_repeatability: float = 0.003
-    other_command: float = 0.35  # own errors: size of an effect that is named where no clean record has the same command
+    other_command: float = 0.35  # own errors: size of an effect that is named where no baseline record has the same command
     blocks: int = 10  # blocks: blocks of a record that a remainder is predicted on, each from the others
 
 

@@ -47,14 +47,14 @@ class RecordEvidence:
     step: float  # Step of the lattice that all values lie on, measurement unit; 0 without a lattice
     step_modelled: bool  # Whether the model has a lattice of its own
     noise: float  # White noise (rms, measurement unit) in what the coefficients leave
-    usual_repeated: float = 0.0  # The same share of repeated samples in clean records
+    usual_repeated: float = 0.0  # The same share of repeated samples in baseline records
     usual_step: float = 0.0  # Step of their lattice, measurement unit; 0 without one
     # That of a command that the plant did not receive; None of any other
     roughness: RoughnessEvidence | None = None
-    usual_roughness: float = 0.0  # Its size (rms, V) in clean records; 0 without one
+    usual_roughness: float = 0.0  # Its size (rms, V) in baseline records; 0 without one
     # Stretches that stand on one and the same value while the command moves, where they are most of the repeated samples; else 0
     stuck: int = 0
-    usual_stuck: int = 0  # The same in clean records
+    usual_stuck: int = 0  # The same in baseline records
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class ResidualEvidence:
     # 1/f noise, in units of the noise; None where it was not looked for
     flicker: FlickerEvidence | None = None
     predictable: float = 1.0  # Share of it that follows the command; 1 where it was not looked for
-    # As this hypothesis has them; none without clean records
+    # As this hypothesis has them; none without baseline records
     companions: tuple[CompanionEvidence, ...] = ()
     distortions: tuple[DistortionEvidence, ...] = ()  # Of its effects
     # A vibration whose phase wanders; None where none stands out, or none was looked for
@@ -122,7 +122,7 @@ class CompanionEvidence:
     effect: str  # Its name among the effects
     parameter: str  # Of that effect
     axis: int  # Index in the problem
-    value: float  # Relative to the clean records, measurement unit
+    value: float  # Relative to the baseline records, measurement unit
     deviation: float  # Standard deviation, measurement unit
     usual: float  # Largest size that is usual from session to session; NaN where nothing says what is
     rms: float  # Error that it brings, measurement unit
@@ -183,12 +183,12 @@ class Evidence:
     record: tuple[RecordEvidence, ...] = ()  # By axis
     checks: frozenset[RecordCheck] = frozenset()  # Checks whose effect is in the catalogue
     weight: float = 1.0  # Weight of a sample in the fits, below 1 where they know of the model discrepancy
-    # True where a single clean record is carried over, so that its own noise is in the residual and nobody knows how much that is
+    # True where a single baseline record is carried over, so that its own noise is in the residual and nobody knows how much that is
     clean_noise: bool = False
     # True where the fits know the spectrum of the model discrepancy: energies are then in units of it and the noise together
     whitened: bool = False
     repeating: frozenset[str] = frozenset()  # Names of the effects that repeat values by themselves
-    # True where the model discrepancy is carried over from a clean record of the same command, so that it is in no residual
+    # True where the model discrepancy is carried over from a baseline record of the same command, so that it is in no residual
     carried: bool = False
     # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()

@@ -72,7 +72,7 @@ class Reason(str, Enum):
     """Effect: a check of the record found an effect without a waveform."""
 
     SESSION_DIFFERS = "session_differs"
-    """Effect: zero or drift of the session differ, more than between clean records."""
+    """Effect: zero or drift of the session differ, more than between baseline records."""
 
     NOISE_EXPLAINS_MORE = "noise_explains_more"
     """Effect: 1/f noise explains more than any effect with a waveform."""

@@ -55,7 +55,7 @@ class Surroundings:
     slew: float  # V/s, the largest of the command
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
-    # Lowest frequency (Hz) that the command excites, where clean records keep the model discrepancy apart, so that effects
+    # Lowest frequency (Hz) that the command excites, where baseline records keep the model discrepancy apart, so that effects
     # may be as large as physics allows; None where they do not
     lowest_frequency: float | None = None
     # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above
@@ -156,10 +156,10 @@ class Effect:
     random_check: RecordCheck | None = None  # The check that finds an effect with a waveform where it is at random, and has none
     # What to record besides where no excitation tells it from another effect; None: another sensor
     separating_record: str | None = None
-    # Of an effect that differs from session to session, and so is free in every hypothesis where clean records are at hand
+    # Of an effect that differs from session to session, and so is free in every hypothesis where baseline records are at hand
     companion: Companion | None = None
     also_at: tuple[str, ...] = ()  # Further places that an engineer would call by the same name
-    # The same, where the signatures differ only beside clean records, whose own error does not go through the drive
+    # The same, where the signatures differ only beside baseline records, whose own error does not go through the drive
     also_beside_clean: tuple[str, ...] = ()
     # The effect in the middle of a sentence, with parameters that the gap report has in braces: "a slew limit of {rate}"; "":
     # its name

@@ -168,7 +168,7 @@ def lowpass_system(cutoff: float, order: int, damping: float = 1.0) -> LinearSys
 def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Cutoff, order, and the damping of one of second order, as a record shows them.
 
-    The cutoff goes from what the record is just long enough to show up to what its sampling hardly does; beside clean records from a
+    The cutoff goes from what the record is just long enough to show up to what its sampling hardly does; beside baseline records from a
     tenth of the lowest excited frequency.
     """
     nyquist = 0.5 / around.sample_time

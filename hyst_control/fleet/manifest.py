@@ -34,7 +34,7 @@ class Entry:
     unit: str  # Actuator that it is of
     time: str = ""  # When it was taken, as in the manifest
     model: str = ""  # Path of its model file; "" for none
-    baseline: tuple[str, ...] = ()  # Paths of clean records
+    baseline: tuple[str, ...] = ()  # Paths of baseline records
     columns: Mapping[str, str] = field(default_factory=dict)  # Further columns of the manifest, as texts
 
     @property

@@ -200,7 +200,7 @@ def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
         unit = row["unit"]
         if row["status"] != DONE or row["moment"] < since.get(unit, float("inf")) or row["gap_rms"] is None:
             continue
-        # A gap to the model alone is none to clean records: those with clean ones first.
+        # A gap to the model alone is none to baseline records: those with clean ones first.
         if unit not in clearest or _clarity(row) > _clarity(clearest[unit]):
             clearest[unit] = row
     return {row["bag"] for row in clearest.values()}

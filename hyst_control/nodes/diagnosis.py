@@ -56,7 +56,7 @@ class DiagnosisNode(SignalNode):
     It publishes `residual` (measurement minus prediction, by tick), `gap` (per window: NRMSE in % of the range, alarm 0 or 1) and
     diagnostics. It only listens: no other node waits for it. Up to `bridge` ticks without a command count as held, as by a DAC. After
     a longer gap the model settles at the new command, and `settle` seconds are not judged, because the memory of the hysteresis has
-    to fill; nor are they after the start. What the model leaves on the clean records of `baseline` counts as its own imperfection, which
+    to fill; nor are they after the start. What the model leaves on the baseline records of `baseline` counts as its own imperfection, which
     raises no alarm. Under the timer nothing is compared while the actuator does not follow its command; the model then runs from
     what the plant says on `applied`.
 

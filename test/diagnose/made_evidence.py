@@ -107,6 +107,6 @@ def changing(
 
 
 def session(usual: float) -> HypothesisEvidence:
-    """No gap but a zero of two noise rms, where clean records differ by `usual`."""
+    """No gap but a zero of two noise rms, where baseline records differ by `usual`."""
     zero = CompanionEvidence("offset", "offset", 0, 2.0, 0.1, usual, 2.0)
     return replace(SMALL, residual=replace(QUIET, energy=1.2, companions=(zero,)))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clean records beside the new one, on a machine that the model is not: other hysteresis, creep, a mode of another frequency."""
+"""Baseline records beside the new one, on a machine that the model is not: other hysteresis, creep, a mode of another frequency."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def record(command: np.ndarray, measurement: np.ndarray, source: str) -> Record:
 
 
 def fitted() -> Model:
-    """A Prandtl-Ishlinskii model fitted to a slow clean record by least squares, in front of a mode at 400 Hz: near, and wrong."""
+    """A Prandtl-Ishlinskii model fitted to a slow baseline record by least squares, in front of a mode at 400 Hz: near, and wrong."""
     command, thresholds = sines(20.0), (4.0, 10.0, 20.0, 35.0, 55.0)
     columns = [command, np.ones(len(command))]
     for threshold in thresholds:
@@ -155,7 +155,7 @@ def test_a_clean_record_shows_its_session_at_most():
 
 @pytest.mark.parametrize("gain", [1.002, 1.01])
 def test_what_sessions_usually_differ_by_is_no_effect_beside_a_single_clean_record(gain):
-    """A gain of two thousandths: one clean record without a period does not tell whether the next one has it too."""
+    """A gain of two thousandths: one baseline record without a period does not tell whether the next one has it too."""
     command = sines(50.0)
     new, clean = (
         record(command, machine(command, 1, sensor=lambda y: gain * y), "new"),

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines that clean records have too, in another phase."""
+"""Lines that baseline records have too, in another phase."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def test_what_is_fast_beside_a_slow_error_counts_in_full():
 
 
 def test_coefficients_are_pinned_by_clean_records():
-    """A gain that is known to 30 % is known to what the own error of a clean record allows."""
+    """A gain that is known to 30 % is known to what the own error of a baseline record allows."""
     command = 3.0 * np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
     clean = Problem(model(0.3), (Piece(command, 2.0 * command + slow_error(1)),), STEP, "foh", np.array([NOISE]))
     clean = replace(clean, own_spectrum=spectrum_of(1))
@@ -115,7 +115,7 @@ def test_coefficients_are_pinned_by_clean_records():
     assert abs(narrow.joint.factor[0, 0]) == pytest.approx(exact, rel=0.02)
     other = problem(1.4 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1))
     assert abs(fit(Linearized(other, scatter_of(clean.model))).z[0]) < 1.1  # within 30 %
-    assert abs(fit(Linearized(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the clean record does not take it up
+    assert abs(fit(Linearized(other, narrow)).z[0]) > 5.0  # many deviations: the gain of the baseline record does not take it up
 
 
 @pytest.mark.parametrize("slowest", [0.02, 1.0, 10.0])
@@ -175,7 +175,7 @@ def test_a_small_slow_residual_beside_an_own_error_keeps_its_weight():
 
 
 def test_practical_size_is_in_units_of_own_error_and_noise():
-    """A record that a low-pass took the noise off is whitened by the noise of the clean records: its effects are no smaller for it."""
+    """A record that a low-pass took the noise off is whitened by the noise of the baseline records: its effects are no smaller for it."""
     command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
     given = problem(2000.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1, 2))
     usual, quiet = (_floor(replace(given, sigma=np.array([size])), np.zeros(1), CONFIGURATION) for size in (NOISE, 0.01 * NOISE))
@@ -183,7 +183,7 @@ def test_practical_size_is_in_units_of_own_error_and_noise():
 
 
 def test_the_error_on_a_larger_output_is_the_same_share_of_it():
-    """Where the clean records' commands drove nothing, the usual share counts. A smaller output does not make the error smaller."""
+    """Where the baseline records' commands drove nothing, the usual share counts. A smaller output does not make the error smaller."""
     known, new = (replace(spectrum_of(1), power=np.full((ROWS, 1), size)) for size in (4.0, 36.0))
     foreseen = spectrum_of(1).for_output(known, new, np.zeros(1))
     np.testing.assert_allclose(foreseen.power, 9.0 * spectrum_of(1).power)

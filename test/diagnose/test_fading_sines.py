@@ -49,7 +49,7 @@ def test_what_stands_at_the_frequency_of_the_command_is_no_hum(driven: float, fo
 
 @pytest.mark.parametrize("frequency", [20.0, 50.0])
 def test_a_drifting_gain_is_no_vibration(frequency: float) -> None:
-    """Beside one clean record of the same command: one number explains the gap as well as fifty of a line that swells."""
+    """Beside one baseline record of the same command: one number explains the gap as well as fifty of a line that swells."""
     command = fading(frequency)
     clean, new = machine(command, 1), machine(command, 2, sensor=lambda y: y * (1.0 - 0.15 * TIME / TIME[-1]))
     rivals = ("gain_drift", "vibration", "mains_hum", "gain", "offset_drift", "creep", "resonance")

@@ -124,7 +124,7 @@ STEADY = 50.0 + 45.0 * np.sin(2.0 * np.pi * 7.0 * TIME)
 
 
 def test_what_the_time_before_left_in_a_clean_record_of_another_command_is_no_error_of_the_model():
-    """The model is the machine but for the memory, which is wiped out in the middle of the clean record."""
+    """The model is the machine but for the memory, which is wiped out in the middle of the baseline record."""
     clean = of_plays((GROWING, 1.0))
     [piece] = clean.pieces
     left = piece.counted(piece.measurement) - piece.counted(plays(GROWING, 0.0)[:, None])

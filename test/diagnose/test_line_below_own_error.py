@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A line that is smaller than the model discrepancy, and many times what the model leaves at its frequency, without a clean record."""
+"""A line that is smaller than the model discrepancy, and many times what the model leaves at its frequency, without a baseline record."""
 
 from __future__ import annotations
 

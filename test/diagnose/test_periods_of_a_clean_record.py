@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Periods of a single clean record of the same command: what they differ by stands for what sessions differ by."""
+"""Periods of a single baseline record of the same command: what they differ by stands for what sessions differ by."""
 
 from __future__ import annotations
 

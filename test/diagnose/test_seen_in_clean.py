@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A mode that the model lacks is in the clean records too, so it is not named as a change."""
+"""A mode that the model lacks is in the baseline records too, so it is not named as a change."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def record(command: np.ndarray, seed: int) -> Record:
 
 
 def test_a_mode_that_the_model_never_had_is_no_change():
-    """The new command excites it ten times as much as those of the clean records did."""
+    """The new command excites it ten times as much as those of the baseline records did."""
     clean = [record(noise(2.0, seed), seed) for seed in (1, 2)]
     others = [name for name in EFFECTS if name not in RIVALS]
     report, *_ = diagnosed([record(noise(20.0, 3), 3)], MODEL, cache=False, baseline=clean, without=others)

@@ -162,7 +162,7 @@ def test_a_click_opens_the_page_of_a_record(tmp_path):
 
 
 def test_a_gap_that_grows_with_the_distance_from_the_clean_runs_is_no_change():
-    """Temperature: a gap to clean records at 20 degrees grows as it gets warmer and as it gets colder."""
+    """Temperature: a gap to baseline records at 20 degrees grows as it gets warmer and as it gets colder."""
     rng = np.random.default_rng(8)
     temperature = 20.0 + np.concatenate([np.zeros(2), 3.0 * rng.standard_normal(24), np.full(4, -4.0)])
     records = [

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model's error, learned from features of the command on clean records, and what it says of commands that it has not seen."""
+"""A model's error, learned from features of the command on baseline records, and what it says of commands that it has not seen."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tup
 def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
     """Distortion tests of a hypothesis, each with its sign.
 
-    What is left must exceed what the model leaves on clean records, which has a shape of its own; where the fits know its spectrum,
+    What is left must exceed what the model leaves on baseline records, which has a shape of its own; where the fits know its spectrum,
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
     residual, due = residual_of(evidence, index), evidence.stated
@@ -135,7 +135,7 @@ def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
     """Share of the gap's energy that the chosen explanation leaves, however little that is."""
     before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
     due = evidence.stated
-    # What does not follow the command varies from run to run, and no effect would explain it. Where clean records show how much that
+    # What does not follow the command varies from run to run, and no effect would explain it. Where baseline records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - due, residual_of(evidence, chosen).predictable
     usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf

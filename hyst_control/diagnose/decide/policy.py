@@ -196,7 +196,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
         return False
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
     before = evidence.hypotheses[0].energy
-    # What leaves no more than the model leaves on clean records is no gap.
+    # What leaves no more than the model leaves on baseline records is no gap.
     if before - one.energy > least and (unweighted or before > evidence.stated):
         return True
     if unweighted and evidence.stated >= thresholds.own_error_energy:
@@ -231,7 +231,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
     """
     one = evidence.hypotheses[index]
-    # Beside clean records the coefficients are those of these records, and what has changed is an effect if a known one does it.
+    # Beside baseline records the coefficients are those of these records, and what has changed is an effect if a known one does it.
     if not one.coefficients_alone or (one.farthest < thresholds.many_tolerances and not evidence.whitened):
         return False
     size = 0.5 * evidence.temper * evidence.weight * evidence.rows * len(evidence.noise)  # nats of a noise energy

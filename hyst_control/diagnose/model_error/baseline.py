@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Baseline of a diagnosis: baseline records, on which a model's residual is its model discrepancy and not a gap.
 
-A clean record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
+A baseline record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
 time shift, the model's error on it is carried over sample by sample:
 
     predicted new record = E_out( y_clean + [ M_E(u_new) - M(u_clean) ] ) + zero(t)
 
 E_out are the sensor's effects, which act on the plant's whole output; M is the model, and M_E the model with the effects of the
-drive. The error of the model's coefficients cancels in the difference. Without a model, the clean record alone is the prediction, and
+drive. The error of the model's coefficients cancels in the difference. Without a model, the baseline record alone is the prediction, and
 only effects behind the mechanics can be found.
 
-If no clean record has the same command, the model's error is predicted from the features of the command that the clean records, or the
+If no baseline record has the same command, the model's error is predicted from the features of the command that the records, or the
 discrepancy in the model file, taught; where these predict nothing, its size and its correlation are known.
 """
 
@@ -57,18 +57,18 @@ class Baseline:
 
     problem: Problem  # The new records; their model has stages for the known error and the session's zero
     carried: bool  # True when the model's error is carried over sample by sample
-    # Rms difference between clean records of the same command, or between periods of one, measurement unit; rms of the model's
-    # error if no clean record has that command; 0 if there is only one clean record and its command has no period
+    # Rms difference between baseline records of the same command, or between periods of one, measurement unit; rms of the model's
+    # error if no baseline record has that command; 0 if there is only one baseline record and its command has no period
     repeatability: Annotated[Array, "A"]
-    # Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the clean records predict for
+    # Departure from the clean sessions' mean up to which a session is usual, measurement unit: what the baseline records predict for
     # the next one, and a share of the range at most, which is all that is known beside a single one
     usual_zero: Annotated[Array, "A 3"]
     floor: Annotated[Array, "A"]  # Rms that an effect must remove from the residual to be named at all, measurement unit
-    clean: Problem | None  # The clean records; None if the model file's discrepancy is used instead
-    error: Annotated[Array, "A"]  # Rms of the model discrepancy on the clean records without their zeros, measurement unit
+    clean: Problem | None  # The baseline records; None if the model file's discrepancy is used instead
+    error: Annotated[Array, "A"]  # Rms of the model discrepancy on the baseline records without their zeros, measurement unit
     # What predicts this error on other commands; None where that is not known, or of axes that the model mixes
     learned: LearnedDiscrepancy | None = None
-    # The clean records with the rows on which the error was measured: those that say nothing of the time before the record, where
+    # The baseline records with the rows on which the error was measured: those that say nothing of the time before the record, where
     # the new records have no others. None where the error is carried over, or a model file states it
     error_rows: Problem | None = None
 
@@ -147,7 +147,7 @@ def _beside_own_error(
 ) -> Baseline:
     """Make the baseline of a model whose model discrepancy is known from other commands, in the form that a model file has it.
 
-    errors: those of the clean records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
+    errors: those of the baseline records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
     with the rows before, in which the time before the record shows.
     """
     error = np.asarray(stated["rms"], dtype=float)

@@ -57,7 +57,7 @@ def _shift(command: Array, other: Array, least: int) -> int:
 def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
     """Put the command of a baseline record in the place of one whose roughness the plant did not receive, where both are the same.
 
-    What smoothing leaves of a roughness is slow, as an effect is; a clean record of the same command has none of it.
+    What smoothing leaves of a roughness is slow, as an effect is; a baseline record of the same command has none of it.
     """
     pieces = []
     for piece in problem.pieces:

@@ -5,8 +5,8 @@
 A record begins anywhere in the loops, and what the machine did before is not in it. A play operator begun at one end of its play and
 one begun at the other differ until the command wipes that out: by the wiping-out property of hysteresis (Mayergoyz, Mathematical
 Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, nearly
-span what an unknown initial memory adds. They are free in every hypothesis where clean records are at hand, as the session's zero is.
-Beside a clean record of the same command, which tells everything else to the noise, the rows before are left out if they are few, and
+span what an unknown initial memory adds. They are free in every hypothesis where baseline records are at hand, as the session's zero is.
+Beside a baseline record of the same command, which tells everything else to the noise, the rows before are left out if they are few, and
 otherwise those in which the command goes beyond all that it has met: only there does the memory change, and between them it is a constant.
 """
 

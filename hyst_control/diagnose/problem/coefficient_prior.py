@@ -177,7 +177,7 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
     """Limit every tolerance to a physical size: what moves the output by as much as the model discrepancy, and `LARGEST` at most.
 
     A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
-    independently, such coefficients make models that no clean record allows: on clean records the model is wrong by its own error.
+    independently, such coefficients make models that no baseline record allows: on baseline records the model is wrong by its own error.
     """
     # problem: records, and the model discrepancy; without it, or where the coefficients scatter together, as a fit has found it,
     # the scatter is returned unchanged
@@ -202,8 +202,8 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
 def pinned(scatter: Scatter, clean: Problem) -> Scatter:
     """Narrow coefficients that scatter together to what baseline records allow.
 
-    What a coefficient moves on a clean record by more than the model discrepancy there, it cannot have moved in the new one either.
-    The nominal values stay: how far a model is off on clean records is its own error.
+    What a coefficient moves on a baseline record by more than the model discrepancy there, it cannot have moved in the new one either.
+    The nominal values stay: how far a model is off on baseline records is its own error.
     """
     if scatter.joint is None:
         return scatter

@@ -5,7 +5,7 @@
     measurement = sensor effects( model with its effects(command) + error(t) ) + zero(t)
 
 The sensor's zero and the piezo's remanence differ between sessions, and creep continues during each. The zero is therefore fitted
-together with every hypothesis. The model's error on a clean record of the same command is known sample by sample; the diagnosis
+together with every hypothesis. The model's error on a baseline record of the same command is known sample by sample; the diagnosis
 adds it to the simulation, so that it is not mistaken for a gap. Where only records of other commands are clean, what they taught
 predicts the error, with weights that are free within their posterior.
 """

@@ -63,9 +63,9 @@ class Problem:
     hold: str
     sigma: Array
     lowest_frequency: float | None = None
-    """Lowest frequency (Hz) that the command excites; only where clean records keep the model discrepancy apart."""
+    """Lowest frequency (Hz) that the command excites; only where baseline records keep the model discrepancy apart."""
     own_error: Array | None = None
-    """Rms (A,) of what the model leaves on clean records, measurement unit; None where it is not known."""
+    """Rms (A,) of what the model leaves on baseline records, measurement unit; None where it is not known."""
     own_correlation: float = 1.0
     """Samples of that error per independent one."""
     own_spectrum: ErrorSpectrum | PeriodicError | None = None

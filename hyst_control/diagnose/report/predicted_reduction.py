@@ -4,7 +4,7 @@
 
 A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that
 command exists; the fitted model, effects and coefficients together, takes its place. The gaps of the nominal and of the augmented
-model are computed against it. What the model leaves on clean records, or what even the best explanation leaves, stays in both gaps: no
+model are computed against it. What the model leaves on baseline records, or what even the best explanation leaves, stays in both gaps: no
 effect removes it. So does a line, such as the mains or a vibration: a session has a phase of its own, which nobody knows beforehand, and
 a line of the augmented model would add its energy once more (`augmented_model.without_lines` takes it out for such a comparison).
 """
@@ -62,7 +62,7 @@ def foresee(diagnosis: Diagnosis, command: Annotated[Array, "N A"]) -> Foreseen:
 def own_error_energy(part: AxisDiagnosis, command: Annotated[Array, "N A"]) -> float:
     """Compute the energy that the model discrepancy adds to every gap on a command.
 
-    It is what the model leaves on clean records: as learned on other commands, or carried over from the same one, or stated. Where
+    It is what the model leaves on baseline records: as learned on other commands, or carried over from the same one, or stated. Where
     the best explanation leaves more than that, beyond the noise, it is this remainder.
     """
     problem = part.problem

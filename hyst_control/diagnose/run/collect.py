@@ -105,7 +105,7 @@ def _local_energy(problem: Problem, none: FittedHypothesis, scored: FittedHypoth
     """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
 
     In units of the model discrepancy and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
-    lacks a part leaves just that in the clean records too.
+    lacks a part leaves just that in the baseline records too.
     """
     if problem.own_spectrum is None or scored is none:
         return float("inf")
@@ -216,7 +216,7 @@ def white_noise(
 def _between_periods(problem: Problem, left: Sequence[Array], axis: int, settings: NoiseSettings) -> float:
     """White noise of an axis by differences between periods; infinite where the commands do not repeat.
 
-    Rows that do not count have noise as well. But where a clean record is carried over, its noise is in the residual, and elsewhere in
+    Rows that do not count have noise as well. But where a baseline record is carried over, its noise is in the residual, and elsewhere in
     none of the record.
     """
     pieces = problem.pieces

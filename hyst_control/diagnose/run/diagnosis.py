@@ -56,7 +56,7 @@ class AxisDiagnosis:
     hypotheses: tuple[FittedHypothesis, ...]  # Hypotheses in the order of the evidence
     evidence: Evidence  # Numbers that the decision is based on
     decision: Decision  # Verdict, its reasons, and the effects that are named
-    baseline: Baseline | None = None  # Clean records or stated discrepancy that were used
+    baseline: Baseline | None = None  # Baseline records or stated discrepancy that were used
     tests: ContenderTests | None = None  # What contenders leave, and whether they hold; None by likelihood
     structure: Mapping[str, float] = field(default_factory=dict)  # Of an unknown gap, by the likelihood core: see `structure`
 
@@ -109,7 +109,7 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose records against a model."""
     # core: "rules" or "likelihood", which of the two cores weighs the hypotheses
-    # model: nominal model; None: a clean record of the same command is the prediction, and only effects behind the mechanics are
+    # model: nominal model; None: a baseline record of the same command is the prediction, and only effects behind the mechanics are
     # tried
     model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
     parts = []

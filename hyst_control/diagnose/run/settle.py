@@ -94,7 +94,7 @@ class ContenderTests:
             known = self._clean.show(best, evidence.null + self._configuration.policy.margin)
             if known:
                 return tuple(i for i, one in enumerate(hypotheses) if known.intersection(one.names))
-        # Beside a clean record of the same command no coefficient is free, and without clean records they make up for much.
+        # Beside a baseline record of the same command no coefficient is free, and without baseline records they make up for much.
         if self._rows is not None and widens(linearized, best, none):
             return (index,)
         return () if holds(linearized, best, none, self._configuration.reduction) else (index,)

@@ -178,7 +178,7 @@ def _searched(
         # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
         gain = temper * (none.solution.misfit - solution.misfit)
-        # Beside clean records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
+        # Beside baseline records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
         # criterion of Schwarz (1978) is the most that parameters cost.
         most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
         among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
@@ -356,7 +356,7 @@ def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -
     Where the spectrum of the model discrepancy is known, its size and correlation together count, which are its density at low
     frequencies: a record of less noise than the clean ones leaves slow residuals, which are small.
 
-    Beside clean records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
+    Beside baseline records what is left is no model's error but the machine's own variation from run to run. It is slow, so that
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
     """
     size = float(np.mean(residual**2))

@@ -108,8 +108,8 @@ def holds(
 def widens(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis) -> bool:
     """Check whether effects, added to the model as given, make the gap larger.
 
-    Beside clean records, which leave the coefficients little to make up for, such effects are not there: together with the
-    coefficients they follow the model discrepancy. Without clean records a true effect may happen to hide a part of what the
+    Beside baseline records, which leave the coefficients little to make up for, such effects are not there: together with the
+    coefficients they follow the model discrepancy. Without baseline records a true effect may happen to hide a part of what the
     coefficients do.
     """
     assert scored.candidate is not None

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that baseline records show as well: parts that the model never had, and nothing that has changed.
 
-Beside clean records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the
-clean records too, with the very parameters that the new record asks for, was there before: a further mode that the identification
+Beside baseline records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the
+baseline records too, with the very parameters that the new record asks for, was there before: a further mode that the identification
 left out looks new wherever a command excites it more. The coefficients are free within their uncertainty on both sides.
 """
 
@@ -44,7 +44,7 @@ class CleanRecords:
             try:
                 simulated = self.problem.simulate(Candidate((member,)).unknowns().stages(stages, scored.solution.x[part]))
             except InputError:
-                continue  # no clean record would have come out of it
+                continue  # no baseline record would have come out of it
             if self.nominal - self._misfit(simulated) > least:
                 found.add(member.name)
         return frozenset(found)

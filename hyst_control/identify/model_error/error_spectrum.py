@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spectrum of the model discrepancy: how large it is at each frequency, and the filter that makes it white.
 
-A model's error on clean records is hardly ever white: creep and memory are slow, a gain that is a little off stands at the command's own
+A model's error on baseline records is hardly ever white: creep and memory are slow, a gain that is a little off stands at the command's own
 frequencies. A single number for its size hides what is fast beside what is slow. Residuals are therefore multiplied, in the discrete
 cosine transform of each record, by
 
     g(f) = σ / sqrt(S(f) + max(σ, ν)²),    S: power density of the own error, σ, ν: white noise of the record, and of the clean ones,
 
-so that the own error and the noise together become white noise of size 1 (generalized least squares). Lines of a clean record keep their
+so that the own error and the noise together become white noise of size 1 (generalized least squares). Lines of a baseline record keep their
 height: S is the upper envelope of its periodogram, for what a model leaves at a frequency of the command is one number, not many.
 """
 
@@ -32,7 +32,7 @@ FUNDAMENTALS = 1.0
 SMOOTHED = 3
 """Bins that are averaged before: a line between two bins has its power in both."""
 MUCH_MORE = 4.0
-"""Factor of the output's power (twice its amplitude) beyond which the clean records say nothing of the model at a frequency."""
+"""Factor of the output's power (twice its amplitude) beyond which the baseline records say nothing of the model at a frequency."""
 MAX_MORE = 100.0
 """Largest factor by which more power of the output raises that of the error."""
 UPPER = 0.6
@@ -47,7 +47,7 @@ class ErrorSpectrum:
 
     frequencies: Annotated[Array, "F"]  # Ascending, Hz
     power: Annotated[Array, "F A"]  # Expected square of an orthonormal cosine coefficient, measurement unit squared
-    # White noise of the clean records, rms, measurement unit: what takes it off at high frequencies leaves it at low ones
+    # White noise of the baseline records, rms, measurement unit: what takes it off at high frequencies leaves it at low ones
     noise: Annotated[Array, "A"]
 
     @classmethod
@@ -78,7 +78,7 @@ class ErrorSpectrum:
     def for_output(self, known: ErrorSpectrum, new: ErrorSpectrum, relative: Annotated[Array, "A"]) -> ErrorSpectrum:
         """Predict the error on new records, whose commands drive some frequencies more than those of the baseline ones did.
 
-        A model that leaves a share of its output at a frequency leaves that share of more output too; where the clean records' commands
+        A model that leaves a share of its output at a frequency leaves that share of more output too; where the baseline records' commands
         drive next to nothing, they say nothing of the model, and its error is taken to be the usual share of its output.
         """
         more = np.minimum(new.power / np.maximum(known.power, 1e-300), MAX_MORE)

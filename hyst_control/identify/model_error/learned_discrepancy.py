@@ -7,7 +7,7 @@ The error e of one axis, each record's own zero and drift taken off, is regresse
     e = Φ w + r,    w ~ N(0, α² I),    r: the rest, n samples of which count as one,
 
 and the posterior N(mean, factor factorᵀ) of w is kept. α and the size of r are those of the largest evidence (MacKay, Neural Computation
-4, 1992, p. 415). On a command that excites what the clean records did not, the posterior is as wide as the prior, and so says itself that
+4, 1992, p. 415). On a command that excites what the baseline records did not, the posterior is as wide as the prior, and so says that
 nothing is known there. The records of every command are also predicted from those of the others: where they lie further off than
 foreseen, rest and factor are multiplied by as much, and where the prediction is worth nothing, none is kept. Records of a single command
 do not tell what holds on another one; there the size of the error alone is known.
@@ -33,7 +33,7 @@ from hyst_control.records.stream.row_store import mean_square, spread_parts
 
 SIZES = np.geomspace(0.01, 0.5, 15)
 """Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the
-error, for large weights that cancel on the clean records do not cancel on other commands."""
+error, for large weights that cancel on the baseline records do not cancel on other commands."""
 ROUNDS = 4
 """Rounds in which rest and prior are found in turn."""
 WORTH = 0.1

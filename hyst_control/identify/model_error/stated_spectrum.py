@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Spectrum of the model discrepancy as its file states it: in bands, beside the spectrum of the output that it belongs to.
 
-The error and the output of the model on the clean records are each reduced to the largest power in bands of a sixth of an octave. A
-reader makes from them what the clean records themselves would have told: how large the error is at each frequency, and how far a new
+The error and the output of the model on the baseline records are each reduced to the largest power in bands of a sixth of an octave. A
+reader makes from them what the baseline records themselves would have told: how large the error is at each frequency, and how far a new
 command drives the model where the clean ones did not.
 """
 

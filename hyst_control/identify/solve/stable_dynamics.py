@@ -34,7 +34,7 @@ TAU_UNIT = 1e-4
 
 
 def pace(sample_time: float) -> float:
-    """How many times slower a record's delays and modes are looked for than those of a record at 10 kHz or faster."""
+    """Factor by which the delays and modes of a record are looked for at longer times than those of a record at 10 kHz or faster."""
     return max(sample_time / TAU_UNIT, 1.0)
 
 
