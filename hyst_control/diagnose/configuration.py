@@ -197,7 +197,9 @@ class SearchSettings:
     realizations: int = 8  # realizations: realizations without a number to fit that go on: those that come closest to the record
     promising: int = 5  # effects: effects that a linear step makes most of, added to an explanation
     promise: float = 0.5  # share of the threshold: least that such a step must gain
-    joint_pairs: int = 8  # pairs: pairs that are closest to the record to first order and fitted, beside baseline records of one axis
+    joint_pairs: int = (
+        8  # pairs: pairs that are closest to the record to first order and fitted, beside baseline records of one axis
+    )
     joint_starts: int = 4  # starts: starts of an effect that are laid beside those of another for that
     spent: float = 0.03  # share of the noise's energy: energy beyond the noise's under which no further effect is looked for
     spent_floor: float = 0.5  # practical sizes squared: the same, of what is too small to be named
