@@ -18,8 +18,8 @@ from hyst_control.base.arrays import Array
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import quantization_step
 
-SEGMENT = 0.25
-"""Length (s) of the segments that are looked at: a step among long loops is seen in its own."""
+SEGMENT, SEGMENT_ROWS = 0.25, 500
+"""Length (s), and least number of rows, of the segments that are looked at: a step among long loops is seen in its own."""
 ABOVE_NOISE = 5.0
 """Amplitude of the motion beyond a frequency, in amplitudes of the noise there."""
 MIN_SHARE = 0.005
@@ -78,7 +78,7 @@ def _band(window: Window, slope: float) -> float:
 
 def _segment(rows: int, sample_time: float) -> tuple[int, Array]:
     """Rows of a segment, and its window."""
-    size = min(max(int(SEGMENT / sample_time), 16), rows)
+    size = min(max(int(SEGMENT / sample_time), SEGMENT_ROWS), rows)
     return size, np.hanning(size)
 
 
