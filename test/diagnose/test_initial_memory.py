@@ -96,7 +96,7 @@ def test_an_effect_of_no_size_takes_nothing_off():
     absent = next(
         one for one in part.found.singles if one.solution.misfit == pytest.approx(part.found.none.solution.misfit, rel=1e-9)
     )
-    left = held_out(part.linearized, absent, part.found.none)
+    [left] = held_out(part.linearized, [absent], part.found.none)[1]
     assert left.after.mean() == pytest.approx(left.before.mean(), rel=1e-6)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from scipy.optimize import lsq_linear
 from scipy.special import ndtri, stdtrit
 
 from hyst_control.base.arrays import Array
@@ -34,6 +33,8 @@ def solve_bounded(
     if not (np.any(np.isfinite(low)) or np.any(np.isfinite(high))):
         free: Array = np.linalg.lstsq(design, right, rcond=None)[0] / scale
         return free
+    from scipy.optimize import lsq_linear  # nodes and a diagnosis have no use for it, and it takes long to import
+
     solution = lsq_linear(design, right, (low, high), method="bvls", tol=1e-12, max_iter=200)
     bounded: Array = np.clip(solution.x / scale, lower, upper)
     return bounded

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evaluation.blind_test.ablation import BEFORE, RULES, changes, moves, outcomes, without
@@ -21,9 +22,9 @@ class Measured:
 
     evidence: Evidence
 
-    def residual(self, index: int) -> ResidualEvidence:
-        found = self.evidence.hypotheses[index].residual
-        assert found is not None
+    def residuals(self, indices: Sequence[int]) -> dict[int, ResidualEvidence]:
+        found = {index: self.evidence.hypotheses[index].residual for index in indices}
+        assert None not in found.values()
         return found
 
     def dropped(self, index: int) -> tuple[int, ...]:
