@@ -136,9 +136,9 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
     if not plain.highest:
         return best
     new = first_modes(problem, best)
-    start = new[0][0]
+    frequency = new[0][0]
     while True:
-        grown = _grown(problem, best, start, new)
+        grown = _grown(problem, best, frequency, new)
         trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
         for trial in trials:
             report(trial)
@@ -150,6 +150,7 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
         poorer, best = best, next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
         if best.structure.modes > poorer.structure.modes:
+            frequency = float(np.exp(best.structure.split(best.parameters)["modes"][0, 0])) / (2 * np.pi)
             new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
 
 
