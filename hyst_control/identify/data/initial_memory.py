@@ -33,7 +33,7 @@ DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
 LITTLE, HALF = 0.9, 0.5
 """Shares of the motion behind the first visit to both extremes, from which the rows before are left out without loss."""
-HELD, MOST_LEVELS = 8, 20_000
+HELD, MOST_LEVELS = 50, 20_000
 """Rows for which a command keeps a level that counts as held, and levels of a record beyond which none is looked for."""
 LEG, LEG_ROWS = 0.05, (500, 2000)
 """Time (s) of a smooth way between two remembered turning points, and its least and largest number of rows."""
