@@ -71,5 +71,12 @@ def test_the_memory_of_held_levels_is_told_from_where_the_mode_has_rung_out(held
     assert estimated_memory(command, measured(command, 900.0, 55.0, 0.026, 3, 0.2)).turns[0] == 0.0
 
 
+def test_a_given_structure_is_fitted_where_nothing_of_it_is_excited():
+    command = 50.0 + 50.0 * np.sin(2 * np.pi * np.arange(4000) / 4000)
+    values = play(command) + 20.0 * np.random.default_rng(1).standard_normal(len(command))
+    record = sampled_record("slow", command[:, None], values[:, None], 1e-2, ("x",), "um", start="auto")
+    assert identify([record], "hapi", structure="modes=1").model.chain.stages
+
+
 def test_times_are_looked_for_in_samples_of_slow_records():
     assert pace(5e-5) == pace(1e-4) == 1.0 and pace(1e-2) == pytest.approx(100.0)

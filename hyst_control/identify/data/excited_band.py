@@ -18,7 +18,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import quantization_step
 
-SEGMENT, SEGMENT_ROWS = 0.25, 500
+SEGMENT, SEGMENT_ROWS = 0.25, 64
 """Length (s), and least number of rows, of the segments that are looked at: a step among long loops is seen in its own."""
 ABOVE_NOISE = 5.0
 """Amplitude of the motion beyond a frequency, in amplitudes of the noise there."""

@@ -178,7 +178,7 @@ def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]
     """Frequency (Hz) and damping of the single modes that leave least: of a grid over the band, and of those that vector fitting sees."""
     sample_time = min(window.sample_time for window in problem.windows)
     longest = max(len(window.command) * window.sample_time for window in problem.windows)
-    highest = min(0.4 / sample_time, 0.8 * static.structure.highest)
+    highest = min(0.4 / sample_time, 0.8 * (static.structure.highest or np.inf))  # 0: nothing is excited
     lowest = min(2.0 / longest, 0.5 * highest)
     grid = np.geomspace(lowest, highest, 2 + int(np.log(highest / lowest) / np.log(SPACING)))
     tried = [(float(frequency), 0.5) for frequency in grid] + seen_modes(problem, static, MOST_MODES)
