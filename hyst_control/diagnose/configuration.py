@@ -17,15 +17,15 @@ from dataclasses import asdict, dataclass
 class Thresholds:
     """Thresholds of the policy, which turns evidence into a verdict."""
 
-    practical_size: float = 0.0001  # share of the measurement's range, rms: least that an effect must take off
+    practical_size: float = 0.0001  # share of the measurement's range, rms: least that an effect must remove
     stated_excess: float = 0.3  # The same, as a share of what the stated noise exceeds the measured noise by
     rounding_share: float = 0.3  # The same, as a share of a converter's rounding error
     margin: float = 3.0  # nats: score above the 99 % quantile of the simulated null that a claim needs
     sharpness: float = 0.5  # Factor of the scores before they become probabilities
-    sure_probability: float = 0.85  # Probability from which one explanation is named alone
-    listed_probability: float = 0.05  # Probability from which an explanation is listed among what the data cannot separate
-    unknown_share: float = 0.06  # share of the gap's energy: most that the best explanation may leave before it is called unknown
-    # share of the gap's energy: most that an explanation by effects leaves, or takes off by coefficients many tolerances away
+    sure_probability: float = 0.85  # Probability from which one hypothesis is named alone
+    listed_probability: float = 0.05  # Probability from which a hypothesis is listed among what the data cannot separate
+    unknown_share: float = 0.06  # share of the gap's energy: most that the best hypothesis may leave before it is called unknown
+    # share of the gap's energy: most that a hypothesis by effects leaves, or removes by coefficients many tolerances away
     named_unexplained_share: float = 0.1
     # Clearest sign of an unknown effect, as a multiple of its rule's threshold, beyond which the verdict is unknown: conformal, of
     # single effects on tuning seeds at most 4 % exceed it
@@ -33,22 +33,22 @@ class Thresholds:
     max_effects: int = 2  # effects: most that may act together on an axis; beyond, an effect outside the catalogue is likelier
     # share of the measurement's range, rms: most that coefficients within their tolerance move a simulation without a gap
     moved_share: float = 0.03
-    added_share: float = 0.002  # Share of all that a combination takes off which each of its effects must add
+    added_share: float = 0.002  # Share of all that a combination removes which each of its effects must add
     distortion_change: float = 0.5  # Change of an effect's size with a variable from which it is another effect
     distortion_share: float = 0.01  # share of the energy that the effect explains: least that this change must explain
     # nats: what such a change must gain where the fits know the spectrum of the model discrepancy: what the largest of four changes
     # gains by chance in 4 % of the cases, and the margin
     distortion_whitened: float = 6.3
     min_excess: float = 0.1  # share of the noise's energy: energy beyond the noise's under which nothing is called unknown
-    # stated energies: energy that does not follow the command up to which it is the plant's variation from run to run
+    # stated energies: energy that does not follow the command up to which it is the repeatability of the plant
     run_to_run: float = 4.0
-    own_error_share: float = 0.5  # Share of the error that a model states of itself which an effect must take off
+    own_error_share: float = 0.5  # Share of the model discrepancy that is stated which an effect must remove
     own_error_energy: float = 1.5  # noise energies: stated energy from which a model is taken to state an error of its own
-    # share of the own error's energy: least excess noise that is named beside an error whose spectrum is unknown
+    # share of the model discrepancy's energy: least excess noise that is named beside an error whose spectrum is unknown
     noise_own_share: float = 0.01
     # Weight of what stays under the model discrepancy: one shape, of which the bins of a record are hardly independent
     under_own_error: float = 0.05
-    # energies of own error and noise: what no effect must leave at an explanation's frequencies: fits follow the largest bins, of
+    # energies of model discrepancy and noise: what no effect must leave at a hypothesis' frequencies: fits follow the largest bins, of
     # normal ones the mean is 3
     own_error_local: float = 3.0
     # standard deviations: chi-square of the coefficients above its mean from which they are strained
@@ -70,7 +70,7 @@ class Thresholds:
     outliers_share: float = 0.7  # share of the excess noise, rms: size of the outliers from which they are what the excess noise is
     flicker_margin: float = 5.0  # nats: gain of 1/f noise above what a claim needs
     flicker_size: float = 0.1  # noise rms: least 1/f noise that is named
-    # noise rms: the same beside a single baseline record, whose own 1/f noise nobody knows and is in the difference as well
+    # noise rms: the same beside a single baseline record, whose 1/f noise nobody knows and is in the difference as well
     flicker_size_beside_one: float = 2.0
     flicker_hides: float = 0.3  # share of the power: 1/f noise at the top of the spectrum from which it hides the white noise
     companion_deviations: float = 5.0  # standard deviations: size from which a session's zero or drift is named
@@ -182,20 +182,20 @@ class HumpSettings:
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Search for explanations."""
+    """Search for hypotheses."""
 
-    beam: int = 3  # explanations: explanations that a further effect is added to
-    beam_with_own_error: int = 5  # explanations: the same where the fits know of the model discrepancy: more effects are alike
-    depth: int = 3  # effects: most effects of an explanation
+    beam: int = 3  # hypotheses: hypotheses that a further effect is added to
+    beam_with_own_error: int = 5  # hypotheses: the same where the fits know of the model discrepancy: more effects are alike
+    depth: int = 3  # effects: most effects of a hypothesis
     depth_with_own_error: int = 2  # effects: the same where the model states an error of its own: finer parts cannot be told
     followed: int = 2  # starts: starts of an effect that are fitted to the end
     first: int = 6  # fits: fits beside linear coefficients that are finished first: others while they may come near the best
-    slack: float = 0.01  # share of what the best takes off: most that a fit beside linear coefficients may be off
+    slack: float = 0.01  # share of what the best removes: most that a fit beside linear coefficients may be off
     near: float = 50.0  # nats: the same, at least
     screened: int = 8  # starts: starts of an effect that are looked at on top of another effect
     scanned: int = 12  # values: values of a parameter that are tried, and then as many between the best and its neighbors
     realizations: int = 8  # realizations: realizations without a number to fit that go on: those that come closest to the record
-    promising: int = 5  # effects: effects that a linear step makes most of, added to an explanation
+    promising: int = 5  # effects: effects that a linear step makes most of, added to a hypothesis
     promise: float = 0.5  # share of the threshold: least that such a step must gain
     joint_pairs: int = (
         8  # pairs: pairs that are closest to the record to first order and fitted, beside baseline records of one axis
@@ -205,7 +205,7 @@ class SearchSettings:
     spent_floor: float = 0.5  # practical sizes squared: the same, of what is too small to be named
     # nats: cost of every parameter of an effect beyond the first, where the model states an error of its own
     own_error_parameter: float = 3.0
-    inflation: float = 5.0  # tolerances: how far nominal coefficients may be off in the explanation by coefficients alone
+    inflation: float = 5.0  # tolerances: how far nominal coefficients may be off in the hypothesis by coefficients alone
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ class AttributionSettings:
 
     draws: int = 400  # draws: draws of the fit's covariance for an interval
     interval: float = 0.005  # share of the value: least width of an interval on either side: a stage is not the physics
-    # degrees: of Student's t for intervals where the model's file alone states its own error: baseline records have two each
+    # degrees: of Student's t for intervals where the model's file alone states the model discrepancy: baseline records have two each
     freedom: float = 5.0
     coefficient_deviations: float = 2.0  # tolerances: distance from the nominal value from which a coefficient is listed
     candidate_probability: float = 0.0001  # Least probability of a candidate that is listed
@@ -253,8 +253,8 @@ class BudgetSettings:
 class ExperimentSettings:
     """Next experiment."""
 
-    rivals: int = 3  # explanations: explanations that it is to separate
-    distance: float = 3.0  # standard deviations: distance from which two explanations are told apart
+    rivals: int = 3  # hypotheses: hypotheses that it is to separate
+    distance: float = 3.0  # standard deviations: distance from which two hypotheses are told apart
     duration: float = 1.0  # s: duration of an excitation
 
 
@@ -288,13 +288,15 @@ class BaselineSettings:
     memory_share: float = 0.2
     # share of the record: most rows that are left out beside a baseline record of the same command until this memory is wiped out
     memory_rows: float = 0.34
-    unseen: float = 1.5  # own errors: size of the model's error on a command on which it was not measured
+    unseen: float = 1.5  # model discrepancies: size of the model's error on a command on which it was not measured
     # share of the range: zero, drift and curvature that are usual where few baseline records are at hand
     usual_share: tuple[float, ...] = (0.1, 0.03, 0.03)
-    same_floor: float = 0.15  # own error and noise, rms: least that an effect must take off
+    same_floor: float = 0.15  # model discrepancy and noise, rms: least that an effect must remove
     # share of the motion, rms: what sessions differ by where a single baseline record without a period does not tell
     usual_repeatability: float = 0.003
-    other_command: float = 0.35  # own errors: size of an effect that is named where no baseline record has the same command
+    other_command: float = (
+        0.35  # model discrepancies: size of an effect that is named where no baseline record has the same command
+    )
     blocks: int = 10  # blocks: blocks of a record that a remainder is predicted on, each from the others
 
 

@@ -183,7 +183,7 @@ def test_practical_size_is_in_units_of_own_error_and_noise():
 
 
 def test_the_error_on_a_larger_output_is_the_same_share_of_it():
-    """Where the baseline records' commands drove nothing, the usual share counts. A smaller output does not make the error smaller."""
+    """At frequencies that no baseline record drove the usual share counts: a smaller output does not make the error smaller."""
     known, new = (replace(spectrum_of(1), power=np.full((ROWS, 1), size)) for size in (4.0, 36.0))
     foreseen = spectrum_of(1).for_output(known, new, np.zeros(1))
     np.testing.assert_allclose(foreseen.power, 9.0 * spectrum_of(1).power)

@@ -229,7 +229,7 @@ REARRANGED = {
     exchanged: {"swapped_signals"},
     dying: {"dead_sensor"},
 }
-"""What is done to a record, and its name: it depends on what the plant has made of its command."""
+"""Ways to spoil a record. The name of the fault depends on how the plant answered its command."""
 REPLACED = {
     of_another_run: {"unrelated_measurement"},
     noise: {"noise_alone"},

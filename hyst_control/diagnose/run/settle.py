@@ -109,7 +109,7 @@ def _residual(
     temper: float,
     usual: Array | None,
 ) -> ResidualEvidence:
-    """What a hypothesis leaves, beside the usual zero of a session (A, 3)."""
+    """Measure the residual of a hypothesis, beside the usual zero of a session (A, 3)."""
     zero = () if usual is None else companions(linearized, scored, usual, temper)
     distorted = distortions(linearized, scored, temper)
     return residual_evidence(linearized.problem, scored, findings, checks, configuration, zero, distorted)
