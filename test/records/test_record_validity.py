@@ -467,3 +467,16 @@ def test_a_turned_sign_is_no_delay_of_half_a_period():
     late = np.concatenate([np.zeros((500, 1)), expected[:-500]])
     [found] = model_findings(Trial("late", expected, noise + late, 1e-3, ("x",), simulated=expected), [0])
     assert found.name == "late_measurement" and found.value == pytest.approx(0.5, abs=0.002)
+
+
+def test_a_model_that_explains_the_record_is_not_simulated_in_other_units():
+    command = np.cumsum(np.random.default_rng(0).standard_normal((4000, 1)), axis=0)
+    highest = []
+
+    def simulate(rows, sample_time):
+        highest.append(float(np.abs(rows).max()))
+        return 2.0 * rows
+
+    measured = 2.0 * command + 0.1 * np.ptp(command) * np.random.default_rng(1).standard_normal(command.shape)
+    assert not model_findings(Trial("stage", command, measured, 1e-3, ("x",), 2.0 * command, "um", simulate), [0])
+    assert len(highest) > 2 and max(highest) < 10.0 * np.abs(command).max()

@@ -32,14 +32,14 @@ from hyst_control.identify.mhl.madelung import (
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
-from hyst_control.identify.mhl.pole_zero_pair import (
+from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.pole_zero_pair import (
     PAIR_DAMPINGS,
     WORTHWHILE,
     pole_zero_pair,
     unexplained_frequency,
     with_numerator,
 )
-from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import SimulationError, Solution, minimize_simulation_error
 from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure, pace
 from hyst_control.model_file import Model

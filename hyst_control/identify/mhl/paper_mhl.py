@@ -35,8 +35,8 @@ from hyst_control.identify.data.record_segmentation import moving_stretches
 from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse, response_sign
 from hyst_control.identify.mhl.madelung_curves import Ends
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
-from hyst_control.identify.mhl.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, pole_zero_pair, unexplained_frequency
 from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.pole_zero_pair import PAIR_DAMPINGS, WORTHWHILE, pole_zero_pair, unexplained_frequency
 from hyst_control.identify.solve.simulation_error import (
     Parametrization,
     Solution,

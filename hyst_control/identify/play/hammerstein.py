@@ -22,7 +22,8 @@ from hyst_control.identify.data.fit_windows import largest_drift, stretches, who
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
-from hyst_control.identify.solve.gram_sums import Operators, Window, weighted_operators
+from hyst_control.identify.solve.gram_sums import Operators, Window, simulated_rows, weighted_operators
+from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair
 from hyst_control.identify.solve.stable_dynamics import Structure, pace
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
 from hyst_control.records.record import Record
@@ -35,12 +36,14 @@ PRECISION = 1e-3
 """Share of the bracket to which the widening with the rate is found."""
 MOST_MODES = 2
 """Largest number of modes of G."""
+MOST_PAIRS = 4
+"""Largest number of modes of G, where the further ones come with zeros of their own."""
 SEEN_ROWS = 16_000
 """Rows in which vector fitting looks for modes."""
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03
-"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
+"""Share by which each parameter of G has to lower the held-out mean square error."""
 
 
 @dataclass(frozen=True)
@@ -142,16 +145,17 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
         trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
         for trial in trials:
             report(trial)
-        if not trials:
+        poorer, best = best, min([best, *trials], key=priced)
+        if best is poorer:
             return best
-        lowest = min(trial.held_out for trial in trials)
-        if not lowest < (1.0 - MIN_IMPROVEMENT) * best.held_out:
-            return best
-        # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
-        poorer, best = best, next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
         if best.structure.modes > poorer.structure.modes:
             frequency = float(np.exp(best.structure.split(best.parameters)["modes"][0, 0])) / (2 * np.pi)
             new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
+
+
+def priced(solution: Solution) -> float:
+    """Held-out mean square error at which structures of any size compare."""
+    return solution.held_out * (1.0 + MIN_IMPROVEMENT) ** solution.structure.size
 
 
 def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tuple[float, float]]) -> list[Solution]:
@@ -165,6 +169,11 @@ def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tup
             starts.append((structure, start))
         if structure.modes > best.structure.modes:
             starts += [(structure, structure.with_last_mode(start, *mode)) for mode in new]
+    if 0 < best.structure.modes < MOST_PAIRS:
+        starts += [
+            pole_zero_pair(best.structure, best.parameters, *mode) for mode in seen_modes(problem, best, 2, unexplained=True)
+        ]
+    structures = list(dict.fromkeys(structure for structure, _ in starts))
 
     def grown(index: int) -> Solution:
         structure, start = starts[index]
@@ -191,8 +200,11 @@ def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]
     return [tried[index] for index in order[:FOLLOWED]]
 
 
-def seen_modes(problem: Problem, at: Solution, count: int) -> list[tuple[float, float]]:
-    """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators, where the command moves fastest."""
+def seen_modes(problem: Problem, at: Solution, count: int, *, unexplained: bool = False) -> list[tuple[float, float]]:
+    """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators, where the command moves fastest.
+
+    unexplained: of modes in what the solution leaves.
+    """
     sample_time = min(window.sample_time for window in problem.windows)
     windows = [window for window in problem.windows if window.sample_time == sample_time]
     rows = max(SEEN_ROWS // len(windows), 1)
@@ -203,7 +215,10 @@ def seen_modes(problem: Problem, at: Solution, count: int) -> list[tuple[float, 
         total = np.concatenate([[0.0], np.cumsum(steps)])
         begin = int(np.argmax(total[rows:] - total[:-rows])) if rows < len(command) else 0
         cut = slice(begin, begin + rows)
-        parts.append(replace(window, command=command[cut], measurement=window.measurement[cut], skip=0))
+        target = window.measurement
+        if unexplained:
+            target = target - simulated_rows(window, problem.operators, at.structure, at.parameters, at.theta)
+        parts.append(replace(window, command=command[cut], measurement=target[cut], skip=max(window.skip - begin, 0)))
     longest = max(len(part.command) for part in parts)
     found = vector_fit(parts, spread_poles(2 * count, longest), at.structure.tau(at.parameters) / sample_time, direct=False)
     return [(abs(pole) / (2 * np.pi * sample_time), -pole.real / abs(pole)) for pole in found.poles if pole.imag]

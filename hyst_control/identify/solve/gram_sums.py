@@ -10,7 +10,7 @@ their Gram matrix is small, and sufficient for a least-squares problem: so a rec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -179,6 +179,16 @@ def weighted_operators(window: Window, operators: Operators, theta: Annotated[Ar
     at_once = Structure().discretized(np.zeros(0), Sampling(window.sample_time, 1, window.hold))
     found: Array = _Pass(window, operators, [at_once], theta, 1.0, 0).operators_of(window.command)[-1]
     return found
+
+
+def simulated_rows(
+    window: Window, operators: Operators, structure: Structure, parameters: Annotated[Array, "P"], theta: Annotated[Array, "J"]
+) -> Annotated[Array, "N"]:
+    """The model's answer over a window, 0 in the rows that do not count."""
+    system = structure.discretized(parameters, Sampling(window.sample_time, 1, window.hold))
+    rows = len(window.command)
+    table = _Pass(replace(window, weight=None), operators, [system], theta, 1.0, 0).table(0, rows, rows)
+    return np.asarray(theta @ table[: operators.columns, 0])
 
 
 class _Pass:

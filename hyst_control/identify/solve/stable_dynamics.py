@@ -144,22 +144,23 @@ class Structure:
     def rational(self, parameters: Annotated[Array, "P"]) -> tuple[Array, Array]:
         """Rational part of G(s), with unit static gain."""
         parts = self.split(parameters)
-        den, num = np.ones(1), np.ones(1)
-        scale = np.inf
+        den, num = np.ones(1), self.numerator(parameters)
         for log_w, log_damping in parts["modes"]:
             w = np.exp(log_w)
             den = np.convolve(den, [1 / w**2, 2 * np.exp(log_damping) / w, 1.0])
-            scale = min(scale, w)
         for log_w in parts["lags"]:
             den = np.convolve(den, [np.exp(-log_w), 1.0])
-            scale = min(scale, np.exp(log_w))
-        if self.zeros:
-            num = np.append(parts["zeros"][::-1] / scale ** np.arange(self.zeros, 0, -1), 1.0)
         if self.slow_pair:
             pole = np.exp(parts["slow_pair"][0])
             num = np.convolve(num, [np.exp(-parts["slow_pair"][1]) / pole, 1.0])
             den = np.convolve(den, [1.0 / pole, 1.0])
         return num / den[0], den / den[0]
+
+    def numerator(self, parameters: Annotated[Array, "P"]) -> Array:
+        """Polynomial of the zeros, without that of the slow pair."""
+        parts = self.split(parameters)
+        scale = np.exp(np.concatenate([parts["modes"][:, 0], parts["lags"]]).min(initial=np.inf))
+        return np.append(parts["zeros"][::-1] / scale ** np.arange(self.zeros, 0, -1), 1.0)
 
     def tau(self, parameters: Annotated[Array, "P"]) -> float:
         """Delay of G(s), never negative."""

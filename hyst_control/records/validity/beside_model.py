@@ -27,7 +27,7 @@ CLEAR = 8.0
 POOR, LESS_POOR = 0.02, 0.1
 """Shares that a hypothesis may leave, and an exchange, which a model with a gain alone shows, too."""
 UNEXPLAINED = 0.5
-"""Share of an octave's power from which a model leaves the octave unexplained."""
+"""Share of the power, of a record or of an octave, from which a model leaves it unexplained."""
 FACTORS = (0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0)
 """Ratios of the true sample time to the stated one, and of the true unit of a command."""
 UNITS = (1e-6, 1e-3, 1e3, 1e6)
@@ -70,7 +70,9 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
     own = misfit(as_given, measured)
     if own < EXPLAINED:
         return None
-    tried = {("scaled_command", factor): misfit(simulate(factor * command, sample_time), measured) for factor in UNITS}
+    # A command in another unit moves the simulation a thousandfold, or not at all.
+    units = UNITS if own > UNEXPLAINED else ()
+    tried = {("scaled_command", factor): misfit(simulate(factor * command, sample_time), measured) for factor in units}
     at_rates = {1.0 / factor: simulate(command, factor * sample_time) for factor in FACTORS}
     tried |= {("wrong_rate", factor): misfit(expected, measured) for factor, expected in at_rates.items()}
     tried["swapped_signals", 1.0] = misfit(simulate(measured, sample_time), command)

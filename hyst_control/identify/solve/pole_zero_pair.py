@@ -54,7 +54,7 @@ def pole_zero_pair(smaller: Structure, dynamics: Array, frequency: float, dampin
     parts = structure.split(structure.grow(smaller, dynamics, frequency))
     w = 2 * np.pi * frequency
     parts["modes"][-1] = np.log(w), np.log(damping)
-    return structure, with_numerator(parts, np.polymul(smaller.rational(dynamics)[0], [1 / w**2, 2 * damping / w, 1.0]))
+    return structure, with_numerator(parts, np.polymul(smaller.numerator(dynamics), [1 / w**2, 2 * damping / w, 1.0]))
 
 
 def with_numerator(parts: dict[str, Array], num: NDArray[np.floating[Any]]) -> Array:
