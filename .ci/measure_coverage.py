@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run pytest with the given arguments, measure lines and branches in every process, and hold them against `.ci/coverage.yaml`.
 
-With the one word `safety` the tests of the safety path alone run, and the limit of the package does not count.
+`hyst demo` runs as well, which `make check-readme` tests. With the one word `safety` the tests of the safety path alone run, and the limit
+of the package does not count.
 
 Functions that numba compiles are left out: they run as machine code, and the tests compare them with exported C.
 """
@@ -24,8 +25,8 @@ FOLDER = ROOT / "build" / "coverage"
 SETTINGS = ROOT / ".ci" / "coverage.ini"
 
 
-def measured(arguments: list[str]) -> tuple[int, dict[str, Any]]:
-    """Exit status of pytest, and the report of all of its processes."""
+def measured(arguments: list[str], *, demo: bool) -> tuple[int, dict[str, Any]]:
+    """Exit status of pytest and of the demo, and the report of all of their processes."""
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
     environment = {**os.environ, "COVERAGE_RCFILE": str(SETTINGS), "COVERAGE_FILE": str(FOLDER / "data")}
@@ -34,6 +35,8 @@ def measured(arguments: list[str]) -> tuple[int, dict[str, Any]]:
         return subprocess.run([sys.executable, "-m", "coverage", *words], cwd=ROOT, env=environment).returncode
 
     status = coverage("run", "-m", "pytest", *arguments)
+    if demo:
+        status |= coverage("run", str(Path(sys.executable).with_name("hyst")), "demo", "--output", str(FOLDER / "demo"))
     report = FOLDER / "coverage.json"
     coverage("combine", "--quiet")
     if coverage("json", "--quiet", "--ignore-errors", "-o", str(report)):
@@ -60,7 +63,7 @@ def main() -> None:
     limits = yaml.safe_load((ROOT / ".ci" / "coverage.yaml").read_text(encoding="utf-8"))
     if safety := sys.argv[1:] == ["safety"]:
         limits["package"] = 0
-    status, report = measured(["--quiet", *limits["safety_tests"]] if safety else sys.argv[1:])
+    status, report = measured(["--quiet", *limits["safety_tests"]] if safety else sys.argv[1:], demo=not safety)
     totals = report["totals"]
     branches = 100.0 * totals["covered_branches"] / max(totals["num_branches"], 1)
     print(f"coverage: {totals['percent_covered']:.1f} %, of branches alone {branches:.1f} %")

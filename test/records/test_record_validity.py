@@ -480,3 +480,16 @@ def test_a_model_that_explains_the_record_is_not_simulated_in_other_units():
     measured = 2.0 * command + 0.1 * np.ptp(command) * np.random.default_rng(1).standard_normal(command.shape)
     assert not model_findings(Trial("stage", command, measured, 1e-3, ("x",), 2.0 * command, "um", simulate), [0])
     assert len(highest) > 2 and max(highest) < 10.0 * np.abs(command).max()
+
+
+@pytest.mark.parametrize("lost", [0, 24])
+def test_rows_that_a_measurement_lost_are_told_beside_a_model(lost):
+    rng = np.random.default_rng(lost)
+    time = np.arange(12000) / 1e4
+    command = sum(np.sin(2 * np.pi * f * time + p) for f, p in zip((4.0, 19.0, 62.0, 170.0), rng.uniform(0, 6.28, 4), strict=True))
+    measured = command + 0.02 * rng.standard_normal(len(command))
+    kept = np.delete(measured, np.sort(rng.choice(len(measured), lost, replace=False)))
+    rows = command[: len(kept), None]
+    found = model_findings(Trial("stage", rows, kept[:, None], 1e-4, ("x",), rows, "um", lambda u, _: u), [0])
+    assert [each.name for each in found] == ["lost_rows"] * bool(lost)
+    assert not lost or "grows to 2." in found[0].detail

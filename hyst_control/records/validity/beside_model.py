@@ -15,7 +15,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.validity.findings import Finding, Simulation, Trial
-from hyst_control.records.validity.time_shift import in_words
+from hyst_control.records.validity.time_shift import MIN_SECTIONS, SECTIONS, grown_lead_in_words, in_words
 from hyst_control.records.validity.two_records import OPPOSED, PAIRED, SCALE
 
 LONGEST = 2**16
@@ -33,6 +33,8 @@ FACTORS = (0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0)
 UNITS = (1e-6, 1e-3, 1e3, 1e6)
 MIN_SHIFT = 3
 """Rows of a shift that counts."""
+MIN_SECTION = 256
+"""Rows of a section of a record in which a shift is looked for."""
 MAX_AXES = 4
 
 
@@ -134,6 +136,22 @@ def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
     return misfit(expected[max(-shift, 0) :][:count], measured[max(shift, 0) :][:count])
 
 
+def growing_lead(expected: Array, measured: Array) -> int:
+    """Rows by which a measurement (N,) leads at the end, where it does so by ever more from the beginning on, as after lost rows; else 0."""
+    shifts, own, left = [], [], []
+    for one, other in zip(np.array_split(expected, SECTIONS), np.array_split(measured, SECTIONS), strict=True):
+        if len(one) < MIN_SECTION or not np.ptp(one) or not np.ptp(other):
+            continue
+        shift = _best_shift(one, other, len(one) // 8)
+        if (misfit_there := _shifted_misfit(one, other, shift)) < UNEXPLAINED:
+            shifts.append(shift)
+            own.append(misfit(one, other))
+            left.append(misfit_there)
+    if len(shifts) < MIN_SECTIONS or np.any(np.diff(shifts) > 0) or shifts[0] - shifts[-1] < MIN_SHIFT:
+        return 0
+    return max(-shifts[-1], 0) if np.sum(left) * CLEAR < np.sum(own) else 0
+
+
 def model_findings(trial: Trial, moving: Sequence[int]) -> list[Finding]:
     """Findings where a model explains a changed record clearly better than the record as it is, and notes."""
     if trial.simulated is None or not moving:
@@ -175,6 +193,9 @@ def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
     assert trial.simulated is not None
     axis, step = trial.axes[index], trial.sample_time
     expected, measured = trial.simulated[:LONGEST, index], trial.measurement[:LONGEST, index]
+    if lead := growing_lead(expected, measured):
+        yield Finding("lost_rows", trial.name, axis, lead * step, 0.0, grown_lead_in_words(lead * step))
+        return
     shift = time_shift(expected, measured)
     ratio, correlation = float(np.ptp(measured) / np.ptp(expected)), float(np.corrcoef(expected, measured)[0, 1])
     against = misfit(-expected, measured) if correlation < OPPOSED else np.inf

@@ -27,6 +27,11 @@ def in_words(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 10.0 else f"{seconds:.3g} s"
 
 
+def grown_lead_in_words(seconds: float) -> str:
+    """What tells lost rows, for a person."""
+    return f"(the measurement leads the command by a time that grows to {in_words(seconds)})"
+
+
 def time_shifts(trial: Trial, rows: CondensedRows, index: int, own: Reference) -> tuple[Reference, Reference, float, list[Finding]]:
     """The model of the rows with its delay, and begun with a lead's poles; what a lead leaves, and findings on either."""
     command, measured = rows.inputs(index), rows.measurement[:, index]
@@ -91,8 +96,7 @@ def growing_lead(trial: Trial, index: int) -> list[Finding]:
     if earliest >= -SMALL_LEAD or intervals[0][0] - earliest <= SMALL_LEAD:
         return []
     lead = -earliest * trial.sample_time
-    detail = f"(the measurement leads the command by a time that grows to {in_words(lead)})"
-    return [Finding("lost_rows", trial.name, trial.axes[index], lead, 0.0, detail)]
+    return [Finding("lost_rows", trial.name, trial.axes[index], lead, 0.0, grown_lead_in_words(lead))]
 
 
 def _continued_at(shift: int, command: Array, measured: Array, begun: Reference) -> Reference:
