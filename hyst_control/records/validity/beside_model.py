@@ -137,7 +137,7 @@ def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
 
 
 def growing_lead(expected: Array, measured: Array) -> int:
-    """Rows by which a measurement (N,) leads at the end, where it does so by ever more from the beginning on, as after lost rows; else 0."""
+    """Rows by which a measurement (N,) leads at the end, where its lead grows through the record, as after lost rows; else 0."""
     shifts, own, left = [], [], []
     for one, other in zip(np.array_split(expected, SECTIONS), np.array_split(measured, SECTIONS), strict=True):
         if len(one) < MIN_SECTION or not np.ptp(one) or not np.ptp(other):

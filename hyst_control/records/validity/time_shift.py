@@ -28,7 +28,7 @@ def in_words(seconds: float) -> str:
 
 
 def grown_lead_in_words(seconds: float) -> str:
-    """What tells lost rows, for a person."""
+    """The sign of lost rows, for a person."""
     return f"(the measurement leads the command by a time that grows to {in_words(seconds)})"
 
 
