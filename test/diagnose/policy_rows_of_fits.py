@@ -272,6 +272,20 @@ ROWS = (
         ("a",),
     ),
     Row(
+        "coefficients beside no more than the usual error",
+        evidence(coefficients(left=0.7, strain=5.0, local=9.0), base=none(energy=0.9, strain=300.0, residual=QUIET), whitened=True),
+        V.NO_GAP,
+        (R.BELOW_PRACTICAL_SIZE,),
+        (),
+    ),
+    Row(
+        "coefficients beside more than the usual error",
+        evidence(coefficients(left=1.0, strain=5.0, local=9.0), base=none(energy=1.5, strain=300.0), whitened=True),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_BEYOND_TOLERANCE,),
+        ("",),
+    ),
+    Row(
         "an effect that stays within the model discrepancy at each of its frequencies",
         evidence(replace(effect("a"), local=2.9), base=none(energy=0.9, residual=QUIET), whitened=True),
         V.NO_GAP,
