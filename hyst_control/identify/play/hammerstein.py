@@ -43,7 +43,9 @@ SEEN_ROWS = 16_000
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03
-"""Share by which each parameter of G has to lower the held-out mean square error."""
+"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
+PAIR_IMPROVEMENT = 0.12
+"""The same for a mode with a pair of zeros, which has four parameters."""
 
 
 @dataclass(frozen=True)
@@ -141,27 +143,29 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
     new = first_modes(problem, best)
     frequency = new[0][0]
     while True:
-        grown = _grown(problem, best, frequency, new)
-        trials = [trial for trial in grown if not trial.structure.at_limit(trial.parameters, sample_time)]
+        trials = _grown(problem, best, frequency, new)
         for trial in trials:
             report(trial)
-        poorer, best = best, min([best, *trials], key=priced)
-        if best is poorer:
-            return best
+        lowest = min((trial.held_out for trial in trials), default=np.inf)
+        if lowest < (1.0 - MIN_IMPROVEMENT) * best.held_out:
+            # The first of those that fit about equally well: the list runs from the plainer to the richer factor.
+            chosen = next(trial for trial in trials if trial.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
+        else:
+            pairs = _with_pair(problem, best)
+            for trial in pairs:
+                report(trial)
+            chosen = min([best, *pairs], key=lambda each: each.held_out)
+            if not chosen.held_out < (1.0 - PAIR_IMPROVEMENT) * best.held_out:
+                return best
+        poorer, best = best, chosen
         if best.structure.modes > poorer.structure.modes:
             frequency = float(np.exp(best.structure.split(best.parameters)["modes"][0, 0])) / (2 * np.pi)
             new = seen_modes(problem, best, MOST_MODES) if best.structure.modes < MOST_MODES else []
 
 
-def priced(solution: Solution) -> float:
-    """Held-out mean square error at which structures of any size compare."""
-    return solution.held_out * (1.0 + MIN_IMPROVEMENT) ** solution.structure.size
-
-
 def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tuple[float, float]]) -> list[Solution]:
-    """Solve for every structure with one factor more, on all cores. new: frequency (Hz) and damping of what may be its further mode."""
+    """Solve for every structure with one factor more. new: frequency (Hz) and damping of what may be its further mode."""
     structures = best.structure.extensions()
-    theta = best.theta if np.any(best.theta) else None
     starts: list[tuple[Structure, Array]] = []
     for structure in structures:
         start = structure.grow(best.structure, best.parameters, frequency)
@@ -169,18 +173,29 @@ def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tup
             starts.append((structure, start))
         if structure.modes > best.structure.modes:
             starts += [(structure, structure.with_last_mode(start, *mode)) for mode in new]
-    if 0 < best.structure.modes < MOST_PAIRS:
-        starts += [
-            pole_zero_pair(best.structure, best.parameters, *mode) for mode in seen_modes(problem, best, 2, unexplained=True)
-        ]
-    structures = list(dict.fromkeys(structure for structure, _ in starts))
+    found = _solved(problem, best, starts)
+    nearest = [min((each for each in found if each.structure == of), key=lambda each: each.fitted) for of in structures]
+    return [each for each in nearest if _is_told(problem, each)]
 
-    def grown(index: int) -> Solution:
-        structure, start = starts[index]
-        return solve(problem, structure, start, theta, passes=8)
 
-    found = list(map_forked(grown, len(starts)))
-    return [min((each for each in found if each.structure == of), key=lambda each: each.fitted) for of in structures]
+def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
+    """Solve for a further mode with a pair of zeros, from every mode that the residual shows."""
+    if not 0 < best.structure.modes < MOST_PAIRS:
+        return []
+    seen = seen_modes(problem, best, MOST_MODES, unexplained=True)
+    found = _solved(problem, best, [pole_zero_pair(best.structure, best.parameters, *mode) for mode in seen])
+    return [each for each in found if _is_told(problem, each)]
+
+
+def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, Array]]) -> list[Solution]:
+    """Solve from every start, on all cores."""
+    theta = best.theta if np.any(best.theta) else None
+    return list(map_forked(lambda index: solve(problem, *starts[index], theta, passes=8), len(starts)))
+
+
+def _is_told(problem: Problem, solution: Solution) -> bool:
+    """True where no pole lies at the end of what the records excite."""
+    return not solution.structure.at_limit(solution.parameters, min(window.sample_time for window in problem.windows))
 
 
 def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]:
