@@ -70,7 +70,7 @@ class Thresholds:
     outliers_share: float = 0.7  # share of the excess noise, rms: size of the outliers from which they are what the excess noise is
     flicker_margin: float = 5.0  # nats: gain of 1/f noise above what a claim needs
     flicker_size: float = 0.1  # noise rms: least 1/f noise that is named
-    # noise rms: the same beside a single baseline record, whose 1/f noise nobody knows and is in the difference as well
+    # noise rms: the same beside a single baseline record, whose own 1/f noise is unknown, and adds to that of the residual
     flicker_size_beside_one: float = 2.0
     flicker_hides: float = 0.3  # share of the power: 1/f noise at the top of the spectrum from which it hides the white noise
     companion_deviations: float = 5.0  # standard deviations: size from which a session's zero or drift is named
@@ -187,7 +187,7 @@ class SearchSettings:
     beam: int = 3  # hypotheses: hypotheses that a further effect is added to
     beam_with_own_error: int = 5  # hypotheses: the same where the fits know of the model discrepancy: more effects are alike
     depth: int = 3  # effects: most effects of a hypothesis
-    depth_with_own_error: int = 2  # effects: the same where the model states an error of its own: finer parts cannot be told
+    depth_with_own_error: int = 2  # effects: the same where the model states an error of its own: finer parts cannot be identified
     followed: int = 2  # starts: starts of an effect that are fitted to the end
     first: int = 6  # fits: fits beside linear coefficients that are finished first: others while they may come near the best
     slack: float = 0.01  # share of what the best removes: most that a fit beside linear coefficients may be off
@@ -254,7 +254,7 @@ class ExperimentSettings:
     """Next experiment."""
 
     rivals: int = 3  # hypotheses: hypotheses that it is to separate
-    distance: float = 3.0  # standard deviations: distance from which two hypotheses are told apart
+    distance: float = 3.0  # standard deviations: distance from which two hypotheses are distinguished
     duration: float = 1.0  # s: duration of an excitation
 
 

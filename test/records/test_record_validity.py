@@ -483,7 +483,7 @@ def test_a_model_that_explains_the_record_is_not_simulated_in_other_units():
 
 
 @pytest.mark.parametrize("lost", [0, 24])
-def test_rows_that_a_measurement_lost_are_told_beside_a_model(lost):
+def test_rows_that_a_measurement_lost_are_found_beside_a_model(lost):
     rng = np.random.default_rng(lost)
     time = np.arange(12000) / 1e4
     command = sum(np.sin(2 * np.pi * f * time + p) for f, p in zip((4.0, 19.0, 62.0, 170.0), rng.uniform(0, 6.28, 4), strict=True))

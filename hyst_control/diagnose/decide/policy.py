@@ -196,7 +196,7 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
         return False
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
     before = evidence.hypotheses[0].energy
-    # Coefficients take up any error, so that beside a known one they need a gap that exceeds it.
+    # Coefficients can fit any residual: beside a known model discrepancy they explain only a gap that exceeds it.
     if one.coefficients_alone and _has_own_error(evidence) and before <= evidence.stated:
         return False
     # What leaves no more than the model leaves on baseline records is no gap.

@@ -175,7 +175,7 @@ def _grown(problem: Problem, best: Solution, frequency: float, new: Sequence[tup
             starts += [(structure, structure.with_last_mode(start, *mode)) for mode in new]
     found = _solved(problem, best, starts)
     nearest = [min((each for each in found if each.structure == of), key=lambda each: each.fitted) for of in structures]
-    return [each for each in nearest if _is_excited(problem, each)]
+    return [each for each in nearest if _is_determined(problem, each)]
 
 
 def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
@@ -184,7 +184,7 @@ def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
         return []
     seen = seen_modes(problem, best, MOST_MODES, unexplained=True)
     found = _solved(problem, best, [pole_zero_pair(best.structure, best.parameters, *mode) for mode in seen])
-    return [each for each in found if _is_excited(problem, each)]
+    return [each for each in found if _is_determined(problem, each)]
 
 
 def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, Array]]) -> list[Solution]:
@@ -193,8 +193,8 @@ def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, 
     return list(map_forked(lambda index: solve(problem, *starts[index], theta, passes=8), len(starts)))
 
 
-def _is_excited(problem: Problem, solution: Solution) -> bool:
-    """True where no pole lies at the end of what the records excite."""
+def _is_determined(problem: Problem, solution: Solution) -> bool:
+    """True where no pole or damping lies at its bound, where the records do not determine it."""
     return not solution.structure.at_limit(solution.parameters, min(window.sample_time for window in problem.windows))
 
 
@@ -218,7 +218,7 @@ def first_modes(problem: Problem, static: Solution) -> list[tuple[float, float]]
 def seen_modes(problem: Problem, at: Solution, count: int, *, unexplained: bool = False) -> list[tuple[float, float]]:
     """Frequency (Hz) and damping of modes that vector fitting finds behind the weighted operators, where the command moves fastest.
 
-    unexplained: of modes in what the solution leaves.
+    unexplained: look at the residual of the solution instead of the measurement.
     """
     sample_time = min(window.sample_time for window in problem.windows)
     windows = [window for window in problem.windows if window.sample_time == sample_time]

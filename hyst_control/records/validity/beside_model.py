@@ -72,7 +72,7 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
     own = misfit(as_given, measured)
     if own < EXPLAINED:
         return None
-    # A command in another unit moves the simulation a thousandfold, or not at all.
+    # In another unit the simulation is a thousand times too large or too small, and explains nothing.
     units = UNITS if own > UNEXPLAINED else ()
     tried = {("scaled_command", factor): misfit(simulate(factor * command, sample_time), measured) for factor in units}
     at_rates = {1.0 / factor: simulate(command, factor * sample_time) for factor in FACTORS}
@@ -136,7 +136,7 @@ def _shifted_misfit(expected: Array, measured: Array, shift: int) -> float:
     return misfit(expected[max(-shift, 0) :][:count], measured[max(shift, 0) :][:count])
 
 
-def growing_lead(expected: Array, measured: Array) -> int:
+def lead_at_the_end(expected: Array, measured: Array) -> int:
     """Rows by which a measurement (N,) leads at the end, where its lead grows through the record, as after lost rows; else 0."""
     shifts, own, left = [], [], []
     for one, other in zip(np.array_split(expected, SECTIONS), np.array_split(measured, SECTIONS), strict=True):
@@ -193,7 +193,7 @@ def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:
     assert trial.simulated is not None
     axis, step = trial.axes[index], trial.sample_time
     expected, measured = trial.simulated[:LONGEST, index], trial.measurement[:LONGEST, index]
-    if lead := growing_lead(expected, measured):
+    if lead := lead_at_the_end(expected, measured):
         yield Finding("lost_rows", trial.name, axis, lead * step, 0.0, grown_lead_in_words(lead * step))
         return
     shift = time_shift(expected, measured)

@@ -28,7 +28,7 @@ def in_words(seconds: float) -> str:
 
 
 def grown_lead_in_words(seconds: float) -> str:
-    """The sign of lost rows, for a person."""
+    """Detail of the finding of lost rows."""
     return f"(the measurement leads the command by a time that grows to {in_words(seconds)})"
 
 
