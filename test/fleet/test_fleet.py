@@ -192,3 +192,26 @@ def test_columns_of_the_manifest_have_any_name(fleet):
         assert [row["status"] for row in found] == ["done"] * 6 and found[1]["reason"] == "" and found[1]["moment"] == 1.0
         given = [f"manifest.{name}" if name in ("status", "reason", "moment", "errors", "seconds") else name for name in names]
         assert [found[4][name] for name in given] == [f"{name}4" for name in names]
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ("score study", "takes one study and its labels"),
+        ("score study other --labels labels.json", "takes one study and its labels"),
+        ("identify fleet.csv --labels labels.json", "--labels: goes with score"),
+        ("identify fleet.csv", "--output: is missing"),
+        ("population study other --output out", "a population is made of one study"),
+        ("identify fleet.csv --of unit --output out", "--of: goes with population"),
+        ("diagnose fleet.csv --family hapi --output out", "--family: goes with identify"),
+        ("validate fleet.csv --pages --output out", "--pages: goes with diagnose"),
+        ("validate fleet.csv --only gaps --output out", "--only: goes with diagnose"),
+        ("validate fleet.csv --limit gap_rms=none --output out", "--limit gap_rms=none: must be QUANTITY=VALUE"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused_in_one_line(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fleet.csv").write_text("unit,bag\nA,a\n")
+    assert main(["fleet", *words.split()]) == 2
+    seen = capsys.readouterr().err
+    assert said in seen and len(seen.strip().splitlines()) == 1 and not (tmp_path / "out").exists()

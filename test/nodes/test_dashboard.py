@@ -23,6 +23,8 @@ import pytest
 from loop_case import MODEL, RUNNING
 
 from hyst_control.base.errors import InputError
+from hyst_control.dashboard.live_state import LiveState
+from hyst_control.nodes.dashboard import LoopActions, LoopSettings, live_loop
 from hyst_control.processes.node_processes import Processes
 from hyst_control.records.bags.bag_reader import read_bag
 
@@ -163,6 +165,39 @@ def test_a_browser_shows_the_loop_and_its_buttons_act(running, tmp_path):
     [bag] = (tmp_path / "recordings").iterdir()
     command = read_bag(bag).signals["command"].values
     assert command.max() > 5.0 and command.min() == 0.0  # the stop is in the recording
+
+
+def test_requests_reach_the_loop_without_a_page(running, tmp_path, ros_context):
+    """What the buttons call, in this process: the nodes that drive answer, and a recording begins and ends."""
+    state, folder = LiveState(), tmp_path / "recordings"
+
+    def said():
+        return " ".join(state.answers)
+
+    with live_loop(LoopSettings(rate_hz=RATE), state, folder, ros_context) as actions:
+        until(lambda: {node.name for node in state.nodes}, lambda names: {"pi_feedback", "plant", "diagnosis"} <= names)
+        until(lambda: (len(state.signals.columns), state.gap.epoch, len(state.turn[0])), all)
+        actions.record()
+        until(lambda: recorded_commands(tmp_path), lambda rows: rows > 0)
+        assert actions.recording.startswith("Recording to ")
+        for what, words in (("stop", "stopped"), ("enable", "enabled"), ("reset", "reset")):
+            actions.ask(what)
+            until(said, lambda words_seen, each=f"{what} pi_feedback: {words}": each in words_seen)
+        actions.record()
+        until(lambda: actions.recording, lambda words: not words)
+        assert "recorded: " in said()
+        folder.joinpath("file").touch()
+        LoopActions(actions._node, actions._processes, LoopSettings(), folder / "file").record()
+        assert "start with --folder and one that can be written" in said()
+    running.check()
+
+
+def test_a_request_without_a_loop_says_that_nobody_was_asked(tmp_path, ros_context):
+    state = LiveState()
+    with live_loop(LoopSettings(), state, tmp_path, ros_context) as actions:
+        actions.ask("stop")
+        until(lambda: list(state.answers), lambda said: said == ["stop: nobody was asked, because no node publishes command"])
+    assert LoopSettings(namespace="/rig/").arguments[1:4] == ["--ros-args", "-r", "__ns:=/rig"]
 
 
 def answer(url, path, headers=()):
