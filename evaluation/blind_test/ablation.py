@@ -55,7 +55,6 @@ RULES: dict[str, Rule] = {
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
-    "_stands_out": (policy, "_stands_out", lambda *_: False),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
     "strained": (policy, "strained", lambda *_: False),
     "_unusual": (policy, "_unusual", lambda *_: False),

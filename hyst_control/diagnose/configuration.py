@@ -46,11 +46,6 @@ class Thresholds:
     own_error_energy: float = 1.5  # noise energies: stated energy from which a model is taken to state an error of its own
     # share of the model discrepancy's energy: least excess noise that is named beside an error whose spectrum is unknown
     noise_own_share: float = 0.01
-    # Weight of what stays under the model discrepancy: one shape, of which the bins of a record are hardly independent
-    under_own_error: float = 0.05
-    # energies of model discrepancy and noise: what no effect must leave at a hypothesis' frequencies: fits follow the largest bins, of
-    # normal ones the mean is 3
-    own_error_local: float = 3.0
     # standard deviations: chi-square of the coefficients above its mean from which they are strained
     strain_deviations: float = 4.0
     many_tolerances: float = 5.0  # tolerances: distance of a coefficient from which a known effect that does the same is named
@@ -284,6 +279,8 @@ class BaselineSettings:
     overlap: float = 0.5  # share of the new record: least part of it in which they are
     similar_overlap: float = 0.9  # share of the new record: the same of a command that is similar only
     zero_share: float = 0.3  # share of the range: standard deviation of the zero, drift and curvature of a session
+    # share of its bins: independent values of a model discrepancy whose spectrum a model file states
+    stated_independent: float = 0.05
     # share of the mean slope: standard deviation of the weights by which the initial memory of sessions differs
     memory_share: float = 0.2
     # share of the record: most rows that are left out beside a baseline record of the same command until this memory is wiped out

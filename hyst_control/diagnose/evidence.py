@@ -140,18 +140,13 @@ class HypothesisEvidence:
     names: tuple[str, ...]  # Effects; none for the nominal model and for coefficients alone
     coefficients_alone: bool  # Whether the coefficients may leave their tolerance, with no effect
     score: float  # Evidence over "no effect", nats
-    misfit: float  # Penalized misfit, nats
+    misfit: float  # Penalized misfit, nats: that of the model discrepancy's bins by as much as they are independent
     energy: float  # Mean square of the residual, noise energies
     strain: float  # Part of the misfit that is the coefficients' distance from the nominal ones, nats
     residual: ResidualEvidence | None = None  # Only of the hypotheses that the policy may choose
     farthest: float = 0.0  # Distance of the coefficient that is farthest from its nominal value, tolerances
     # Whether the size of one of its effects is at the end of the range that the catalogue gives it
     at_bound: bool = False
-    # Energy that "no effect" leaves at the frequencies at which this one differs from it, in units of the model discrepancy and the
-    # noise there; infinite where the error's spectrum is unknown
-    local: float = np.inf
-    # What it leaves beyond the model discrepancy, octave by octave, nats; 0 where the error's spectrum is unknown
-    beyond: float = 0.0
     # Energy that its coefficients take off by what of their distance is not believed, noise energies
     taken_up: float = np.inf
     # Axis of each effect, None where it is on all; empty where the record has one axis

@@ -34,8 +34,6 @@ LIMITS = replace(
     own_error_share=0.5,
     own_error_energy=1.5,
     noise_own_share=0.01,
-    own_error_local=3.0,
-    under_own_error=0.05,
     run_to_run=4.0,
     distortion_change=0.5,
     distortion_share=0.01,
@@ -55,13 +53,13 @@ ALL = frozenset(RecordCheck)
 
 def none(**changes) -> HypothesisEvidence:
     """No effect: it leaves a hundred noise energies beyond the noise's."""
-    return replace(HypothesisEvidence((), False, 0.0, MISFIT, BEFORE, 0.0, replace(QUIET, energy=BEFORE), beyond=MISFIT), **changes)
+    return replace(HypothesisEvidence((), False, 0.0, MISFIT, BEFORE, 0.0, replace(QUIET, energy=BEFORE)), **changes)
 
 
 def effect(name: str, score: float = 1000.0, left: float = 1.0, **changes) -> HypothesisEvidence:
     """Effects by their names joined with "+", which leave so much energy."""
     misfit, residual = 0.5 * SAMPLES * left, replace(QUIET, energy=left)
-    found = HypothesisEvidence(tuple(name.split("+")), False, score, misfit, left, 0.0, residual, beyond=misfit)
+    found = HypothesisEvidence(tuple(name.split("+")), False, score, misfit, left, 0.0, residual)
     return replace(found, **changes)
 
 

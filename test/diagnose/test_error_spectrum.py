@@ -20,6 +20,7 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.prepare import _floor
 from hyst_control.diagnose.search.beam_search import effective_sample_weight
 from hyst_control.diagnose.search.fit import Linearized, fit
+from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.identify.model_error.error_spectrum import FUNDAMENTALS, MEDIAN, OCTAVES, SMOOTHED, UPPER, ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 
@@ -108,7 +109,7 @@ def test_coefficients_are_pinned_by_clean_records():
     command = 3.0 * np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
     clean = Problem(model(0.3), (Piece(command, 2.0 * command + slow_error(1)),), STEP, "foh", np.array([NOISE]))
     clean = replace(clean, own_spectrum=spectrum_of(1))
-    narrow = pinned(scatter_of(clean.model), clean)
+    narrow = pinned(scatter_of(clean.model), CleanRecords(clean).columns)
     assert narrow.joint is not None
     rest = clean.simulate(Chain((Gain(1.0),)).stages) * 2.0
     exact = 0.6 / np.sqrt(1.0 + 0.3**2 * float(rest @ rest))

@@ -147,6 +147,11 @@ def strained(strain: float, coefficients: int, thresholds: Thresholds) -> bool:
     return 2.0 * strain >= coefficients + thresholds.strain_deviations * float(np.sqrt(2.0 * coefficients))
 
 
+def exceeds(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where a hypothesis is better than another by more than chance."""
+    return evidence.temper * (without.misfit - one.misfit) > evidence.null + thresholds.margin
+
+
 def key(hypothesis: HypothesisEvidence) -> tuple[str, ...]:
     """Name of a hypothesis in `Decision.probability`."""
     return PARAMETERS if hypothesis.coefficients_alone else hypothesis.names
@@ -161,7 +166,7 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
         and _beats_null(one, evidence, thresholds)
         and _worth_naming(one, evidence, thresholds)
     ]
-    found.sort(key=lambda index: -_merit(evidence.hypotheses[index], evidence, thresholds))
+    found.sort(key=lambda index: -evidence.hypotheses[index].score)
     return tuple(
         index
         for index in found
@@ -182,8 +187,7 @@ def _first(claims: Sequence[int]) -> int:
 def _beats_null(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
     if one.coefficients_alone:
         return one.score > thresholds.margin
-    gain = evidence.temper * (evidence.hypotheses[0].misfit - one.misfit)
-    return bool(one.names) and one.score > 0 and gain > evidence.null + thresholds.margin
+    return bool(one.names) and one.score > 0 and exceeds(evidence.hypotheses[0], one, evidence, thresholds)
 
 
 def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
@@ -191,9 +195,6 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
     # the samples has that error in it already.
     unweighted = evidence.weight == 1.0
-    within = one.local <= thresholds.own_error_local * evidence.stated
-    if within and (one.coefficients_alone or not _stands_out(evidence.hypotheses[0], one, evidence, thresholds)):
-        return False
     least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
     before = evidence.hypotheses[0].energy
     # Coefficients can fit any residual: beside a known model discrepancy they explain only a gap that exceeds it.
@@ -213,21 +214,6 @@ def _has_own_error(evidence: Evidence) -> bool:
     return evidence.whitened and not evidence.carried
 
 
-def _merit(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> float:
-    """Evidence over "no effect", nats, by which claims are compared: what stays under the model discrepancy tells little."""
-    if not _has_own_error(evidence):
-        return one.score
-    none = evidence.hypotheses[0]
-    spent = evidence.temper * (none.misfit - one.misfit) - one.score
-    return none.beyond + none.strain - one.beyond - one.strain - spent + thresholds.under_own_error * one.score
-
-
-def _stands_out(without: HypothesisEvidence, one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where a hypothesis is better by what exceeds the model discrepancy, or by coefficients that need not move as far."""
-    better = without.beyond + without.strain - one.beyond - one.strain
-    return better > evidence.null + thresholds.margin
-
-
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
 
@@ -242,7 +228,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     return any(
         len(other.names) == 1
         and (
-            not _stands_out(other, one, evidence, thresholds)
+            not exceeds(other, one, evidence, thresholds)
             if _has_own_error(evidence)
             else size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
         )
@@ -263,15 +249,13 @@ def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thre
     parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
     if not parts:
         return False
-    if _has_own_error(evidence) and not all(_stands_out(part, one, evidence, thresholds) for part in parts):
-        return True
     best = min(parts, key=lambda part: part.misfit)
     better = best.misfit - one.misfit
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
     small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
-    return evidence.temper * better <= evidence.null + thresholds.margin or (small and not relieved)
+    return not exceeds(best, one, evidence, thresholds) or (small and not relieved)
 
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
@@ -279,7 +263,7 @@ def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresh
     # Of an effect's realizations the best one counts: several that are alike make the effect no likelier.
     best: dict[tuple[str, ...], float] = {}
     for one in hypotheses:
-        best[key(one)] = max(best.get(key(one), -np.inf), _merit(one, evidence, thresholds))
+        best[key(one)] = max(best.get(key(one), -np.inf), one.score)
     weights = np.exp(thresholds.sharpness * (np.array(list(best.values())) - max(best.values())))
     return dict(zip(best, (weights / weights.sum()).tolist(), strict=True))
 

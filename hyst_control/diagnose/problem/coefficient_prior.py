@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -24,12 +25,9 @@ from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.parameter import Scattering
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.model_file import Model
-from hyst_control.records.session_zero import without_zero
 
 LARGEST = 0.3
 """Largest relative deviation (1 sigma) of a coefficient beside the model discrepancy: a direction that the data cannot tell."""
-SMALL = 0.05
-"""Difference step of a coefficient, in its standard deviations."""
 DIFFERENCE = 1e-4
 """Relative change of a coefficient from which its slope is read."""
 
@@ -199,38 +197,20 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
     return Scatter(scatter.model, tuple(limited))
 
 
-def pinned(scatter: Scatter, clean: Problem) -> Scatter:
+def pinned(scatter: Scatter, moves: Annotated[Array, "M K"]) -> Scatter:
     """Narrow coefficients that scatter together to what baseline records allow.
 
     What a coefficient moves on a baseline record by more than the model discrepancy there, it cannot have moved in the new one either.
     The nominal values stay: how far a model is off on baseline records is its own error.
     """
+    # moves: of the coefficients on the baseline records, in units of that discrepancy
     if scatter.joint is None:
         return scatter
-    own = scatter_of(clean.model)
-    nominal, columns = clean.simulate(own.at(np.zeros(len(own.coefficients)))), []
-    for k in range(scatter.joint.factor.shape[1]):
-        moved = np.zeros(len(own.coefficients))
-        moved[k] = SMALL
-        try:
-            column = (clean.simulate(own.at(moved)) - nominal) / SMALL
-        except InputError:
-            return scatter  # at the edge of what makes a model
-        columns.append(column)
-    design = np.column_stack(columns)
-    if not np.isfinite(design).all() or np.max(np.abs(design), initial=0.0) > 1e12:
-        return scatter
-    begin, rest = 0, []
-    for piece in clean.pieces:  # the zero of each session is its own
-        end = begin + len(piece.counted(piece.measurement)) * len(clean.model.axes)
-        by_axis = design[begin:end].reshape(-1, len(clean.model.axes) * design.shape[1])
-        rest.append(without_zero(by_axis)[0].reshape(end - begin, -1))
-        begin = end
-    own_rows = np.concatenate(rest)
-    values, vectors = np.linalg.eigh(own_rows.T @ own_rows)
+    own = moves[:, : scatter.joint.factor.shape[1]]
+    values, vectors = np.linalg.eigh(own.T @ own)
     narrow = (vectors / np.sqrt(1.0 + np.maximum(values, 0.0))) @ vectors.T
     joint = replace(scatter.joint, factor=scatter.joint.factor @ narrow)
-    return Scatter(scatter.model, (*_columns(joint), *scatter.coefficients[design.shape[1] :]), joint)
+    return Scatter(scatter.model, (*_columns(joint), *scatter.coefficients[own.shape[1] :]), joint)
 
 
 def _named(stage: Stage, tolerance: Mapping[str, float]) -> dict[str, float]:

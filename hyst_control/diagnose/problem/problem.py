@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.fft import dct
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -70,6 +71,8 @@ class Problem:
     """Samples of that error per independent one."""
     own_spectrum: ErrorSpectrum | PeriodicError | None = None
     """Spectrum of that error, or how it comes back, by which flat vectors are whitened; None: only its size and correlation are known."""
+    independent: float = 1.0
+    """Independent values of that error, as a share of the bins that it dominates: it is one shape, not noise."""
     roughness: tuple[RoughnessEvidence | None, ...] = ()
     """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
     steps: tuple[float, ...] = ()
@@ -124,6 +127,16 @@ class Problem:
     def measured(self) -> Array:
         """The measurement in the same form."""
         return self.whitened(np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces]))
+
+    def nats(self, flat: Array) -> float:
+        """Half the squares of a residual (M,), those of the model discrepancy's bins by as much as they are independent."""
+        if self.independent == 1.0:
+            return 0.5 * self.weight * float(flat @ flat)
+        found = 0.0
+        for rows, gain in zip(self.by_piece(flat), self._gains, strict=True):
+            share = 1.0 - (1.0 - self.independent) * np.maximum(1.0 - gain**2, 0.0)
+            found += 0.5 * float(np.sum(share * dct(rows, norm="ortho", axis=0) ** 2))
+        return found
 
     def rows(self, flat: Array) -> Array:
         """A flat vector as rows (M, A) in the measurement's unit."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from scipy.fft import dct
 
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
@@ -24,14 +23,13 @@ from hyst_control.diagnose.evidence import (
     RecordEvidence,
     ResidualEvidence,
 )
-from hyst_control.diagnose.model_error.excess_over_error import beyond_own_error
 from hyst_control.diagnose.noise.flicker import flicker
 from hyst_control.diagnose.noise.narrowband import random_vibration
 from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.summary import outliers
-from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, strain
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, strain, weighed
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.validate.unexplained_residual import leftover
@@ -99,20 +97,6 @@ def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
     span = np.ptp(np.concatenate([piece.measurement for piece in problem.pieces]), axis=0)
     energy = np.mean(rows**2, axis=0) - known**2
     return float(np.sqrt(np.max(np.maximum(energy, 0.0) / span**2)))
-
-
-def _local_energy(problem: Problem, none: FittedHypothesis, scored: FittedHypothesis) -> float:
-    """Energy that the nominal model leaves at the frequencies at which a hypothesis differs from it; infinite where that is unknown.
-
-    In units of the model discrepancy and the noise, frequency by frequency: many bins below them add up to a sure fit, and a model that
-    lacks a part leaves just that in the baseline records too.
-    """
-    if problem.own_spectrum is None or scored is none:
-        return float("inf")
-    axes = len(problem.model.axes)
-    before, after = (dct(one.solution.residual.reshape(-1, axes), norm="ortho", axis=0) for one in (none, scored))
-    changed = (before - after) ** 2
-    return float(np.sum(changed * before**2) / max(float(np.sum(changed)), 1e-300))
 
 
 def residual_evidence(
@@ -243,13 +227,11 @@ def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> Hypo
         scored.names,
         scored.inflated,
         scored.score,
-        solution.misfit,
+        weighed(problem, solution),
         energy,
         strain(solution),
         farthest=farthest,
         at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
-        local=_local_energy(problem, found.none, scored),
-        beyond=0.0 if problem.own_spectrum is None else beyond_own_error(problem, solution.residual),
         taken_up=taken_up,
         axes=() if scored.candidate is None or len(problem.model.axes) == 1 else tuple(m.axis for m in scored.candidate.members),
     )

@@ -31,6 +31,7 @@ from hyst_control.diagnose.run.collect import (
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit
+from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
@@ -70,6 +71,7 @@ class Prepared:
     stated: Annotated[Array, "A"]  # Noise that the model states, rms, measurement unit
     floor: float  # Rms that an effect must take off to be worth naming, in units of the noise
     leaves: float  # Energy that the model itself says it leaves, in noise energies
+    clean: CleanRecords | None  # Baseline records of other commands
 
     def members(self, sensor_side: bool) -> list[Member]:
         """List the effects to try."""
@@ -94,9 +96,13 @@ def prepare(
     checks = frozenset(check for check in RecordCheck if is_used(check, without))
     progress("coefficients of the model")
     scatter = within_own_error(scatter_of(problem.model), problem)
-    clean = None if baseline is None else clean_rows(baseline, problem)
+    rows = None if baseline is None else clean_rows(baseline, problem)
+    clean = None if rows is None else CleanRecords(rows)
     if clean is not None:
-        scatter = pinned(scatter, clean)
+        scatter = pinned(scatter, clean.columns)
+        problem = replace(problem, independent=clean.independent)
+    elif isinstance(problem.own_spectrum, ErrorSpectrum) and not problem.is_carried:
+        problem = replace(problem, independent=configuration.baseline.stated_independent)
     linearized = Linearized(problem, scatter)
     none = fit(linearized)
     record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
@@ -119,7 +125,9 @@ def prepare(
         least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    return Prepared(problem, linearized, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves)
+    return Prepared(
+        problem, linearized, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves, clean
+    )
 
 
 def clean_rows(baseline: Baseline, problem: Problem) -> Problem | None:

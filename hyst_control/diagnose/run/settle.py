@@ -10,16 +10,15 @@ from typing import Protocol
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.configuration import Configuration, Thresholds
-from hyst_control.diagnose.decide.policy import contenders, decide
+from hyst_control.diagnose.decide.policy import contenders, decide, exceeds
 from hyst_control.diagnose.evidence import Evidence, Finding, ResidualEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.run.collect import Collected, companions, residual_evidence
-from hyst_control.diagnose.run.prepare import Prepared, clean_rows
+from hyst_control.diagnose.run.prepare import Prepared
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.constancy import distortions
 from hyst_control.diagnose.validate.cross_validation import holds, widens
-from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck
 
@@ -46,6 +45,8 @@ def settled(evidence: Evidence, tests: Tests, thresholds: Thresholds) -> tuple[E
         if not dropped:
             return evidence, decision
         evidence = evidence.without(dropped)
+    if evidence.whitened and VETOES:  # what comes after so many that do not hold explains still less
+        evidence = evidence.without(range(1, len(evidence.hypotheses)))
     evidence = _measured(evidence, tests, thresholds)
     return evidence, decide(evidence, thresholds)
 
@@ -66,8 +67,6 @@ class ContenderTests:
         self.evidence = collected.evidence
         self._prepared, self._found, self._hypotheses = prepared, found, collected.hypotheses
         self._baseline, self._configuration = baseline, configuration
-        self._rows = None if baseline is None else clean_rows(baseline, prepared.problem)
-        self._clean: CleanRecords | None = None
         self._residuals: dict[int, ResidualEvidence] = {}
         self._drops: dict[int, tuple[int, ...]] = {}
 
@@ -81,7 +80,7 @@ class ContenderTests:
         return {index: self._residuals[index] for index in indices}
 
     def dropped(self, index: int) -> tuple[int, ...]:
-        """Hypotheses with an effect that baseline records ask for too; or this one, if it does not hold on the record itself."""
+        """Hypotheses that baseline records rule out; or this one, if it does not hold on the record itself."""
         if index not in self._drops:
             self._drops[index] = self._dropped(index)
         return self._drops[index]
@@ -89,15 +88,26 @@ class ContenderTests:
     def _dropped(self, index: int) -> tuple[int, ...]:
         evidence, hypotheses = self.evidence, self._hypotheses
         best, none, linearized = hypotheses[index], self._found.none, self._prepared.linearized
-        if self._rows is not None:
-            self._clean = self._clean or CleanRecords(self._rows)
-            known = self._clean.show(best, evidence.null + self._configuration.policy.margin)
+        clean = self._prepared.clean
+        if clean is not None:
+            known = clean.show(best, evidence.null + self._configuration.policy.margin)
             if known:
-                return tuple(i for i, one in enumerate(hypotheses) if known.intersection(one.names))
+                return self._without_known(index, known)
         # Beside a baseline record of the same command no coefficient is free, and without baseline records they make up for much.
-        if self._rows is not None and widens(linearized, best, none):
+        if clean is not None and widens(linearized, best, none):
             return (index,)
         return () if holds(linearized, best, none, self._configuration.reduction) else (index,)
+
+    def _without_known(self, index: int, known: frozenset[str]) -> tuple[int, ...]:
+        """Hypotheses with effects that baseline records ask for too, and those that explain no more where these explain the gap alone."""
+        evidence, policy = self.evidence, self._configuration.policy
+        best = evidence.hypotheses[index]
+        alone = known.issuperset(best.names)
+        return tuple(
+            i
+            for i, one in enumerate(evidence.hypotheses)
+            if i and (known.intersection(one.names) or (alone and not exceeds(best, one, evidence, policy)))
+        )
 
 
 def _residual(

@@ -172,12 +172,13 @@ def _searched(
     everything = [solution for _, solution in fits + combinations] + [none.solution]
     fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
     temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
+    nothing = weighed(linearized.problem, none.solution)
 
     def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
         count = len(candidate.members)
         # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
         further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
-        gain = temper * (none.solution.misfit - solution.misfit)
+        gain = temper * (nothing - weighed(linearized.problem, solution))
         # Beside baseline records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
         # criterion of Schwarz (1978) is the most that parameters cost.
         most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
@@ -197,7 +198,7 @@ def _searched(
         else 0.0
     )
     fitted = alone.result()
-    score = temper * (none.solution.misfit - fitted.misfit) - wider - alternatives
+    score = temper * (nothing - weighed(linearized.problem, fitted)) - wider - alternatives
     parameters = FittedHypothesis(None, fitted, float(score), True, settings.inflation)
     return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
 
@@ -288,6 +289,13 @@ def _beyond_noise(solution: Solution) -> float:
 
 def _strained(solution: Solution, thresholds: Thresholds) -> bool:
     return are_strained(strain(solution), len(solution.z), thresholds)
+
+
+def weighed(problem: Problem, solution: Solution) -> float:
+    """The misfit with the model discrepancy's bins, and the coefficients that it moves, by as much as they are independent."""
+    residual = solution.residual
+    rest = solution.misfit - 0.5 * problem.weight * float(residual @ residual)
+    return problem.nats(residual) + rest - (1.0 - problem.independent) * strain(solution)
 
 
 def strain(solution: Solution) -> float:

@@ -34,6 +34,18 @@ class CleanRecords:
         self.columns, self.gram = columns, columns.T @ columns + np.eye(columns.shape[1])
         self.nominal = self._misfit(self.linearized.nominal)
 
+    @property
+    def independent(self) -> float:
+        """Independent values of the model discrepancy, as a share of its bins.
+
+        What the coefficients explain of the baseline records, beside what they would explain of as much noise by chance: the expectation of
+        ½ rᵀJ (JᵀJ + 1)⁻¹ Jᵀr is ½ tr(JᵀJ (JᵀJ + 1)⁻¹) where all values of r are independent.
+        """
+        residual = self._without_zero(self.linearized.measured - self.linearized.nominal)
+        explained = 0.5 * float(residual @ residual) - self.nominal
+        by_chance = 0.5 * (len(self.gram) - float(np.trace(np.linalg.inv(self.gram))))
+        return min(by_chance / explained, 1.0) if explained > 0.0 else 1.0
+
     def show(self, scored: FittedHypothesis, least: float) -> frozenset[str]:
         """Find the effects of an explanation that the baseline records ask for, too."""
         assert scored.candidate is not None, "no effect"
