@@ -13,6 +13,7 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.control.feedforward.inverse_dynamics import (
     METHODS,
+    DiscreteSystem,
     invert_dynamics,
     invert_system,
     sampled_systems,
@@ -78,6 +79,25 @@ def test_zpetc_has_no_phase_error_and_unit_gain_at_rest(sample_time, delay):
     np.testing.assert_allclose(whole.imag, 0.0, atol=1e-9 * np.abs(whole).max())
     assert np.all(whole.real > 0.0)
     assert whole[0].real == pytest.approx(1.0, abs=1e-6)
+
+
+def test_gain_that_is_restored_errs_by_the_square():
+    """Zeros on the left, of which H = |B|² / B(1)² stays below 2: with H (2 - H) in place of H, and no phase either way."""
+    plant = DiscreteSystem(np.array([-1.3, 0.95 * np.exp(2.5j), 0.95 * np.exp(-2.5j)]), np.array([0.2, 0.3, 0.1, 0.4]), 0.5)
+    z = np.exp(1j * np.linspace(0.01, 3.0, 40))
+    bare, restored = (
+        plant.response(z) * inverse.response(z) * z**preview
+        for inverse, preview in (invert_system(plant, "zpetc"), invert_system(plant, "zpetc", restored=True))
+    )
+    assert np.abs(bare.imag).max() < 1e-9 and np.abs(restored.imag).max() < 1e-8
+    np.testing.assert_allclose(1.0 - restored.real, (1.0 - bare.real) ** 2, atol=1e-8)
+
+
+def test_gain_of_zeros_on_the_right_is_left_as_it_is():
+    """A zero at 1.5 makes H grow up to 25, where 2 - H would turn the reference around."""
+    plant = DiscreteSystem(np.array([1.5 + 0j]), np.array([0.2, 0.3]), 0.5)
+    bare, restored = invert_system(plant, "zpetc"), invert_system(plant, "zpetc", restored=True)
+    assert bare[1] == restored[1] and np.array_equal(bare[0].zeros, restored[0].zeros)
 
 
 @pytest.mark.parametrize("sample_time", [2e-5, 5e-5])

@@ -224,7 +224,8 @@ def _inverse_chain(model: Model, design: Design) -> Compensator:
     # A DAC holds the command; behind dynamics the signal is smooth.
     held = Sampling(design.sample_time, len(model.axes), "zoh")
     entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
-    behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation)
+    # What looks ahead anyway for a reference without kinks restores the gain at the zeros that cannot be inverted.
+    behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation, restored=design.smoothing > 0)
     front, further = dynamics_inverse(before, held, design.inverse, design.discretisation)
     # The hysteresis sees the drive through the static gain of what stands before it.
     drive = np.sort(quasi_static_stages(before, design.limits, held.axes), axis=0)
@@ -297,7 +298,9 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
     return sides[0], core, sides[1]
 
 
-def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discretisation: str) -> tuple[list[Stage], int]:
+def dynamics_inverse(
+    side: list[Stage], sampling: Sampling, method: str, discretisation: str, restored: bool = False
+) -> tuple[list[Stage], int]:
     """Inverse of linear stages, gains and offsets, and the ticks that it looks ahead."""
     axes = sampling.axes
     linear = [stage for stage in side if isinstance(stage, (LinearStage, Delay))]
@@ -319,7 +322,7 @@ def dynamics_inverse(side: list[Stage], sampling: Sampling, method: str, discret
     if method == "none":
         whole = quasi_static_stages(linear, np.stack([np.zeros(axes), np.ones(axes)]), axes)
         return [*stages, Gain((1.0 / (whole[1] - whole[0])).tolist())], 0
-    inverted = invert_dynamics(linear, sampling, method, discretisation)
+    inverted = invert_dynamics(linear, sampling, method, discretisation, restored=restored)
     return [*stages, inverted.stage], inverted.preview
 
 
