@@ -260,7 +260,7 @@ def mhl_targets(rows: Rows) -> list[Target]:
     add("MHL §4.4, peak", "by as much N(s) as published takes it down", peak[WITHOUT] - peak[PUBLISHED], 5.22 - 2.94, "dB", True)
     for name in ("whole inverse", *SCORED):
         value = rows.value("MHL Fig. 18", "closed loop", name, "bandwidth")
-        add("MHL §4.5, closed loop", f"bandwidth, {name}", value, 1500.0, "Hz", True)
+        add("MHL §4.5, closed loop", f"bandwidth, {name}", value, 1500.0, "Hz", True, why["zeros"])
         value = rows.value("MHL Fig. 18", "step", name, "settling_time")
         add("MHL §4.5, closed loop", f"settling time, {name}", value, 2.0, "ms", cause=why["settling"])
     for name in ("whole inverse", *SCORED):
