@@ -137,10 +137,10 @@ def invert_system(
             gain /= static
     poles = np.concatenate([poles, np.zeros(preview)])
     if restored and method == "zpetc" and len(left):
-        factor = np.poly(left).real / np.prod(1.0 - left).real
-        on_circle = np.polyval(factor, np.exp(1j * np.linspace(0.0, np.pi, CIRCLE)))
+        uninverted = np.poly(left).real / np.prod(1.0 - left).real
+        on_circle = np.polyval(uninverted, np.exp(1j * np.linspace(0.0, np.pi, CIRCLE)))
         if np.max(np.abs(on_circle)) ** 2 <= MOST_GAIN:
-            rest = -np.convolve(factor, factor[::-1])
+            rest = -np.convolve(uninverted, uninverted[::-1])
             rest[len(left)] += 2.0
             zeros, poles = np.concatenate([zeros, np.roots(rest)]), np.concatenate([poles, np.zeros(2 * len(left))])
             return DiscreteSystem(zeros, poles, gain * float(rest[0])), preview + len(left)
