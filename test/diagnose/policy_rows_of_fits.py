@@ -12,7 +12,6 @@ from test.diagnose.made_evidence import (
     MISFIT,
     NULL,
     QUIET,
-    SAMPLES,
     SMALL,
     UNRELATED,
     changing,
@@ -276,15 +275,6 @@ ROWS = (
         V.PARAMETERS,
         (R.COEFFICIENTS_BEYOND_TOLERANCE,),
         ("",),
-    ),
-    Row(
-        "a second effect that gains no more than chance does beside a model discrepancy",
-        evidence(
-            effect("a", left=4.0), replace(effect("a+b", 1005.0), misfit=0.5 * SAMPLES * 4.0 - 12.0), whitened=True, stated=4.0
-        ),
-        V.EFFECT,
-        (R.ONE_EXPLANATION,),
-        ("a",),
     ),
     Row(
         "coefficients far away that take up next to nothing beside a great gap",

@@ -168,10 +168,10 @@ def test_a_browser_shows_the_loop_and_its_buttons_act(running, tmp_path):
 
 
 def test_requests_reach_the_loop_without_a_page(running, tmp_path, ros_context):
-    """What the buttons call, in this process: the nodes that drive answer, and a recording begins and ends."""
+    """Stop, enable and reset reach the nodes that drive, and a recording begins and ends, all within this process."""
     state, folder = LiveState(), tmp_path / "recordings"
 
-    def said():
+    def answers():
         return " ".join(state.answers)
 
     with live_loop(LoopSettings(rate_hz=RATE), state, folder, ros_context) as actions:
@@ -182,13 +182,13 @@ def test_requests_reach_the_loop_without_a_page(running, tmp_path, ros_context):
         assert actions.recording.startswith("Recording to ")
         for what, words in (("stop", "stopped"), ("enable", "enabled"), ("reset", "reset")):
             actions.ask(what)
-            until(said, lambda words_seen, each=f"{what} pi_feedback: {words}": each in words_seen)
+            until(answers, lambda text, each=f"{what} pi_feedback: {words}": each in text)
         actions.record()
         until(lambda: actions.recording, lambda words: not words)
-        assert "recorded: " in said()
+        assert "recorded: " in answers()
         folder.joinpath("file").touch()
         LoopActions(actions._node, actions._processes, LoopSettings(), folder / "file").record()
-        assert "start with --folder and one that can be written" in said()
+        assert "start with --folder and one that can be written" in answers()
     running.check()
 
 
@@ -196,7 +196,7 @@ def test_a_request_without_a_loop_says_that_nobody_was_asked(tmp_path, ros_conte
     state = LiveState()
     with live_loop(LoopSettings(), state, tmp_path, ros_context) as actions:
         actions.ask("stop")
-        until(lambda: list(state.answers), lambda said: said == ["stop: nobody was asked, because no node publishes command"])
+        until(lambda: list(state.answers), lambda answers: answers == ["stop: nobody was asked, because no node publishes command"])
     assert LoopSettings(namespace="/rig/").arguments[1:4] == ["--ros-args", "-r", "__ns:=/rig"]
 
 

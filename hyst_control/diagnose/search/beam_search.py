@@ -313,10 +313,10 @@ def _grown(
     joint: Sequence[tuple[Candidate, Array]] = (),
 ) -> list[Begun]:
     """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
-    # Where all pairs lie side by side, what a step on top of one effect promises tells no more.
-    promising = [] if joint else promising_pairs(linearized, parents, members, least, settings)
     wanted: list[tuple[Candidate, list[Array]]] = []
-    for parent, found in zip(parents, promising, strict=False):
+    # `joint` has the best of all pairs: a search on top of each parent finds no others.
+    promising = promising_pairs(linearized, parents, members, least, settings) if not joint else [[] for _ in parents]
+    for parent, found in zip(parents, promising, strict=True):
         for index, start in found:
             pair = parent.candidate.with_member(members[index])
             if not any(_same(pair, other) for other, _ in wanted):
