@@ -103,6 +103,7 @@ def test_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(tmp_path, 
     settings = parameters(tmp_path, COUNT, recorder={"merge": 8, "ticks": 0})
     (tmp_path / "limited.py").write_text(LIMITED)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}:{config_folders()[0].parent}")
+    monkeypatch.delenv("COVERAGE_PROCESS_CONFIG", raising=False)  # the limit would meet the measurement's own file
     with ProcessesBesideThread(tmp_path / "log", domain) as processes:
         processes.compose({name: own for name, own in settings.items() if name != "recorder"})
         file = tmp_path / "recorder.json"
