@@ -190,12 +190,9 @@ class SearchSettings:
     screened: int = 8  # starts: starts of an effect that are looked at on top of another effect
     scanned: int = 12  # values: values of a parameter that are tried, and then as many between the best and its neighbors
     realizations: int = 8  # realizations: realizations without a number to fit that go on: those that come closest to the record
-    promising: int = 5  # effects: effects that a linear step makes most of, added to a hypothesis
-    promise: float = 0.5  # share of the threshold: least that such a step must gain
-    joint_pairs: int = (
-        8  # pairs: pairs that are closest to the record to first order and fitted, beside baseline records of one axis
-    )
-    joint_starts: int = 4  # starts: starts of an effect that are laid beside those of another for that
+    promise: float = 0.5  # share of the threshold: least gain of a fit that is gone on with
+    combinations: int = 8  # combinations: those of one effect more that are closest to the record to first order, and fitted
+    laid_beside: int = 4  # starts: starts of an effect that are laid beside those of others for that
     spent: float = 0.03  # share of the noise's energy: energy beyond the noise's under which no further effect is looked for
     spent_floor: float = 0.5  # practical sizes squared: the same, of what is too small to be named
     # nats: cost of every parameter of an effect beyond the first, where the model states an error of its own

@@ -15,8 +15,8 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.combinations import closest_combinations, tangents_of_starts
 from hyst_control.diagnose.search.fit import Linearized, fit
-from hyst_control.diagnose.search.pair_screening import joint_pairs
 from hyst_control.model_file import Model
 
 STEP, NOISE, ROWS = 1e-3, 0.01, 2000
@@ -34,6 +34,11 @@ def prepared(problem: Problem) -> tuple[Linearized, list[Member]]:
     return Linearized(problem, scatter_of(problem.model)), catalogue(problem, {})
 
 
+def pairs_of(linearized: Linearized, members, count: int, starts: int):
+    effects = tangents_of_starts(linearized, members, starts)
+    return closest_combinations(linearized, effects, effects, count)
+
+
 def fitted(linearized: Linearized, members, name: str, place: str = "sensor") -> FittedHypothesis:
     candidate = Candidate((next(one for one in members if one.name == name and one.place == place),))
     return FittedHypothesis(candidate, fit(linearized, candidate.unknowns(), candidate.starts()[0]), 0.0)
@@ -42,7 +47,7 @@ def fitted(linearized: Linearized, members, name: str, place: str = "sensor") ->
 def test_two_effects_are_found_of_which_neither_leads():
     late = 10.0 * np.sin(2 * np.pi * 3.0 * (TIME - 0.002))[:, None]
     linearized, members = prepared(problem_of(late * (1.0 + 0.05 * TIME[:, None] / TIME[-1])))
-    pairs = [set(candidate.names) for candidate, _ in joint_pairs(linearized, members, 3, 4)]
+    pairs = [set(candidate.names) for candidate, _ in pairs_of(linearized, members, 3, 4)]
     assert any("gain_drift" in pair and pair & {"delay", "sensor_lowpass", "amplifier_lowpass"} for pair in pairs)
 
 
@@ -51,7 +56,7 @@ def test_the_start_of_a_pair_is_what_it_was_made_with():
     linearized, members = prepared(problem_of(measured))
     straight = next(one for one in members if one.name == "gain_drift" and "tau" in dict(one.fixed) and one.place == "sensor")
     offset = next(one for one in members if one.name == "offset")
-    ((candidate, start),) = joint_pairs(linearized, [straight, offset], 1, 4)
+    ((candidate, start),) = pairs_of(linearized, [straight, offset], 1, 4)
     values = {one.name: one.values(start[part]) for one, part in zip(candidate.members, candidate.slices(), strict=True)}
     assert values["offset"]["offset"] == pytest.approx(0.3, abs=0.01)
     assert values["gain_drift"]["change"] == pytest.approx(0.05, abs=0.002)  # a straight drift has no end: over the record
@@ -62,16 +67,14 @@ def test_of_the_realizations_of_a_pair_the_one_of_fewest_parameters_is_fitted():
     bent = COMMAND + 0.2 * (2.5 * x**3 - 1.5 * x) + 0.06 * (1.5 * x**2 - 0.5)  # Legendre polynomials of degree 3 and 2
     noise = NOISE * np.random.default_rng(0).standard_normal(bent.shape)
     linearized, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, lowest_frequency=3.0))
-    ((candidate, start),) = joint_pairs(linearized, members, 1, 4)
+    ((candidate, start),) = pairs_of(linearized, members, 1, 4)
     assert set(candidate.names) == {"gain_drift", "sensor_nonlinearity"}
     assert len(start) == 3  # two degrees of the bend, and what the gain drifts by
 
 
 def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
     linearized, members = prepared(problem_of(1.02 * COMMAND))
-    found = [
-        frozenset(member.variant for member in candidate.members) for candidate, _ in joint_pairs(linearized, members, 1000, 2)
-    ]
+    found = [frozenset(member.variant for member in candidate.members) for candidate, _ in pairs_of(linearized, members, 1000, 2)]
     assert len(found) == len(set(found)) and all(len(pair) == 2 for pair in found)
 
 
@@ -95,5 +98,5 @@ def test_pairs_are_the_same_on_any_number_of_cores(monkeypatch):
     for count in (1, 2):
         monkeypatch.setattr(parallel, "_serial", False)
         monkeypatch.setattr(parallel, "cores", lambda count=count: count)
-        found.append([(candidate.names, start.tolist()) for candidate, start in joint_pairs(linearized, members, 3, 2)])
+        found.append([(candidate.names, start.tolist()) for candidate, start in pairs_of(linearized, members, 3, 2)])
     assert found[0] == found[1] and len(found[0]) == 3

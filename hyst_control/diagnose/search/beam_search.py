@@ -29,9 +29,9 @@ from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, Se
 from hyst_control.diagnose.decide.policy import strained as are_strained
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
+from hyst_control.diagnose.search.combinations import Tangent, closest_combinations, tangents_at, tangents_of_starts
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
-from hyst_control.diagnose.search.pair_screening import joint_pairs
-from hyst_control.diagnose.search.starts import Begun, begin, gone_on, merged_start, misfit_at, promising_pairs, within
+from hyst_control.diagnose.search.starts import Begun, begin, gone_on, misfit_at, within
 from hyst_control.records.correlation import correlation_length
 
 
@@ -115,7 +115,6 @@ def _searched(
         depth = min(depth, settings.depth_with_own_error)
         beam = max(beam, settings.beam_with_own_error)
     strained = partial(_strained, thresholds=thresholds)
-    side_by_side = whitened and len(linearized.problem.model.axes) == 1
     # Every effect is as likely as any other before the record is seen, however many realizations it has.
     realizations = Counter(member.name for member in members)
     alternatives = np.log(max(len(realizations), 1))
@@ -130,6 +129,7 @@ def _searched(
     def explained(best: Solution, excess: float) -> bool:
         return any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished)))
 
+    singles: list[Tangent] = []
     for size_reached in range(1, depth):
         if not leading:
             break
@@ -147,13 +147,8 @@ def _searched(
                 break  # nothing but noise is left, and no coefficients were strained for it
         if whitened and without - best.misfit < threshold:
             break  # there is no gap to explain
-        # Beside the own error several effects are alike, and the two at work need not lead alone.
-        joint = (
-            joint_pairs(linearized, members, settings.joint_pairs, settings.joint_starts)
-            if size_reached == 1 and side_by_side
-            else []
-        )
-        grown = _grown(linearized, leading[:beam], members, settings.promise * threshold, settings, progress, joint)
+        singles = singles or tangents_of_starts(linearized, members, settings.laid_beside)
+        grown = _grown(linearized, leading[:beam], singles, settings, progress)
         if not grown:
             break
         end = grown[0].ends[0]
@@ -306,23 +301,16 @@ def strain(solution: Solution) -> float:
 def _grown(
     linearized: Linearized,
     parents: Sequence[Begun],
-    members: Sequence[Member],
-    least: float,
+    singles: Sequence[Tangent],
     settings: SearchSettings,
     progress: Callable[[str], None],
-    joint: Sequence[tuple[Candidate, Array]] = (),
 ) -> list[Begun]:
-    """The parents with one effect more each, and the candidates (with their starts) of `joint`, begun."""
-    wanted: list[tuple[Candidate, list[Array]]] = []
-    # `joint` has the best of all pairs: a search on top of each parent finds no others.
-    promising = promising_pairs(linearized, parents, members, least, settings) if not joint else [[] for _ in parents]
-    for parent, found in zip(parents, promising, strict=True):
-        for index, start in found:
-            pair = parent.candidate.with_member(members[index])
-            if not any(_same(pair, other) for other, _ in wanted):
-                wanted.append((pair, [merged_start(pair, parent.candidate, parent.ends[0].x, members[index], start)]))
-    wanted += [(pair, [start]) for pair, start in joint if not any(_same(pair, other) for other, _ in wanted)]
-    begun = begin(linearized, wanted, settings, parents[0].misfit)
+    """Combinations with one effect more than the parents, begun: of pairs all, for the two at work need not lead alone."""
+    some = tangents_at(linearized, [(one.candidate, one.ends[0].x) for one in parents])
+    if len(parents[0].candidate.members) == 1:
+        some += singles
+    combined = closest_combinations(linearized, some, singles, settings.combinations)
+    begun = begin(linearized, [(candidate, [start]) for candidate, start in combined], settings, parents[0].misfit)
     for one in begun:
         progress("+".join(one.candidate.names))
     return begun
@@ -470,7 +458,3 @@ def _best_alone(linearized: Linearized, candidate: Candidate, count: int) -> Arr
     best = int(np.argmin([misfit(value) for value in values]))
     bounds = values[max(best - 1, 0)], values[min(best + 1, count - 1)]
     return np.array([minimize_scalar(misfit, bounds=bounds, method="bounded", options={"maxiter": count}).x])
-
-
-def _same(one: Candidate, other: Candidate) -> bool:
-    return [(m.variant, m.fixed, m.place) for m in one.members] == [(m.variant, m.fixed, m.place) for m in other.members]

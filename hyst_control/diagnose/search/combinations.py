@@ -1,11 +1,11 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs of effects as sums of single ones, of which neither needs to lead alone.
+"""Combinations of effects as sums of single ones, of which none needs to lead alone.
 
-A beam search adds an effect to those that alone do best. Two effects of like size, a drifting gain and a lag say, each leave what the
-other does, and a third one that is neither may leave less than either. So the effects are laid side by side: of each the change of the
-output at one of its starts and the derivatives by its parameters there. To first order the output of a pair is the sum of both, and
-what every pair leaves follows from one matrix of scalar products, coefficients marginalised. The best are fitted.
+Two effects of like size, a drifting gain and a lag say, each leave what the other does, and a third one that is neither may leave less
+than either. So effects are laid side by side: of each the change of the output at one of its starts and the derivatives by its
+parameters there. To first order the output of a combination is the sum, and what it leaves follows from one matrix of scalar products,
+coefficients marginalised. The best are fitted.
 """
 
 from __future__ import annotations
@@ -24,64 +24,77 @@ from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_boun
 
 @dataclass(frozen=True)
 class Tangent:
-    """An effect at one of its starts: what it adds to the output there (M,), and its derivatives (M, P)."""
+    """Effects at values of their parameters: what they add to the output there (M,), and its derivatives (M, P)."""
 
-    member: Member
-    start: Array
+    candidate: Candidate
+    values: Array
     added: Array
     columns: Array
 
 
-def joint_pairs(linearized: Linearized, members: Sequence[Member], count: int, starts: int) -> list[tuple[Candidate, Array]]:
-    """Find the pairs of effects that together come closest to the records, to first order."""
-    fitted = [member for member in members if member.size]
-    found = map_known(_tangents, [(linearized, member, starts) for member in fitted])
-    tangents = [Tangent(member, *one) for member, each in zip(fitted, found, strict=True) for one in each]
-    if len(tangents) < 2:
+def tangents_of_starts(linearized: Linearized, members: Sequence[Member], most: int) -> list[Tangent]:
+    """Tangents of every effect at some of its starts, those left out that cannot be simulated."""
+    wanted = []
+    for candidate in [Candidate((member,)) for member in members]:
+        starts = candidate.starts()
+        wanted += [(candidate, start) for start in starts[:: -(-len(starts) // most)]]
+    return tangents_at(linearized, wanted)
+
+
+def tangents_at(linearized: Linearized, wanted: Sequence[tuple[Candidate, Array]]) -> list[Tangent]:
+    """Tangents of effects at values of their parameters, those left out that cannot be simulated."""
+    found = map_known(_tangent, [(linearized, candidate, values) for candidate, values in wanted])
+    return [Tangent(candidate, *one) for (candidate, _), one in zip(wanted, found, strict=True) if one is not None]
+
+
+def closest_combinations(
+    linearized: Linearized, some: Sequence[Tangent], effects: Sequence[Tangent], count: int
+) -> list[tuple[Candidate, Array]]:
+    """Find the combinations of one of `some` and a further effect that come closest to the records, and where to begin their fits."""
+    tangents = list({id(one): one for one in (*some, *effects)}.values())
+    if not tangents:
         return []
-    blocks = np.hstack([np.column_stack([one.added, one.columns]) for one in tangents])
     edges = np.cumsum([0, *(1 + one.columns.shape[1] for one in tangents)])
     gap = linearized.measured - linearized.nominal
-    known = linearized.unexplained(blocks)
-    gram, right, energy = blocks.T @ known, known.T @ gap, float(gap @ linearized.unexplained(gap))
-    each = float(np.log(len(gap))) / linearized.problem.weight
-    best: dict[frozenset[object], tuple[float, int, int, Array]] = {}
-    for a, one in enumerate(tangents):
-        for b in range(a + 1, len(tangents)):
-            other = tangents[b]
-            if one.member.variant == other.member.variant or one.member.excludes(other.member):
+    products = linearized.unexplained_products(
+        np.column_stack([*(part for one in tangents for part in (one.added, one.columns)), gap])
+    )
+    gram, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
+    weight, each = linearized.problem.weight, float(np.log(len(gap))) / linearized.problem.weight
+    place = {id(one): (int(edges[i]), int(edges[i + 1])) for i, one in enumerate(tangents)}
+    best: dict[frozenset[object], tuple[float, Tangent, Tangent, Array]] = {}
+    for one in some:
+        for other in effects:
+            (member,) = other.candidate.members
+            if any(member.variant == known.variant or known.excludes(member) for known in one.candidate.members):
                 continue
-            left, step = _after_step(
-                gram, right, energy, (edges[a], edges[a + 1]), (edges[b], edges[b + 1]), linearized.problem.weight
-            )
-            # A pair of many parameters comes closer by chance: Schwarz's criterion (1978).
+            left, step = _after_step(gram, right, energy, place[id(one)], place[id(other)], weight)
+            # A combination of many parameters comes closer by chance: Schwarz's criterion (1978).
             left += each * len(step)
-            pair = frozenset((one.member.variant, other.member.variant))
-            if pair not in best or left < best[pair][0]:
-                best[pair] = left, a, b, step
+            names = frozenset(known.variant for known in (*one.candidate.members, member))
+            if names not in best or left < best[names][0]:
+                best[names] = left, one, other, step
     chosen = sorted(best.values(), key=lambda item: item[0])[:count]
-    return [_pair(tangents[a], tangents[b], step) for _, a, b, step in chosen]
+    return [_combined(one, other, step) for _, one, other, step in chosen]
 
 
-def _tangents(linearized: Linearized, member: Member, most: int) -> list[tuple[Array, Array, Array]]:
-    """Tangents of an effect at some of its starts, those left out that cannot be simulated: all of them but the effect."""
-    unknowns, nominal, found = Candidate((member,)).unknowns(), np.zeros(linearized.count), []
-    begins = member.starts()
-    for start in begins[:: -(-len(begins) // most)]:
-        x = np.clip(start, unknowns.lower, unknowns.upper)
-        try:
-            there = linearized.simulate(nominal, unknowns, x)
-            if is_bounded(there):
-                found.append((x, there - linearized.nominal, effect_columns(linearized, unknowns, nominal, x, there)))
-        except InputError:
-            continue
-    return found
+def _tangent(linearized: Linearized, candidate: Candidate, values: Array) -> tuple[Array, Array, Array] | None:
+    """A tangent without its effects, which no process can send back; None where it cannot be simulated."""
+    unknowns, nominal = candidate.unknowns(), np.zeros(linearized.count)
+    x = np.clip(values, unknowns.lower, unknowns.upper)
+    try:
+        there = linearized.simulate(nominal, unknowns, x)
+        if is_bounded(there):
+            return x, there - linearized.nominal, effect_columns(linearized, unknowns, nominal, x, there)
+    except InputError:
+        pass
+    return None
 
 
 def _after_step(
     gram: Array, right: Array, energy: float, one: tuple[int, int], other: tuple[int, int], weight: float
 ) -> tuple[float, Array]:
-    """Squared size of what a pair of tangents leaves after a step in their parameters, and this step."""
+    """Squared size of what two tangents leave after a step in their parameters, and this step."""
     added = [one[0], other[0]]
     columns = [*range(one[0] + 1, one[1]), *range(other[0] + 1, other[1])]
     before = energy - 2.0 * float(right[added].sum()) + float(gram[np.ix_(added, added)].sum())
@@ -90,8 +103,16 @@ def _after_step(
     return before - float(slope @ step), step
 
 
-def _pair(one: Tangent, other: Tangent, step: Array) -> tuple[Candidate, Array]:
-    pair = Candidate((one.member,)).with_member(other.member)
-    parts = {id(one.member): one.start + step[: len(one.start)], id(other.member): other.start + step[len(one.start) :]}
-    unknowns = pair.unknowns()
-    return pair, np.clip(np.concatenate([parts[id(member)] for member in pair.members]), unknowns.lower, unknowns.upper)
+def _combined(one: Tangent, other: Tangent, step: Array) -> tuple[Candidate, Array]:
+    (member,) = other.candidate.members
+    both = one.candidate.with_member(member)
+    size = len(one.values)
+    moved = [*_parts(one.candidate, one.values + step[:size]), (member, other.values + step[size:])]
+    values = {id(known): part for known, part in moved}
+    unknowns = both.unknowns()
+    return both, np.clip(np.concatenate([values[id(known)] for known in both.members]), unknowns.lower, unknowns.upper)
+
+
+def _parts(candidate: Candidate, values: Array) -> list[tuple[Member, Array]]:
+    """The effects, each with its own parameters."""
+    return [(member, values[place]) for member, place in zip(candidate.members, candidate.slices(), strict=True)]

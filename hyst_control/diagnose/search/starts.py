@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fits of candidates: points to begin at, the fits themselves, and the candidates that one more effect makes."""
+"""Fits of candidates: points to begin at, and the fits themselves."""
 
 from __future__ import annotations
 
@@ -231,58 +231,6 @@ def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: 
     return [nearest]
 
 
-def promising_pairs(
-    linearized: Linearized, parents: Sequence[Begun], members: Sequence[Member], least: float, settings: SearchSettings
-) -> list[list[tuple[int, Array]]]:
-    """Find the effects that a linear step on top of each parent makes most of."""
-    nominal = np.zeros(linearized.count)
-    before = [
-        misfit_of(linearized, linearized.measured - linearized.simulate(nominal, one.candidate.unknowns(), one.ends[0].x))
-        for one in parents
-    ]
-    pairs = [
-        (parent, index)
-        for parent, one in enumerate(parents)
-        for index, member in enumerate(members)
-        if not any(member.excludes(other) for other in one.candidate.members)
-    ]
-
-    gains = map_known(
-        _gain_on_top,
-        [
-            (linearized, parents[parent].candidate, parents[parent].ends[0].x, members[index], before[parent], settings)
-            for parent, index in pairs
-        ],
-    )
-    best = [dict[tuple[object, ...], tuple[float, int, Array]]() for _ in parents]
-    for (parent, index), found in zip(pairs, gains, strict=True):
-        variant = members[index].variant
-        if found is not None and found[0] > max(least, best[parent].get(variant, (-np.inf,))[0]):
-            best[parent][variant] = found[0], index, found[1]
-    return [
-        [(index, start) for _, index, start in sorted(one.values(), key=lambda item: -item[0])[: settings.promising]]
-        for one in best
-    ]
-
-
-def _gain_on_top(
-    linearized: Linearized, parent: Candidate, known: Array, member: Member, before: float, settings: SearchSettings
-) -> tuple[float, Array] | None:
-    """Gain and end of the best linear step of an effect on top of others; None where no start can be simulated."""
-    # known: parameters of the parent
-    pair, best, starts = parent.with_member(member), None, member.starts()
-    unknowns = pair.unknowns()
-    begins = [merged_start(pair, parent, known, member, start) for start in starts[:: max(len(starts) // settings.screened, 1)]]
-    for x in _near(linearized, unknowns, begins, before) if 1 < len(begins) <= settings.screened else begins:
-        try:
-            left, there = _after_step(linearized, unknowns, pair, member, x, settings)
-        except InputError:
-            continue
-        if best is None or before - left > best[0]:
-            best = before - left, there[next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)]
-    return best
-
-
 def _after_step(
     linearized: Linearized, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
 ) -> tuple[float, Array]:
@@ -312,11 +260,3 @@ def misfit_of(linearized: Linearized, residual: Annotated[Array, "N"]) -> float:
     if not is_bounded(residual):
         return np.inf
     return 0.5 * linearized.problem.weight * float(linearized.unexplained_products(residual[:, None])[0, 0])
-
-
-def merged_start(
-    pair: Candidate, candidate: Candidate, x: Annotated[Array, "P"], member: Member, start: Annotated[Array, "Q"]
-) -> Array:
-    """Join the parameters of a candidate and the start of the effect that is added to it."""
-    parts = iter(zip(candidate.members, candidate.slices(), strict=True))
-    return np.concatenate([start if one is member else x[next(parts)[1]] for one in pair.members])
