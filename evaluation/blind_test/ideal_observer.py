@@ -4,7 +4,8 @@
 
 It knows the noise, the model's discrepancy and every effect's best fit, and names the effect that comes closest to the record. Let d_j be
 what the fit of effect j differs by from that of the true one, in units of noise and discrepancy. With noise n ~ N(0, I) effect j comes
-closer where dⱼᵀn > ½ dⱼᵀdⱼ, so that only the products of the differences are needed.
+closer where dⱼᵀn > ½ dⱼᵀdⱼ, so that only the products of the differences are needed. "Nothing", the coefficients alone, is as probable
+beforehand as all effects together.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ DRAWS = 1000
 
 
 def separation(part: AxisDiagnosis) -> dict[str, Any]:
-    """Names of the effects that were fitted alone or together, and the products (E, E) of what their best fits leave."""
+    """Names of the effects that were fitted alone or together, none for "nothing", and the products (E, E) of what their fits leave."""
     best: dict[tuple[str, ...], Array] = {}
     for one in sorted(part.hypotheses, key=lambda one: one.solution.misfit):
-        if one.candidate is not None:
+        if not one.inflated:
             best.setdefault(tuple(sorted(one.names)), one.solution.residual)
     left = np.array(list(best.values())).reshape(len(best), -1)
     return {"names": [list(names) for names in best], "products": (part.problem.weight * (left @ left.T)).tolist()}
@@ -46,7 +47,9 @@ def ceiling(names: Sequence[Sequence[str]], products: Annotated[Array, "E E"], a
     values, vectors = np.linalg.eigh(0.5 * (gram + gram.T))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     drawn = np.random.default_rng(0).standard_normal((DRAWS, len(rivals))) @ root.T
-    return float(np.mean(np.all(drawn < 0.5 * np.diag(gram), axis=1)))
+    alone = {names[i][0] for i in range(len(names)) if len(names[i]) == 1}
+    odds = np.array([0.0 if names[i] else np.log(max(len(alone), 1)) for i in rivals])
+    return float(np.mean(np.all(drawn < 0.5 * np.diag(gram) - odds, axis=1)))
 
 
 def _is_right(names: Sequence[str], accepted: Sequence[Collection[str]]) -> bool:

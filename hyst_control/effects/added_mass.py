@@ -99,7 +99,7 @@ EFFECT = Effect(
     "mechanics",
     "The moved mass is another one: the main mode is slower or faster, its stiffness kept.",
     lambda around: (
-        Parameter("mass_ratio", "", 0.0, (0.02, 0.2, 1.0, -0.15), -0.6, 3.0, 0.15),
+        Parameter("mass_ratio", "", 0.0, (0.02, 0.2, 1.0, -0.15, 2.5), -0.6, 3.0, 0.15),
         Parameter("damping", "", 0.0, (0.0,), -0.6, 1.0, 0.1, told=False),
     ),
     lambda values, around: AddedMass(values["mass_ratio"], values.get("damping", 0.0)),

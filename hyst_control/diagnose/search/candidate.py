@@ -401,9 +401,9 @@ class Candidate:
         )
 
     def with_member(self, member: Member) -> Candidate:
-        """Add an effect, in signal order."""
+        """Add an effect, in signal order, and where it is on several axes in theirs."""
         order = list(EFFECTS)
-        return Candidate(tuple(sorted((*self.members, member), key=lambda found: order.index(found.name))))
+        return Candidate(tuple(sorted((*self.members, member), key=lambda one: (order.index(one.name), one.axis or 0))))
 
     def without(self, index: int) -> Candidate:
         """Remove one effect."""

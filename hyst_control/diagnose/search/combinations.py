@@ -37,7 +37,8 @@ def tangents_of_starts(linearized: Linearized, members: Sequence[Member], most: 
     wanted = []
     for candidate in [Candidate((member,)) for member in members]:
         starts = candidate.starts()
-        wanted += [(candidate, start) for start in starts[:: -(-len(starts) // most)]]
+        chosen = np.unique(np.linspace(0, len(starts) - 1, min(most, len(starts))).astype(int))
+        wanted += [(candidate, starts[index]) for index in chosen]
     return tangents_at(linearized, wanted)
 
 

@@ -53,3 +53,13 @@ def test_a_name_that_is_accepted_too_is_no_rival():
     products = products_of(fits, np.zeros(2))
     assert ceiling(names, products, [["delay"]]) < 0.6
     assert ceiling(names, products, [["delay", "sensor_lowpass"]]) == pytest.approx(norm.cdf(1.5), abs=0.04)
+
+
+@pytest.mark.parametrize("distance", [1.0, 3.0, 6.0])
+def test_nothing_is_as_probable_as_all_effects_together(distance):
+    fits = np.zeros((5, 5))
+    fits[0, 0] = distance
+    fits[np.arange(2, 5), np.arange(2, 5)] = 50.0
+    names = [["delay"], [], ["gain"], ["creep"], ["backlash"]]
+    found = ceiling(names, products_of(fits, np.zeros(5)), [["delay"]])
+    assert found == pytest.approx(norm.cdf(0.5 * distance - np.log(4) / distance), abs=0.04)
