@@ -1,6 +1,8 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Convert recordings of other tools to bags: text tables (.gz too), .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms, other bags.
+"""Convert recordings of other tools to bags: text tables (.gz too), arrays and tables of other programs, other bags.
+
+Read are .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms, .json and text datasets of universal files (.uff).
 
 Without --columns the columns of the file are listed with a description of them that can be pasted. A bag of this package's signals needs
 no columns, even if its recorder was killed: its readable part is written as a finished bag for other tools.

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrays within structures, rows of matrices, and the containers of other programs, against what was written into them."""
 
+import json
 import zipfile
 
 import numpy as np
@@ -94,6 +95,78 @@ def test_parquet_by_name_and_by_number(tmp_path):
             import_table(tmp_path / "spoilt.parquet", parse_columns("command=u[V],measurement=y[um]"), 1e3)
         except InputError as error:
             assert "\n" not in str(error) and "spoilt.parquet" in str(error)
+
+
+def test_a_table_with_names_in_hdf5(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    table = np.zeros(64, dtype=[("t", "f8"), ("u", "f4"), ("y", "f8"), ("who", "S3")])
+    table["t"], table["u"], table["y"] = TIME, DRIVE, MOVED
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["day/log"] = table
+    assert listed_columns(tmp_path / "run.h5")[1] == '--columns "time=day.log.t[s],command=day.log.u[V],measurement=day.log.y[um]"'
+    with h5py.File(tmp_path / "empty.h5", "w") as file:
+        file["note"] = "nothing"
+    with pytest.raises(InputError, match="empty.h5: holds no columns of numbers"):
+        listed_columns(tmp_path / "empty.h5")
+
+
+JSON = {
+    "lists": {"t": TIME.tolist(), "loop": {"u": DRIVE.tolist(), "y": MOVED.tolist()}, "who": "x", "tags": ["a", "b"]},
+    "rows": [{"t": t, "loop": {"u": u}, "note": None, "y": y} for t, u, y in zip(TIME, DRIVE, MOVED, strict=True)],
+}
+
+
+@pytest.mark.parametrize(
+    ("ending", "text"),
+    [
+        (".json", json.dumps(JSON["lists"])),
+        (".json", json.dumps(JSON["rows"])),
+        (".jsonl", "".join(f"{json.dumps(row)}\n" for row in JSON["rows"])),
+    ],
+)
+def test_json_by_path(tmp_path, ending, text):
+    path = tmp_path / f"run{ending}"
+    path.write_text(text)
+    lines, suggestion = listed_columns(path)
+    moved = "loop.y" if any(line.startswith("  loop.y: 64 rows") for line in lines) else "y"
+    assert suggestion == f'--columns "time=t[s],command=loop.u[V],measurement={moved}[um]"'
+    record = import_table(path, parse_columns(suggestion.split('"')[1]), None)
+    np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE)
+    np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
+
+
+def universal(name, values, kind="58", spacing=1, form="{:13.5e}", per_line=6):
+    """A dataset of a universal file as the definition of type 58 has it."""
+    numbers = values if spacing else np.column_stack([TIME, values]).ravel()
+    cells = [form.format(value) for value in numbers]
+    rows = ["".join(cells[at : at + per_line]) for at in range(0, len(cells), per_line)]
+    type_of_numbers = 2 if form == "{:13.5e}" else 4
+    head = [f"{kind:>6}", name, *["NONE"] * 4, "    1         0    0         0       NONE         1   3       NONE         0   0"]
+    head += [f"{type_of_numbers:10d}{len(values):10d}{spacing:10d}  0.00000e+00  1.00000e-03  0.00000e+00"]
+    head += ["        17    0    0    0 Time                 s                   "] + [
+        "         8    0    0    0 NONE                 V"
+    ] * 3
+    return "\n".join(["    -1", *head, *rows, "    -1", ""])
+
+
+@pytest.mark.parametrize("form", [("{:13.5e}", 6), ("{:20.12e}", 4)])
+@pytest.mark.parametrize("spacing", [1, 0])
+def test_a_universal_file(tmp_path, form, spacing):
+    path = tmp_path / "run.uff"
+    other = "    -1\n   151\nmodel\n    -1\n"
+    path.write_text(other + universal("drive", DRIVE, "58", spacing, *form) + universal("sensor", MOVED, "58", spacing, *form))
+    time = "" if spacing else "time=drive.time[s],"
+    assert listed_columns(path)[1] == f'--columns "{time}command=drive[V],measurement=sensor[um]"'
+    record = import_table(path, parse_columns(f"{time}command=drive[V],measurement=sensor[um]"), None)
+    np.testing.assert_allclose(record.signals["command"].values[:, 0], DRIVE, atol=6e-6)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED, atol=6e-6)
+    assert record.common_step(["command"]) == pytest.approx(1e-3)
+    path.write_text(universal("drive", DRIVE, "58b"))
+    with pytest.raises(InputError, match="run.uff.*binary datasets"):
+        listed_columns(path)
+    path.write_text("    -1\n    58\ncut off\n")
+    with pytest.raises(InputError, match="run.uff"):
+        listed_columns(path)
 
 
 def test_a_workbook(tmp_path):

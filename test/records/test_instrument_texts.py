@@ -7,7 +7,7 @@ import pytest
 
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
-from hyst_control.records.tables.header import stated_sample_time
+from hyst_control.records.tables.header import Form, stated_sample_time
 from hyst_control.records.tables.importing import import_records, import_table, parse_columns
 from hyst_control.records.tables.listing import listed_columns
 
@@ -76,6 +76,24 @@ TEXTS = {
         "when,u,y\n" + "".join(f"2024-05-03 23:59:59.{k:03d},{u},{y}\n" for k, (_, u, y) in enumerate(ROWS)),
         "time=when[s],command=u[V],measurement=y[um]",
     ),
+    "names and units among the settings": (
+        '"Model","DL850"\n"TraceName","drive","pos"\n"VUnit","V","um"\n"SampleRate",1000,1000\n"Date","2020/01/02","2020/01/02"\n'
+        '"Time","10:11:12.5","10:11:12.5"\n\n' + body(",{u:.6E},{y:.6E}\n"),
+        "command=drive[V],measurement=pos[um]",
+    ),
+    "moments of an American half day": (
+        "when,u,y\n" + "".join(f"5/31/2024 1:00:00.{k:03d} PM,{u},{y}\n" for k, (_, u, y) in enumerate(ROWS)),
+        "time=when[s],command=u[V],measurement=y[um]",
+    ),
+    "moments of a European day": (
+        "when;u;y\n" + "".join(f"31.05.2024 13:00:00,{k:03d};{u};{y}\n" for k, (_, u, y) in enumerate(ROWS)),
+        "time=when[s],command=u[V],measurement=y[um]",
+    ),
+    "durations": ("Time,u,y\n" + body("{t:.3f} sec,{u},{y}\n"), "time=Time[s],command=u[V],measurement=y[um]"),
+    "units as words behind names": (
+        '"in s","C1 in V","C2 in um"\n' + body("{t:.3f},{u},{y}\n"),
+        "time=in s[s],command=C1[V],measurement=C2[um]",
+    ),
     "words in a column that is not used": ("t,state,u,y\n" + body("{t},ok,{u},{y}\n"), "time=t[s],command=u[V],measurement=y[um]"),
 }
 
@@ -114,6 +132,50 @@ def test_units_in_the_header_are_suggested(tmp_path):
     lines, suggestion = listed_columns(path)
     assert suggestion.startswith('--columns "time=1[ms],command=3[mA],measurement=2[arcsec]"')
     assert "3 'Coil current [mA]': 80 rows, -3 to 36.5 mA" in lines[3]
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("10:00:00.5", 36000.5),
+        ("1970-01-01T00:00:07.25Z", 7.25),
+        ("1970-01-01T01:00:07.1234567+01:00", 7.123456),
+        ("12:00:01 AM", 1.0),
+        ("12:00:01 pm", 43201.0),
+        ("1/2/1970 00:00:00", 86400.0),
+        ("13/1/1970 00:00:00", 12 * 86400.0),
+        ("2.1.1970 00:00", 86400.0),
+        ("1.5e-3 sec", 0.0015),
+        ("2 min", 120.0),
+        ("31.02.2024 10:00:00", None),
+        ("13:00:00 PM", 46800.0),
+        ("10 mm", None),
+    ],
+)
+def test_moments_and_durations(text, seconds):
+    assert Form(";", ".").number(text) == (seconds if seconds is None else pytest.approx(seconds, abs=1e-6))
+
+
+def test_names_and_units_come_from_labeled_settings(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Model,MSO44\nVertical Units,V,nm\nGain,1,1\nLabels,drive,pos\n\nTIME,CH1,CH2\n" + body("{t},{u},{y}\n"))
+    lines, suggestion = listed_columns(path)
+    assert suggestion == '--columns "time=1[s],command=2[V],measurement=3[nm]"'
+    assert lines[2].startswith("  2 'drive': 80 rows") and lines[3].endswith(" nm")
+
+
+def test_ticks_of_a_clock_of_unknown_rate_are_not_suggested_as_seconds(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("timestamp;drive;pos\n" + "".join(f"{int(210e6 * (7 + t))};{u};{y}\n" for t, u, y in ROWS))
+    assert listed_columns(path)[1] == '--columns "command=2[V],measurement=3[um]" --rate HZ'
+
+
+def test_a_column_that_steps_as_the_settings_say_is_the_time(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(
+        "".join(f"{beside},,{t:.9f},{u:.5f}\n" for beside, (t, u, _) in zip(BESIDE, ROWS, strict=True)).replace("Int", "Sample Int")
+    )
+    assert listed_columns(path)[1] == '--columns "time=4[s],command=5[V]"'
 
 
 def test_words_below_the_numbers_are_left_out_and_words_among_them_are_not(tmp_path):

@@ -69,15 +69,19 @@ def hdf5_arrays(path: Path) -> dict[str, Any]:
     budget = Budget(path.stat().st_size)
 
     def keep(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "iuf" and item.ndim and not item.external:
-            budget.take(item.size * item.dtype.itemsize)
-            value = item[()]
-            by_matlab = "MATLAB_class" in item.attrs
-            found[name.replace("/", ".")] = np.squeeze(value.T) if by_matlab else value
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iufV" or not item.ndim or item.external:
+            return
+        budget.take(item.size * item.dtype.itemsize)
+        value, path = item[()], name.replace("/", ".")
+        if value.dtype.names:  # a table, with names of its columns
+            found.update({f"{path}.{column}": value[column] for column in value.dtype.names})
+        else:
+            found[path] = np.squeeze(value.T) if "MATLAB_class" in item.attrs else value
 
     with h5py.File(path, "r") as file:
         file.visititems(keep)
-    return {name: _as_float64(value) for name, value in found.items() if not name.startswith("#")}
+    real = {name: value for name, value in found.items() if value.dtype.kind in "iuf" and not name.startswith("#")}
+    return {name: _as_float64(value) for name, value in real.items()}
 
 
 def _as_float64(value: Any) -> Array:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays by name out of the containers of other programs: NumPy, MATLAB, HDF5, Parquet, TDMS; sheets of a workbook as lines of text."""
+"""Arrays by name out of files of other programs: NumPy, MATLAB, HDF5, Parquet, TDMS, JSON, universal files; sheets of a workbook."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arrays
+from hyst_control.records.tables.header import Form
+from hyst_control.records.tables.universal_file import universal_arrays
 
+JSON_NUMBERS = Form(",", ".")
+"""Form of numbers and moments that are texts in JSON."""
 REMEDY = "check how it was written, or save it as CSV"
 KINDS_BY_LIBRARY = {"openpyxl": "an Excel workbook", "pyarrow": "a Parquet file", "h5py": "an HDF5 file", "npTDMS": "a TDMS file"}
 OTHERS = {
@@ -95,6 +99,38 @@ def _parquet(path: Path, library: Any) -> Container:
     return Container(_real({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}), numbered=True)
 
 
+def _json(path: Path, library: Any) -> Container:
+    """One document, or one in each line."""
+    text = path.read_text("utf-8-sig")
+    try:
+        content = library.loads(text)
+    except ValueError:
+        content = [library.loads(line) for line in text.splitlines() if line.strip()]
+    found: dict[str, Any] = {}
+    _series("", content, found)
+    return Container(_real(found), numbered=True)
+
+
+def _series(name: str, content: Any, found: dict[str, Any]) -> None:
+    """Collect series of numbers by their path: lists of them, and the values under a key in a list of objects."""
+    if isinstance(content, list) and content and all(isinstance(row, dict) for row in content):
+        content = {key: [row.get(key) for row in content] for key in dict.fromkeys(key for row in content for key in row)}
+    if isinstance(content, dict):
+        for key, inner in content.items():
+            _series(f"{name}.{key}" if name else str(key), inner, found)
+    elif isinstance(content, list):
+        numbers = [JSON_NUMBERS.number(one) if isinstance(one, str) else one for one in content]
+        try:
+            found[name or "1"] = np.array([np.nan if one is None else one for one in numbers], dtype=np.float64)
+        except (TypeError, ValueError):
+            pass  # lists of other things
+
+
+def _universal(path: Path, library: Any) -> Container:
+    arrays, sample_time = universal_arrays(path)
+    return Container(arrays, numbered=True, sample_time=sample_time)
+
+
 def _hdf5(path: Path, library: Any) -> Container:
     return Container(hdf5_arrays(path))
 
@@ -128,4 +164,6 @@ _READERS: dict[str, tuple[str, Callable[[Path, Any], Container]]] = {
     ".h5": ("h5py", _hdf5),
     ".hdf5": ("h5py", _hdf5),
     ".tdms": ("nptdms", _tdms),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), ("json", _json)),
+    **dict.fromkeys((".uff", ".unv", ".uf", ".58"), ("numpy", _universal)),
 }

@@ -22,6 +22,9 @@ TAIL = 4
 SETTINGS = 0.05
 """Rows of numbers above a line of words, per row below it, up to which they are settings with names of their own."""
 
+SETTINGS_BESIDE = 40
+"""Rows of numbers beside which an instrument may write its settings."""
+
 HEADER_ROWS = 3
 COMMON_UNITS = ("V", "s", "um", "nm", "mm", "ms", "us", "mV", "kV", "mA", "kN", "mN", "Hz", "µm", "\u03bcm")
 """Short texts that are a unit rather than a name where they stand alone."""
@@ -31,9 +34,14 @@ _GAPS = re.compile(r"\s{2,}|\t")
 _LITERAL_START = re.compile(r"^\s*(\w[\w.]*\s*=\s*)?\[\s*(?=[-+.\d])")
 _LITERAL_END = re.compile(r"(?<=[\d.])[ ]*(\][ ]*;?|;)?[ ]*(\.\.\.)?[ ]*$")
 _COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?")
-_UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+))$")
+_UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+)|\bin\s+(?P<word>[^\s,]+))$")
 _UNIT_CELL = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
-_MOMENT = re.compile(r"(?P<day>\d{4}[-/]\d\d[-/]\d\d)?[T ]?(?P<time>\d{1,2}:\d\d.*)")
+_MOMENT = re.compile(
+    r"(?:(?P<day>\d{4}[-/]\d\d[-/]\d\d)|(?P<first>\d{1,2})(?P<mark>[./])(?P<second>\d{1,2})[./](?P<year>\d{4}))?[T ]?"
+    r"(?P<time>\d{1,2}:\d\d.*?)(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+)
+_DURATION = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?) (sec|min|hr)")
+_DURATION_UNITS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
 _FORTRAN = re.compile(r"([-+]?[\d.]+)[dD]([-+]?\d+)")
 _GROUPED = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")
 _SAMPLING = re.compile(
@@ -79,13 +87,27 @@ class Form:
 
 
 def _moment(cell: str) -> float | None:
-    """Seconds since 1970 of a date with a time, since midnight of a time of day; None where a cell is neither."""
+    """Seconds since 1970 of a date with a time, since midnight of a time of day, of a duration; None where a cell is none of these.
+
+    Of days as 3/4/2024 the month stands first, if it can, of days as 3.4.2024 it stands second.
+    """
+    if (duration := _DURATION.fullmatch(cell)) is not None:
+        return float(duration[1]) * _DURATION_UNITS[duration[2]]
     match = _MOMENT.fullmatch(cell)
     if match is None:
         return None
-    time = match["time"].replace(",", ".")
+    day = (match["day"] or "1970-01-01").replace("/", "-")
+    if match["year"]:
+        first, second = int(match["first"]), int(match["second"])
+        month, number = (first, second) if match["mark"] == "/" and first <= 12 else (second, first)
+        day = f"{match['year']}-{month:02d}-{number:02d}"
+    time = match["time"].replace(",", ".").replace("Z", "+00:00")
+    time = re.sub(r"\.(\d+)", lambda fraction: f".{fraction[1][:6]:0<6}", time)  # Python 3.10 reads three or six digits only
+    if match["half"]:
+        hour, _, rest = time.partition(":")
+        time = f"{int(hour) % 12 + 12 * (match['half'] in 'Pp'):02d}:{rest}"
     try:
-        moment = datetime.fromisoformat(f"{(match['day'] or '1970-01-01').replace('/', '-')} {'0' * (time[1] == ':')}{time}")
+        moment = datetime.fromisoformat(f"{day} {'0' * (time[1] == ':')}{time}")
     except ValueError:
         return None
     return (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp()
@@ -164,13 +186,18 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
     cells = [form.cells(line) for line in texts]
     flags = [[form.is_number(cell) for cell in row] for row in cells]
     width, numeric = _columns(flags[-max(len(flags) // TAIL, 8) :])
-    data = [len(row) == width and all(row[index] for index in numeric) for row in flags]
+    moments = {index for index in numeric if len(cells[-1]) > index and ":" in cells[-1][index]}
+    fits = [
+        [flag and (":" in cell) == (index in moments) for index, (cell, flag) in enumerate(zip(row, is_number, strict=True))]
+        for row, is_number in zip(cells, flags, strict=True)
+    ]
+    data = [len(row) == width and all(row[index] for index in numeric) for row in fits]
     if not numeric or True not in data:
         return None
 
     def wordy(at: int) -> bool:
         known = [index for index in numeric if index < len(cells[at])]
-        return any(cells[at][index] for index in known) and not any(flags[at][index] for index in known)
+        return any(cells[at][index] for index in known) and not any(fits[at][index] for index in known)
 
     first, notes = data.index(True), []
     for at in range(first + 1, len(data)):
@@ -195,10 +222,27 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         found = _header_cells(comments[-1].lstrip("#% \t"), form, width)
         header = [found] if found and not any(map(form.is_number, found)) else []
     names = tuple(tuple(row[index] for row in header if index < len(row)) for index in range(width))
+    labels, units = _labeled([form.cells(line) for line in lines[:start]], numeric)
+    names = tuple(tuple(filter(None, (labels.get(index), *each, units.get(index)))) for index, each in enumerate(names))
     if sample_time is None:
-        settings = [*lines[:start], *(" ".join(reversed(cells)) for cells in names)]
+        beside = lines[start : start + SETTINGS_BESIDE] if len(numeric) < width else []
+        settings = [*lines[:start], *(" ".join(reversed(cells)) for cells in names), *beside]
         sample_time = next((said for line in settings if (said := stated_sample_time(line)) is not None), None)
     return Layout(form, width, numeric, start, _unrepeated(names), sample_time, tuple(notes))
+
+
+def _labeled(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> tuple[dict[int, str], dict[int, str]]:
+    """Names and units of columns, by their number, in rows of settings that begin with what they are: "TraceName", "Vertical Units"."""
+    found: dict[str, dict[int, str]] = {"name": {}, "unit": {}}
+    for row in rows:
+        label = row[0].lower() if row else ""
+        kind = "unit" if "unit" in label else "name" if re.search(r"name|label", label) else None
+        said = {index: row[index] for index in numeric if 0 < index < len(row) and row[index]}
+        if kind == "unit":
+            said = {index: f"[{unit}]" for index, unit in said.items() if scaled_unit(unit) is not None}
+        if kind is not None and len(said) > 1:
+            found[kind] = {**said, **found[kind]}
+    return found["name"], found["unit"]
 
 
 def stated_sample_time(line: str) -> float | None:

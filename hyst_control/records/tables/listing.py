@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.header import without_unit
 from hyst_control.records.tables.sample_grid import find_grid
@@ -19,6 +20,7 @@ from hyst_control.records.tables.text import TextTable
 from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
+FAST_TICKS = 1000.0
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
 COMMAND_WORDS = ("u", "uk", "v", "in", "dac", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
 MEASUREMENT_WORDS = (
@@ -69,6 +71,8 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
     else:
         sample_time = table.sample_time
         found = [one for name, array in table.arrays.items() for one in _of_array(name, array)]
+    if not found:
+        raise InputError(f"{path}: holds no columns of numbers: check how it was written, or save it as CSV")
     lines = [f"{path}: columns of numbers, with their ranges"]
     for one in found[:LISTED]:
         finite = one.values[np.isfinite(one.values)]
@@ -106,7 +110,10 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     left = [one for one in left if len(one.values) == longest]
     time = next((one for one in left if _named(one, TIME_WORDS, False) and _increasing(one)), None)
     time = time or next((one for one in left if one.unit in TIME_UNITS), None)
+    time = time or next((one for one in left if sample_time and not one.title and _has_step(one.values, sample_time)), None)
     left = [one for one in left if one is not time]
+    if time is not None and time.unit is None and _counts_fast_ticks(time.values):
+        time = None  # of a clock whose rate nobody tells
     left = [one for one in left if not _counts_or_rests(one.values)] or left
     if time is None and len(left) > 2 and _is_clock(left[0].values) and not _named(left[0], COMMAND_WORDS):
         time = None if sample_time else left[0]
@@ -146,6 +153,16 @@ def _counts_or_rests(values: Array) -> bool:
     """Check that numbers only count the rows, or never change: neither is a signal."""
     steps = np.unique(np.diff(values))
     return len(steps) == 1 and steps[0] in (0.0, 1.0)
+
+
+def _has_step(values: Array, step: float) -> bool:
+    """Check that numbers are times with this step in seconds."""
+    return bool(np.allclose(np.diff(values), step, rtol=1e-3, atol=1e-3 * step))
+
+
+def _counts_fast_ticks(values: Array) -> bool:
+    """Check that numbers are whole ticks of a fast clock: as seconds, each row would come more than a quarter of an hour later."""
+    return bool(np.all(values == np.rint(values)) and np.min(np.diff(values)) > FAST_TICKS)
 
 
 def _is_clock(values: Array) -> bool:

@@ -29,7 +29,7 @@ ENCODING_SAMPLE = 2**12
 TEXT_ROWS = 2**14
 """Lines of a text that are held at a time."""
 
-REMEDY = "give a CSV or white-space table, .npy, .npz, .mat, .xlsx, .parquet, .h5 or .tdms"
+REMEDY = "give a CSV or white-space table, .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms or .json"
 
 Lines = Iterator[tuple[int, str]]
 
