@@ -115,6 +115,7 @@ class Beginning:
     assumed: str  # In words
     memory: Array | None  # Commands (M, A) that precede the record, V; None where none are known
     row: int  # First row that counts
+    moving: bool = False  # True where the dynamics move already: their state is estimated for every model
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from scipy.fft import rfft
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.memoryless import Offset
+from hyst_control.identify.assess.free_motion import without_free_motion
 from hyst_control.identify.data.fit import RecordRow
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.model_file import Model, simulate
@@ -25,6 +26,7 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 """Rows from which noise and bandwidth are taken: those of longer records in parts spread over them."""
 
 JUMP = "at rest at 0 V, from which the first command jumps"
+MOVING = "amid a motion: state of the dynamics estimated"
 JUMP_ROWS, JUMP_SHARE = 4096, 0.5
 """First rows that tell whether a record begins so, and the share of their square error that must be left."""
 OFFSET_SHARE = 0.02
@@ -36,30 +38,39 @@ def residual(model: Model, data: Record) -> Array:
 
     Rows before the hysteresis memory is filled are left out where the record's start is unknown.
     """
-    return residual_from(model, with_jump(model, data))
+    return residual_from(model, with_state(model, data))
 
 
 def residual_from(model: Model, data: Record) -> Array:
-    """The same of a record of which it is known whether its first command jumps."""
+    """The same of a record of which it is known whether its first command jumps, and whether its dynamics move already."""
     memory, begin = before(data)
     error = simulate(model, data.command, data.sample_time, data.hold, memory)[begin:]
     np.subtract(data.measurement[begin:], error, out=error)  # in place: a long record's error is on a file, as its simulation is
+    if isinstance(data.start, Beginning) and data.start.moving:
+        without_free_motion(model, data, error)
     return error
 
 
-def with_jump(model: Model, data: Record) -> Record:
-    """The record, known to begin at rest at 0 V, from which its first command jumps, where the model agrees with that far better."""
+def with_state(model: Model, data: Record) -> Record:
+    """The record, known to begin at rest at 0 V, from which its first command jumps, or amid a motion, if that fits far better."""
     memory, begin = before(data)
     end = begin + JUMP_ROWS
-    if not np.any(data.command[0]) or begin > JUMP_ROWS or not model.chain.stages:
+    if begin > JUMP_ROWS or not model.chain.stages:
         return data
-    at_zero = np.zeros((1, len(data.axes)))
+    first = data.rows(0, end)
 
-    def left(before_it: Array | None) -> float:
-        error = data.measurement[begin:end] - simulate(model, data.command[:end], data.sample_time, data.hold, before_it)[begin:]
+    def left(start: Beginning) -> float:
+        error = residual_from(model, replace(first, start=start))
         return float(np.sum((error - error.mean(axis=0)) ** 2))
 
-    return replace(data, start=Beginning(JUMP, at_zero, 0)) if left(at_zero) < JUMP_SHARE * left(memory) else data
+    least = left(Beginning("", memory, begin))
+    others = [Beginning(MOVING, memory, begin, moving=True)]
+    if np.any(data.command[0]):
+        others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
+    for other in others:
+        if (found := left(other)) < JUMP_SHARE * least:
+            data, least = replace(data, start=other), found
+    return data
 
 
 def record_rows(model: Model, records: Sequence[Record]) -> tuple[list[RecordRow], list[Array]]:

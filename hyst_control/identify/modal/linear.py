@@ -15,9 +15,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
@@ -44,8 +46,6 @@ TWO_MODES = 4
 """Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
-UNLIKE = 0.1
-"""Share by which the error of an unknown beginning differs between structures."""
 EXACT = 1e-6
 """Share of the range that no larger model needs to explain: records without noise leave rounding."""
 UNSURE = 0.1
@@ -80,8 +80,6 @@ class Candidate:
     seconds: float
     exact: float
     """Mean square error from which a fit counts as exact."""
-    simulated: float
-    """Mean square error of usual rows in a simulation that begins at rest, as that of a model file does."""
 
     @property
     def held_out(self) -> float:
@@ -165,10 +163,9 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
             solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance)
-            simulated = _error_from_rest(few, sections, solution.parameters, options.nuisance)
-            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact, simulated)
+            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact)
             table.append(_row(candidate, sample_time, few))
-            if order == orders[0] or not (_beyond_reach(candidate) or _rings_by_itself(candidate, tried)):
+            if order == orders[0] or not (_beyond_reach(candidate) or _rings_by_itself(candidate, tried, few, options.nuisance)):
                 fresh.append(candidate)
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
@@ -279,23 +276,33 @@ def _usual_error(grams: Grams) -> float:
     return float(np.median(energies)) * len(energies) / sum(grams.rows)
 
 
-def _error_from_rest(windows: Sequence[Window], sections: Sections, parameters: Array, nuisance: str) -> float:
-    return _usual_error(SimulationError(windows, Parametrization(sections.running), nuisance).visit(parameters).grams)
+def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate], windows: Sequence[Window], nuisance: str) -> bool:
+    """Check that a structure owes its gain over the best smaller one to unknown initial states, not to what the command drives.
 
-
-def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
-    """Check that a structure owes its gain over the best smaller one to unknown initial states.
-
-    A simulation from rest then shows less than half of the gain. Modes that the command does not drive do so: they fit mains hum by
-    ringing from the beginning of the record on.
+    The free motion of its poles beside the smaller model then shows more than half of the gain and leaves nearly as little. Modes that
+    the command does not drive do so: they fit mains hum by ringing from the beginning of the record on.
     """
     if not smaller:
         return False
     best = min(smaller, key=lambda each: each.held_out)
     fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
-    gained, lost = known - fitted, max(best.simulated - known, 0.0)
-    persists = gained > MIN_GAIN * known + candidate.exact  # else what it gains is in few rows, such as those behind a step
-    return persists and best.simulated - candidate.simulated < 0.5 * gained - UNLIKE * lost
+    if known - fitted <= MIN_GAIN * known + candidate.exact:
+        return False  # what it gains is in few rows, such as those behind a step
+    *late, driven = best.sections.running(best.solution.parameters)
+    *_, free = candidate.sections.running(candidate.solution.parameters)
+    assert isinstance(driven, StateSpace) and isinstance(free, StateSpace)
+    both = [*late, _beside_undriven(driven, free)]
+    beside = SimulationError(windows, Parametrization(lambda _: both), nuisance, unknown_state=True).visit(np.zeros(0))
+    # What the command drives may be in few rows, those behind steps: nearly as little is a matter of all rows.
+    nearly = beside.fitted < FALLEN * max(candidate.solution.fitted, candidate.exact)
+    return nearly and known - _usual_error(beside.grams) > 0.5 * (known - fitted)
+
+
+def _beside_undriven(driven: StateSpace, free: StateSpace) -> StateSpace:
+    """Dynamics with those of `free` beside them, whose states the command does not reach."""
+    a, b, c, d = (np.asarray(part, dtype=float) for part in (driven.A, driven.B, driven.C, driven.D))
+    other = np.asarray(free.A, dtype=float)
+    return StateSpace(block_diag(a, other), np.vstack([b, np.zeros((len(other), 1))]), np.hstack([c, np.asarray(free.C)]), d)
 
 
 def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:

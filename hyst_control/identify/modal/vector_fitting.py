@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poles of a linear plant from records in time: vector fitting, a start for every order without a guess.
 
-With poles p_i as they are, the plant obeys y = Σ c_i φ_i[u] + d u - Σ k_i φ_i[y] + what the record adds, φ_i being the response of
-1/(s - p_i), so the k_i are a linear least-squares problem; the zeros of 1 + Σ k_i/(s - p_i) are better poles (Gustavsen and Semlyen, IEEE
-Trans. Power Delivery 14, 1999; in time: Grivet-Talocia, IEEE Trans. Circuits and Systems II 50, 2003). Time is counted in samples.
+With poles p_i as they are, the sampled plant obeys y = Σ c_i φ_i[u] + d u - Σ k_i ψ_i[y] + what the record adds, φ_i being the response
+of 1/(s - p_i) and ψ_i that of 1/(z - exp p_i), so the k_i are a linear least-squares problem; the zeros of 1 + Σ k_i/(z - exp p_i) are
+better poles (Gustavsen and Semlyen, IEEE Trans. Power Delivery 14, 1999; in time: Grivet-Talocia, IEEE Trans. Circuits and Systems II
+50, 2003). Time is counted in samples.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ RELOCATIONS, SETTLED = 10, 0.99
 """Most relocations of the poles; two in a row that leave more than this share of the least error end them."""
 SLOWEST, MIN_DECAY = 0.05, 0.02
 """Least rate of a real pole and least decay of a pair, in inverse record lengths."""
+FASTEST = -20.0
+"""Real pole, in inverse samples, faster than which none is told from a direct path."""
 
 
 @dataclass(frozen=True)
@@ -77,27 +80,31 @@ def _relocated(windows: Sequence[Window], poles: np.ndarray, delay: float, direc
     for window in windows:
         columns = driven(window, poles, delay, direct)
         own_from = len(columns)
-        own = _real(poles, _responses(poles, window.measurement - window.measurement[0], 0.0, "foh"))
+        own = _real(poles, _sampled_responses(poles, window.measurement - window.measurement[0]))
         parts.append(_without_session(window, poles, [*columns, *(-column for column in own), window.measurement]))
     found, _ = _solved(parts, 1e-12)
     states = len(found) - own_from
     transition, entry, at = np.zeros((states, states)), np.ones(states), 0
     for pole in poles:
+        turn = np.exp(pole)
         if pole.imag:
-            transition[at : at + 2, at : at + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+            transition[at : at + 2, at : at + 2] = [[turn.real, turn.imag], [-turn.imag, turn.real]]
             entry[at : at + 2] = [2.0, 0.0]
             at += 2
         else:
-            transition[at, at] = pole.real
+            transition[at, at] = turn.real
             at += 1
-    return _admissible(np.linalg.eigvals(transition - np.outer(entry, found[own_from:])), max(len(w.command) for w in windows))
+    turns = np.linalg.eigvals(transition - np.outer(entry, found[own_from:])).astype(complex)
+    lags = np.abs(turns.imag) <= 1e-9 * np.abs(turns)
+    turns[lags] = np.maximum(turns[lags].real, np.exp(FASTEST))
+    return _admissible(np.log(turns), max(len(w.command) for w in windows))
 
 
 def _admissible(poles: np.ndarray, rows: int) -> np.ndarray:
     """Stable poles with Im >= 0, none slower than a record shows or faster than its sampling."""
     poles = -np.abs(poles.real) + 1j * poles.imag
     real = np.abs(poles.imag) <= 1e-9 * np.abs(poles)
-    lags = -np.clip(np.abs(poles[real].real), SLOWEST / rows, 20.0)
+    lags = -np.clip(np.abs(poles[real].real), SLOWEST / rows, -FASTEST)
     pairs = poles[~real & (poles.imag > 0)]
     pairs = -np.maximum(-pairs.real, MIN_DECAY / rows) + 1j * np.minimum(pairs.imag, np.pi)
     return np.concatenate([pairs, np.sort(lags)])
@@ -125,6 +132,13 @@ def _responses(poles: np.ndarray, signal: Array, delay: float, hold: str) -> lis
         lfilter(np.array(input_taps(pole, max(delay - whole, 0.0), hold)), [1.0, -np.exp(pole)], late.astype(complex))
         for pole in poles
     ]
+
+
+def _sampled_responses(poles: np.ndarray, signal: Array) -> list[np.ndarray]:
+    """Responses (N,) of 1/(z - exp p) to samples, from rest."""
+    from scipy.signal import lfilter  # takes a second
+
+    return [lfilter([0.0, 1.0], [1.0, -np.exp(pole)], signal.astype(complex)) for pole in poles]
 
 
 def _shifted(signal: Array, rows: int) -> Array:

@@ -33,6 +33,10 @@ STEP = 1e-5
 """Difference of neighboring parameters, which are all of order one."""
 DRIFT = 0.02
 """Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
+FREE_MOTION = 10.0
+"""Usual size (rms) of what an initial state does, in ranges of the measurement: states of nearly equal poles would grow without limit."""
+ROUNDING = 1e-15
+"""Relative size of rounding in a sum of squares."""
 PRIOR = 1e-10
 """Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
 
@@ -185,12 +189,12 @@ class SimulationError:
                     sums[which] += product
                     own[which] += len(block)
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
-            drift = DRIFT * max(float(np.ptp(window.measurement)) for window in record) * (extra > 1)
-            effects, penalty = _eliminated(known, size, columns, drift, int(used))
+            span = max(float(np.ptp(window.measurement)) for window in record)
+            effects, penalty = _eliminated(known, size, extra, span, int(used))
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
-            grams[0] += keep.T @ sums[0] @ keep + penalty
-            grams[1] += keep.T @ sums[1] @ keep
-            blocks += [keep.T @ piece @ keep for piece in pieces]
+            grams[0] += _kept(sums[0], keep) + penalty
+            grams[1] += _kept(sums[1], keep)
+            blocks += [_kept(piece, keep) for piece in pieces]
             nuisances.append(effects[:extra, -1])
             rows += own
         chosen, counted = (grams.sum(axis=0), rows.sum()) if self.everything else (grams[0], rows[0])
@@ -231,21 +235,32 @@ class SimulationError:
                 yield rows[row : row + length]
 
 
-def _eliminated(gram: Array, size: int, columns: int, drift: float, rows: int) -> tuple[Array, Array]:
-    """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1)."""
-    part = slice(size, size + columns)
+def _kept(gram: Array, keep: Array) -> Array:
+    """A Gram matrix without the session effects; what is left of the error is no smaller than the rounding of what was there."""
+    found = np.asarray(keep.T @ gram @ keep, dtype=float)
+    found[-1, -1] = max(float(found[-1, -1]), ROUNDING * float(gram[-1, -1]))
+    return found
+
+
+def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> tuple[Array, Array]:
+    """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1).
+
+    `extra` of them are offset and drift, the others initial states; span: range of the measurement.
+    """
+    part = slice(size, len(gram) - 1)
     inner, cross = gram[part, part].copy(), np.delete(gram[part], part, axis=1)
     scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    prior = np.zeros(columns)
+    prior = np.zeros(len(inner))
 
     def solved() -> Array:
         found = np.linalg.lstsq((inner + np.diag(prior)) / scale[:, None] / scale, cross / scale[:, None], rcond=1e-12)[0]
         return np.asarray(found / scale[:, None], dtype=float)
 
     effects = solved()
-    if drift > 0.0:
-        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), 0.0) / max(rows, 1)
-        prior[1] = left / drift**2
+    if span > 0.0 and len(inner):
+        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows, 1)
+        prior[1:extra] = left / (DRIFT * span) ** 2
+        prior[extra:] = left * (scale[extra:] / (FREE_MOTION * span)) ** 2 / max(rows, 1)
         effects = solved()
     return effects, (effects.T * prior) @ effects
 

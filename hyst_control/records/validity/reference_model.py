@@ -37,7 +37,7 @@ SURE, FLOOR = 2.0, 1e-2
 """Student's t from which a mean over held-out blocks is no chance, and the share of the mean that a block counts at least."""
 LINES_OF_A_SINE = 3.0
 """Lines that a sine has in a spectrum with Hann's window."""
-MIN_DECAY = 3.0
+MIN_DECAY = 0.3
 """By how many factors of e an oscillation decays over the record, at least: one that goes on for ever needs no command."""
 RIDGE = 1e-10
 """Regularization of the normal equations, relative to their diagonal."""
