@@ -140,7 +140,7 @@ def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float,
 class ErrorBasis:
     """Series of a predicted error, in the measurement unit."""
 
-    directions: tuple[Array, ...]  # By record
+    directions: tuple[Array, ...]  # By record, (N, K), or (N, A, K) of axes together
 
     @cached_property
     def digest(self) -> str:
@@ -179,7 +179,7 @@ class LearnedError(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         assert self.basis is not None
         series = self.basis.directions[self.index] @ np.asarray(self.weights, dtype=float)
-        return SeriesAdder(series[:, None], sampling)
+        return SeriesAdder(series.reshape(len(series), -1), sampling)
 
 
 class SeriesAdder(Filter):

@@ -25,8 +25,8 @@ from hyst_control.identify.assess.fit_report import (
     error_rows,
     noise_sigma,
     residual_from,
-    with_state,
     with_offset,
+    with_state,
 )
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
 from hyst_control.identify.data.initial_memory import beginning_rows

@@ -13,7 +13,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.chain import SeriesFilter
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.memoryless import StaticFilter
-from hyst_control.chain.stage import Filter, Sampling
+from hyst_control.chain.stage import Sampling
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import basis
@@ -21,6 +21,8 @@ from hyst_control.records.stream.row_store import blocks
 
 ROWS = 2**16
 """First rows of a record that tell its motion from before."""
+MOST_LEFT = 0.5
+"""Share of an error's energy that its free motion may leave where there is one."""
 GONE = 1e-9
 """Share of the largest free motion under which it has died away."""
 SMALLEST = 1e-10
@@ -29,35 +31,60 @@ SMALLEST = 1e-10
 
 def without_free_motion(model: Model, data: Record, error: Annotated[Array, "N A"]) -> None:
     """Take the motion from before the record off an error, in place: the states of the dynamics that end the chain are estimated."""
-    running = _ending_dynamics(model.chain.filter(Sampling(data.sample_time, len(model.axes), data.hold)))
-    if running is None or not running.a.shape[1]:
+    running = ending_dynamics(model, data.sample_time, data.hold)
+    if running is None:
         return
-    count = min(len(error), ROWS)
-    columns = np.concatenate([motion for _, motion in _motions(running, count)], axis=1)
-    session = basis(slice(0, count), count)
-    own = [slice(None)] if len(running.a) == 1 else [slice(axis, axis + 1) for axis in range(error.shape[1])]
-    states = np.zeros((len(columns), len(own)))
-    for group, axes in enumerate(own):
-        width = error[:, axes].shape[1]
-        shapes = np.kron(session, np.eye(width))
-        table = np.column_stack([*(column[:, axes].ravel() for column in columns), shapes])
-        scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
-        found = np.linalg.lstsq(table / scale, error[:count, axes].ravel(), rcond=SMALLEST)[0] / scale
-        states[:, group] = found[: len(columns)]
-    share = states if len(own) > 1 else np.repeat(states, error.shape[1], axis=1)
-    for rows, motion in _motions(running, len(error)):
-        error[rows] -= np.einsum("ina,ia->na", motion, share)
+    count, coupled = min(len(error), ROWS), len(running.a) == 1
+    motion = free_motion(running, count)
+    states = _states(motion, error[:count], coupled)
+    for rows, motion in _by_block(running, len(error)):
+        error[rows] -= np.einsum("ina,ia->na", motion, states)
 
 
-def _ending_dynamics(running: Filter) -> LinearFilter | None:
+def moves_already(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"], coupled: bool) -> bool:
+    """True where a free motion explains most of an error beside the session's zero and drift."""
+    shapes = basis(slice(0, len(error)), len(error))
+
+    def left(rows: Array) -> float:
+        return float(np.sum((rows - shapes @ np.linalg.lstsq(shapes, rows, rcond=None)[0]) ** 2))
+
+    return left(error - np.einsum("ina,ia->na", motion, _states(motion, error, coupled))) < MOST_LEFT * left(error)
+
+
+def free_motion(dynamics: LinearFilter, count: int) -> Annotated[Array, "n N A"]:
+    """What each state of dynamics, 1 at the beginning, adds to the first `count` outputs."""
+    found = np.zeros((dynamics.a.shape[1], count, len(dynamics.a) * dynamics.c.shape[1]))
+    for rows, motion in _by_block(dynamics, count):
+        found[:, rows] = motion
+    return found
+
+
+def ending_dynamics(model: Model, sample_time: float, hold: str) -> LinearFilter | None:
     """The linear dynamics that end a chain, but for gains, offsets and curves of a sensor."""
+    running = model.chain.filter(Sampling(sample_time, len(model.axes), hold))
     filters = running.filters if isinstance(running, SeriesFilter) else [running]
     moving = [each for each in filters if not isinstance(each, StaticFilter)]
     last = moving[-1] if moving else None
-    return last if isinstance(last, LinearFilter) else None
+    return last if isinstance(last, LinearFilter) and last.a.shape[1] else None
 
 
-def _motions(dynamics: LinearFilter, count: int) -> Iterator[tuple[slice, Annotated[Array, "n rows A"]]]:
+def _states(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"], coupled: bool) -> Annotated[Array, "n A"]:
+    """The states that fit an error best beside the session's zero and drift: of coupled axes the same for all."""
+    session = basis(slice(0, len(error)), len(error))
+    axes = error.shape[1]
+    groups = [slice(None)] if coupled else [slice(axis, axis + 1) for axis in range(axes)]
+    states = np.zeros((len(motion), axes))
+    for group in groups:
+        own = error[:, group]
+        shapes = np.kron(session, np.eye(own.shape[1]))
+        table = np.column_stack([*(column[:, group].ravel() for column in motion), shapes])
+        scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+        found = np.linalg.lstsq(table / scale, own.ravel(), rcond=SMALLEST)[0] / scale
+        states[:, group] = found[: len(motion), None]
+    return states
+
+
+def _by_block(dynamics: LinearFilter, count: int) -> Iterator[tuple[slice, Annotated[Array, "n rows A"]]]:
     """Block by block what each state, 1 at the beginning, adds to the outputs without an input, until all has died away."""
     systems, states = dynamics.a.shape[:2]
     axes = systems * dynamics.c.shape[1]

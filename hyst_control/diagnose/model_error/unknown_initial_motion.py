@@ -1,0 +1,59 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of the dynamics that goes on from before a record, such as the ringing of a mode in a part cut out of a longer run.
+
+A model's simulation begins at rest. Where the nominal dynamics ringing freely explain most of what differs, beside the session's zero
+and drift, the record begins amid a motion, and the states of the dynamics are free in every hypothesis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hyst_control.base.arrays import Array
+from hyst_control.chain.linear.linear_filter import LinearFilter
+from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
+from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already
+
+SMALLEST = 1e-6
+"""Size of a direction, in that of the largest one, under which it is left out."""
+
+
+def with_initial_motion(problem: Problem) -> Problem:
+    """The problem with the free motion of each record that begins amid one as a session effect."""
+    dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
+    if dynamics is None:
+        return problem
+    errors = problem.by_piece(problem.in_noise(problem.measured() - problem.simulate(problem.model.chain.stages)))
+    columns = [_directions(dynamics, piece, error * problem.sigma) for piece, error in zip(problem.pieces, errors, strict=True)]
+    count = sum(each.shape[2] for each in columns)
+    if not count:
+        return problem
+    directions, at = [], 0
+    for own in columns:
+        whole = np.zeros((*own.shape[:2], count))
+        whole[:, :, at : at + own.shape[2]] = own
+        at += own.shape[2]
+        directions.append(whole)
+    stage = LearnedError(np.zeros(count), ErrorBasis(tuple(directions)))
+    return replace(problem, model=problem.model.with_stages([*problem.model.chain.stages, stage]))
+
+
+def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:
+    """Free motions (N, A, K) of a record, each as large as its measurement's range; none where it begins at rest."""
+    first = 0 if piece.keep is None else int(np.argmax(piece.keep))
+    motion = np.zeros((dynamics.a.shape[1], *piece.measurement.shape))
+    motion[:, first:] = free_motion(dynamics, len(piece.command) - first)
+    counted = motion if piece.keep is None else motion[:, piece.keep]
+    known = slice(0, ROWS)
+    if not np.isfinite(error).all() or not moves_already(counted[:, known], error[known], len(dynamics.a) == 1):
+        return np.zeros((*piece.measurement.shape, 0))
+    flat = motion.reshape(len(motion), -1)
+    sizes, turns = np.linalg.eigh(flat @ flat.T)
+    kept = sizes > SMALLEST**2 * sizes[-1]
+    unit = flat.T @ (turns[:, kept] / np.sqrt(sizes[kept])) * np.sqrt(flat.shape[1])
+    scale = float(np.ptp(piece.measurement, axis=0).max()) * np.sqrt(sizes[kept] / sizes[-1])
+    return np.asarray((unit * scale).reshape(*piece.measurement.shape, -1), dtype=np.float64)
