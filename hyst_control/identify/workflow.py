@@ -306,8 +306,8 @@ def _with_hold(records: list[Record], notes: list[str] | None) -> list[Record]:
         return records
     if notes is not None:
         notes.append(
-            f"{longest.name}: hold foh: the measurement answers the command of its own row: play operators leave "
-            f"{100 * same:.2g} % of the range on held-out rows, {100 * late:.2g} % with that of the row before (--hold zoh)"
+            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * same:.2g} % of the range "
+            f"are left, {100 * late:.2g} % with that of the row before (--hold zoh)"
         )
     return [replace(data, hold="foh") for data in records]
 

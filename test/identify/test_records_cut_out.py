@@ -1,0 +1,125 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records cut out of a longer run, whose dynamics move already when they begin: plants by scipy, against true poles, gain and noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from hyst_control.chain import Chain
+from hyst_control.chain.linear.linear_stages import StateSpace, TransferFunction
+from hyst_control.chain.memoryless import Offset
+from hyst_control.diagnose.workflow import diagnosed
+from hyst_control.identify import identify
+from hyst_control.identify.assess.fit_report import MOVING, residual, with_state
+from hyst_control.identify.assess.free_motion import ending_dynamics, free_motion, without_free_motion
+from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
+from hyst_control.identify.validation import validate_record
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, sampled_record
+
+PERIOD = 1.0 / 5000
+SLOW = [2.0 * 25.0**2 * 4 * np.pi**2], [1.0, 2 * 0.02 * 25.0 * 2 * np.pi, (25.0 * 2 * np.pi) ** 2]
+"""A mode of 25 Hz, of which a record of 0.3 s has eight periods."""
+
+
+def stairs(count: int, hold: int, seed: int) -> np.ndarray:
+    return np.repeat(np.random.default_rng(seed).uniform(20, 80, count // hold + 1), hold)[:count]
+
+
+def cut_out(plant, command: np.ndarray, kept: int, noise: float = 6e-4, period: float = PERIOD, hold: str = "zoh"):
+    """The last `kept` rows of the plant's answer to a command, and the rms of the noise in it."""
+    b, a, _ = signal.cont2discrete(plant, period, hold)
+    start = signal.lfilter_zi(b.ravel(), a) * command[0]
+    answer = signal.lfilter(b.ravel(), a, command, zi=start)[0][-kept:]
+    sigma = noise * np.ptp(answer)
+    noisy = answer + sigma * np.random.default_rng(7).normal(size=kept)
+    return sampled_record("cut", command[-kept:, None], noisy[:, None], period, ("x",), "um", "zoh", "auto"), sigma
+
+
+def test_a_mode_that_rings_from_before_is_found_and_explained_to_the_noise():
+    data, sigma = cut_out(SLOW, stairs(3000, 300, 3), 1500)
+    fit = identify([data], "linear")
+    row = fit.report["records"][0]
+    assert row["rmse"] < 1.1 * sigma and fit.report["beginnings"][0]["assumed"] == MOVING
+    found = {each["name"]: each["value"] for each in fit.report["parameters"]}
+    assert found["frequency[0]"] == pytest.approx(25.0, rel=2e-3) and found["damping[0]"] == pytest.approx(0.02, rel=0.05)
+    assert found["static_gain"] == pytest.approx(2.0, rel=5e-3)
+    table = validate_record({"m": fit.model}, data)
+    assert table.value("cut", "m", "rmse") == pytest.approx(row["rmse"], rel=1e-9)
+
+
+def test_a_slow_lag_cut_out_is_no_useless_model():
+    lag = [0.5], [0.06, 1.0]
+    data, sigma = cut_out(lag, stairs(3000, 25, 5), 1500)
+    fit = identify([data], "linear")
+    assert fit.report["records"][0]["rmse"] < 1.1 * sigma and not any("explains" in note for note in fit.report["notes"])
+
+
+def test_modes_near_the_nyquist_frequency_are_found():
+    """Two modes at an eighth and at more than a quarter of the sample rate, whose measured samples no straight lines join."""
+    one, other = (([w * w], [1.0, 2 * z * w, w * w]) for w, z in ((2 * np.pi * 25.0, 0.012), (2 * np.pi * 58.0, 0.045)))
+    plant = np.polyadd(np.polymul(one[0], other[1]), 0.3 * np.polymul(other[0], one[1])), np.polymul(one[1], other[1])
+    random, rows = np.random.default_rng(2), np.arange(4000)
+    command = sum(np.cos(2 * np.pi * k * rows / 4000 + random.uniform(0, 6)) for k in range(7, 1600, 31))
+    data, sigma = cut_out(plant, np.tile(command, 2), 4000, 1.2e-3, 1 / 200)
+    fit = identify([data], "linear")
+    assert fit.report["states"] == 4 and fit.report["records"][0]["rmse"] < 1.1 * sigma
+
+
+def model_of(*stages) -> Model:
+    return Model("m", ("x",), {"command": "V", "measurement": "um"}, PERIOD, Chain(tuple(stages)), "zoh")
+
+
+def test_free_motion_against_a_closed_form():
+    rate = 40.0
+    dynamics = ending_dynamics(model_of(TransferFunction((rate,), (1.0, rate)), Offset(3.0)), PERIOD, "zoh")
+    assert dynamics is not None
+    motion = free_motion(dynamics, 300)[0, :, 0]
+    np.testing.assert_allclose(motion / motion[0], np.exp(-rate * PERIOD * np.arange(300)), rtol=1e-10)
+    assert ending_dynamics(model_of(Offset(3.0)), PERIOD, "zoh") is None
+
+
+def test_coupled_axes_share_their_states():
+    """Two outputs of one state each way: what both show is one motion, and a zero of each axis stays."""
+    system = StateSpace([[-30.0, 0.0], [0.0, -70.0]], np.eye(2), [[1.0, 0.5], [-0.5, 1.0]], np.zeros((2, 2)))
+    model = Model("m", ("x", "y"), {"command": "V", "measurement": "um"}, PERIOD, Chain((system,)), "zoh")
+    time = PERIOD * np.arange(2000)
+    states = np.stack([4.0 * np.exp(-30.0 * time), -2.0 * np.exp(-70.0 * time)], axis=1)
+    error = states @ np.array([[1.0, 0.5], [-0.5, 1.0]]).T + [1.0, 2.0]
+    data = sampled_record("r", np.zeros((2000, 2)), error, PERIOD, ("x", "y"), "um", "zoh", "settled")
+    without_free_motion(model, data, error)
+    np.testing.assert_allclose(error, np.broadcast_to([1.0, 2.0], error.shape), atol=1e-8)
+
+
+def test_a_record_at_rest_stays_so():
+    model = model_of(TransferFunction(*(tuple(part) for part in SLOW)))
+    command = np.concatenate([np.full(200, 20.0), stairs(1300, 300, 3)])
+    data, _ = cut_out(SLOW, command, 1500)
+    assert with_state(model, replace(data, start="settled")).start == "settled"
+    assert np.std(residual(model, replace(data, start="settled"))) < 2e-3 * np.ptp(data.measurement)
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.08])
+def test_a_record_cut_out_is_no_gap_and_a_gain_in_it_is(gain):
+    data, sigma = cut_out(SLOW, stairs(3000, 300, 3), 1500)
+    model = replace(model_of(TransferFunction(*(tuple(part) for part in SLOW))), noise={"sigma": sigma})
+    today = Record({**data.signals, "measurement": replace(data.signals["measurement"], values=gain * data.measurement)}, "today")
+    report, *_ = diagnosed([today], model, cache=False)
+    if gain == 1.0:
+        assert report["verdict"] == "no_gap"
+    else:
+        assert report["verdict"] == "effect" and report["effects"][0]["name"] == "gain"
+        assert report["effects"][0]["parameters"]["gain"]["value"] == pytest.approx(0.08, abs=0.01)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_the_hold_of_fast_dynamics_is_told(hold):
+    command = np.random.default_rng(4).normal(size=6000)
+    data, _ = cut_out(([0.7], [5e-5, 1.0]), command, 4000, 1e-3, 5e-5, hold)
+    late, same = hold_errors(data)
+    assert (same < CLEAR * late) == (hold == "foh")
