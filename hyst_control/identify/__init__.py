@@ -5,17 +5,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from hyst_control.base import progress
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.identify.assess.fit_report import error_rows, residual_from, with_state
 from hyst_control.identify.data.fit import Fit, check_records
-from hyst_control.identify.data.initial_memory import with_beginning
+from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
 from hyst_control.identify.families.options import Options, option
-from hyst_control.records.record import Record
+from hyst_control.model_file import Model
+from hyst_control.records.record import Beginning, Record
+from hyst_control.records.session_zero import without_zero
 
 LEAST = 32
 """Samples from which on the beginning and the drift of a record are looked for."""
+REFITS, GAIN = 4, 0.9
+"""Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
+LINEAR_ROWS = 2**14
+"""First rows of each record from which a linear model tells its motion from before."""
 
 
 def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:
@@ -49,7 +61,47 @@ def identify(records: Sequence[Record], family: str, method: str = "joint", **op
         check_records(records, least=LEAST)
     except InputError:
         return estimator.fit(records, chosen)  # which says what it asks of records
-    return estimator.fit([with_beginning(data) for data in records], chosen)
+    begun = [with_beginning(data) for data in records]
+    found = estimator.fit(begun, chosen)
+    return found if estimator.frees_states else _fitted_amid_motion(estimator, begun, chosen, found)
+
+
+def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], options: Any, found: Fit) -> Fit:
+    """The fit, repeated without the motion that goes on from before the records, as long as this leaves clearly less."""
+    source = found.model
+    begun = [with_state(source, data) for data in records]
+    least = _left([residual_from(source, data) for data in begun])
+    if len(records[0].axes) == 1 and any(data.start != "settled" for data in begun):
+        # A linear model, whose fit knows of the motion, is not led astray by it.
+        source = identify([data.rows(0, LINEAR_ROWS) for data in records], "linear").model
+        begun = [with_state(source, data) for data in records]
+    if not any(isinstance(data.start, Beginning) and data.start.moving for data in begun):
+        return found
+    for _ in range(REFITS):
+        again = estimator.fit([_without_motion(source, data) for data in begun], options)
+        known = [with_state(again.model, data) for data in records]
+        residuals = [residual_from(again.model, data) for data in known]
+        if _left(residuals) > GAIN * least:
+            break
+        report: Any = {**again.report, "records": error_rows(records, residuals), "beginnings": beginning_rows(known)}
+        found, begun, least, source = Fit(again.model, report, tuple(residuals)), known, _left(residuals), again.model
+    return found
+
+
+def _left(residuals: Sequence[Array]) -> float:
+    """Energy of residuals, each without its session's zero and drift."""
+    return sum(float(np.sum(without_zero(error)[0] ** 2)) for error in residuals)
+
+
+def _without_motion(model: Model, data: Record) -> Record:
+    """A record whose measurement is without the motion from before, as a model has it; the beginning is that of its memory."""
+    if not (isinstance(data.start, Beginning) and data.start.moving):
+        return data
+    plain = replace(data, start=replace(data.start, moving=False))
+    moved, still = residual_from(model, plain), residual_from(model, data)
+    measurement = data.measurement.copy()
+    measurement[len(measurement) - len(still) :] -= moved - still
+    return plain.with_values(measurement=measurement)
 
 
 __all__ = ["Estimator", "Fit", "Options", "estimator_of", "estimators", "identify", "option", "register"]

@@ -21,6 +21,8 @@ from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.validation import validate_record
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, sampled_record
+from hyst_control.records.validity.checks import examined
+from hyst_control.records.validity.findings import Trial
 
 PERIOD = 1.0 / 5000
 SLOW = [2.0 * 25.0**2 * 4 * np.pi**2], [1.0, 2 * 0.02 * 25.0 * 2 * np.pi, (25.0 * 2 * np.pi) ** 2]
@@ -123,3 +125,30 @@ def test_the_hold_of_fast_dynamics_is_told(hold):
     data, _ = cut_out(([0.7], [5e-5, 1.0]), command, 4000, 1e-3, 5e-5, hold)
     late, same = hold_errors(data)
     assert (same < CLEAR * late) == (hold == "foh")
+
+
+def test_slow_dynamics_behind_a_smooth_command_are_a_sound_record():
+    """A triangle wave of any phase explains a lag of many samples: no reason to call the sensor unplugged."""
+    slow = [0.2 * 34.0**2 * 0.4], np.polymul([1.0, 11.0, 34.0**2], [1.0, 0.4])
+    rows = np.arange(4000)
+    command = 50.0 + 30.0 * signal.sawtooth(2 * np.pi * 7 * rows / 4000, 0.5)
+    data, sigma = cut_out(slow, command, 4000, 5e-3, 1 / 200, "foh")
+    fit = identify([data], "linear")
+    assert fit.report["records"][0]["rmse"] < 1.2 * sigma
+    assert not examined([Trial("r", data.command, data.measurement, data.sample_time, data.axes)])[0]
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(30.0, 0.04), (15.0, 0.05)])
+def test_play_operators_with_a_mode_that_rings_from_before(frequency, damping):
+    """A fit that begins at rest leaves more than ten times the noise of these records."""
+    rate, rows, w = 1000.0, np.arange(8000), 2 * np.pi * frequency
+    command = 50.0 + 45.0 * signal.chirp(rows / rate, 0.375, 8.0, 2.0 * frequency)
+    thresholds, states = np.array([0.0, 3.0, 8.0, 15.0, 25.0]), np.zeros(5)
+    loops = np.empty(len(command))
+    for k, u in enumerate(command):
+        states = np.clip(states, u - thresholds, u + thresholds)
+        loops[k] = states @ [0.06, 0.02, 0.015, 0.01, 0.01]
+    data, sigma = cut_out(([w * w], [1.0, 2 * damping * w, w * w]), loops, 4000, 1e-3, 1 / rate)
+    data = data.with_values(command=command[-4000:, None])
+    row = identify([data], "hapi").report["records"][0]
+    assert row["nrmse_own_zero"] < 130.0 * sigma / np.ptp(data.measurement)

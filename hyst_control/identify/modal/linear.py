@@ -110,6 +110,7 @@ class Linear(Estimator[LinearOptions]):
         "stable linear dynamics with a sub-sample delay, on the simulation error from the command, from vector fitting of every order; the "
         "number of states is chosen on held-out data; one axis or several"
     )
+    frees_states = True
     Options = LinearOptions
 
     def fit(self, records: Sequence[Record], options: LinearOptions) -> Fit:

@@ -25,6 +25,9 @@ FOLLOWS = 0.2
 EXPLAINED = 0.3
 """Share of a measurement's power that is coherent with the commands, from which it follows them."""
 
+WHITE = 0.2
+"""Correlation of neighbors up to which a remainder is white noise."""
+
 EMPTY = 0.01
 """Power relative to the mean below which a frequency is not excited."""
 
@@ -47,6 +50,9 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     # A machine whose memory is as long as the record: play operators of any slow command then explain it between held-out blocks, and
     # only linear models show whose command it was.
     own = linear_reference(command, measured)
+    # Slow dynamics make the same of a smooth command and of one of another time. What leaves nothing but white noise is the whole answer.
+    if abs(_next_sample_correlation(measured - own.predicted)) < WHITE and own.unexplained < FOLLOWS * own.without_command:
+        return []
     commands = (_of_another_time(command, shift) for shift in OTHER_TIMES)
     # A hum is explained by any command once a pole stands at its frequency: the other times begin with the same poles, too.
     fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
