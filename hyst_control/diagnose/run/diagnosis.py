@@ -182,8 +182,9 @@ def with_clean(
             part = _without_roughness(part, configuration)
             if clean is not None:
                 part = as_clean_command(part, clean[index], configuration.baseline)
-        if clean is None:
-            part = with_initial_motion(part)
+        if clean is None and (moving := with_initial_motion(part)) is not part:
+            part = moving
+            notes.append(f"{', '.join(part.model.axes)}: a record begins amid a motion: the state of the dynamics is estimated along")
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
