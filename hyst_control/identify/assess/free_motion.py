@@ -52,7 +52,7 @@ def moves_already(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N 
 
 
 def free_motion(dynamics: LinearFilter, count: int) -> Annotated[Array, "n N A"]:
-    """What each state of dynamics, 1 at the beginning, adds to the first `count` outputs."""
+    """First `count` outputs of dynamics without an input, for each state, 1 at the beginning, by itself."""
     found = np.zeros((dynamics.a.shape[1], count, len(dynamics.a) * dynamics.c.shape[1]))
     for rows, motion in _by_block(dynamics, count):
         found[:, rows] = motion
