@@ -152,3 +152,12 @@ def test_play_operators_with_a_mode_that_rings_from_before(frequency, damping):
     data = data.with_values(command=command[-4000:, None])
     row = identify([data], "hapi").report["records"][0]
     assert row["nrmse_own_zero"] < 130.0 * sigma / np.ptp(data.measurement)
+
+
+def test_beside_a_baseline_record_cut_out_as_well_nothing_is_named():
+    """The same machine on two days, each record cut out of a longer run: the motion from before is in both."""
+    whole, sigma = cut_out(SLOW, stairs(6000, 300, 3), 3000)
+    model = replace(model_of(TransferFunction(*(tuple(part) for part in SLOW))), noise={"sigma": sigma})
+    today, before = (replace(whole.rows(begin, begin + 1500), start="auto", source=str(begin)) for begin in (1500, 0))
+    report, *_ = diagnosed([today], model, baseline=[before], cache=False)
+    assert report["verdict"] == "no_gap"

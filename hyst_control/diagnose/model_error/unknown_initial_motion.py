@@ -3,7 +3,8 @@
 """Motion of the dynamics that goes on from before a record, such as the ringing of a mode in a part cut out of a longer run.
 
 A model's simulation begins at rest. Where the nominal dynamics ringing freely explain most of what differs, beside the session's zero
-and drift, the record begins amid a motion, and the states of the dynamics are free in every hypothesis.
+and drift, the record begins amid a motion, and the states of the dynamics are free in every hypothesis. Beside baseline records, which may
+begin so as well, the motion is taken off all of them before.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already
+from hyst_control.records.session_zero import basis
 
 SMALLEST = 1e-6
 """Size of a direction, in that of the largest one, under which it is left out."""
@@ -27,8 +29,7 @@ def with_initial_motion(problem: Problem) -> Problem:
     dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
     if dynamics is None:
         return problem
-    errors = problem.by_piece(problem.in_noise(problem.measured() - problem.simulate(problem.model.chain.stages)))
-    columns = [_directions(dynamics, piece, error * problem.sigma) for piece, error in zip(problem.pieces, errors, strict=True)]
+    columns = [_directions(dynamics, piece, error) for piece, error in zip(problem.pieces, _errors(problem), strict=True)]
     count = sum(each.shape[2] for each in columns)
     if not count:
         return problem
@@ -40,6 +41,31 @@ def with_initial_motion(problem: Problem) -> Problem:
         directions.append(whole)
     stage = LearnedError(np.zeros(count), ErrorBasis(tuple(directions)))
     return replace(problem, model=problem.model.with_stages([*problem.model.chain.stages, stage]))
+
+
+def without_initial_motion(problem: Problem) -> Problem:
+    """The problem with measurements without the free motion of each record that begins amid one."""
+    dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
+    if dynamics is None:
+        return problem
+    pieces = []
+    for piece, error in zip(problem.pieces, _errors(problem), strict=True):
+        directions = _directions(dynamics, piece, error)
+        if directions.shape[2]:
+            counted = piece.counted(directions)
+            session = basis(slice(0, len(error)), len(error))
+            shapes = np.kron(session, np.eye(error.shape[1]))
+            table = np.hstack([counted.reshape(error.size, -1), shapes])
+            sizes = np.linalg.lstsq(table, error.ravel(), rcond=SMALLEST)[0][: directions.shape[2]]
+            piece = replace(piece, measurement=piece.measurement - directions @ sizes)
+        pieces.append(piece)
+    return problem if all(a is b for a, b in zip(pieces, problem.pieces, strict=True)) else replace(problem, pieces=tuple(pieces))
+
+
+def _errors(problem: Problem) -> list[Array]:
+    """What the nominal model leaves of each record's rows that count, measurement unit."""
+    left = problem.by_piece(problem.in_noise(problem.measured() - problem.simulate(problem.model.chain.stages)))
+    return [error * problem.sigma for error in left]
 
 
 def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:

@@ -23,7 +23,7 @@ from hyst_control.diagnose.evidence import Evidence, RoughnessEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_baseline, with_discrepancy
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
-from hyst_control.diagnose.model_error.unknown_initial_motion import with_initial_motion
+from hyst_control.diagnose.model_error.unknown_initial_motion import with_initial_motion, without_initial_motion
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
@@ -182,9 +182,13 @@ def with_clean(
             part = _without_roughness(part, configuration)
             if clean is not None:
                 part = as_clean_command(part, clean[index], configuration.baseline)
-        if clean is None and (moving := with_initial_motion(part)) is not part:
+        if clean is not None:
+            clean[index] = without_initial_motion(clean[index])
+        if (moving := with_initial_motion(part) if clean is None else without_initial_motion(part)) is not part:
             part = moving
-            notes.append(f"{', '.join(part.model.axes)}: a record begins amid a motion: the state of the dynamics is estimated along")
+            notes.append(
+                f"{', '.join(part.model.axes)}: a record begins amid a motion: the state of the dynamics is estimated along"
+            )
         beside = _beside(part, clean[index] if clean else None, configuration)
         if bare and (beside is None or not beside.carried):
             raise InputError(
