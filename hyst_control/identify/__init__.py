@@ -13,7 +13,8 @@ import numpy as np
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.identify.assess.fit_report import error_rows, residual_from, with_state
+from hyst_control.identify.assess.fit_report import error_rows, residual, residual_from, with_state
+from hyst_control.identify.assess.free_motion import ending_dynamics
 from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.data.initial_memory import beginning_rows, with_beginning
 from hyst_control.identify.families.estimator import Estimator, estimator_of, estimators, register
@@ -27,7 +28,7 @@ LEAST = 32
 REFITS, GAIN = 4, 0.9
 """Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
 LINEAR_ROWS = 2**14
-"""First rows of each record from which a linear model tells its motion from before."""
+"""First rows of each record to which a linear model is fitted."""
 
 
 def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:
@@ -68,15 +69,17 @@ def identify(records: Sequence[Record], family: str, method: str = "joint", **op
 
 def _fitted_amid_motion(estimator: Estimator[Any], records: Sequence[Record], options: Any, found: Fit) -> Fit:
     """The fit, repeated without the motion that goes on from before the records, as long as this leaves clearly less."""
-    source = found.model
+    source, first = found.model, records[0]
     begun = [with_state(source, data) for data in records]
-    least = _left([residual_from(source, data) for data in begun])
-    if len(records[0].axes) == 1 and any(data.start != "settled" for data in begun):
+    if ending_dynamics(source, first.sample_time, first.hold) is None:
+        return found
+    if len(first.axes) == 1 and any(data.start != "settled" for data in begun):
         # A linear model, whose fit knows of the motion, is not led astray by it.
         source = identify([data.rows(0, LINEAR_ROWS) for data in records], "linear").model
         begun = [with_state(source, data) for data in records]
     if not any(isinstance(data.start, Beginning) and data.start.moving for data in begun):
         return found
+    least = _left([residual(found.model, data) for data in records])
     for _ in range(REFITS):
         again = estimator.fit([_without_motion(source, data) for data in begun], options)
         known = [with_state(again.model, data) for data in records]

@@ -71,12 +71,14 @@ def _errors(problem: Problem) -> list[Array]:
 def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:
     """Free motions (N, A, K) of a record, each as large as its measurement's range; none where it begins at rest."""
     first = 0 if piece.keep is None else int(np.argmax(piece.keep))
+    known = slice(first, first + ROWS)
+    counted = slice(None) if piece.keep is None else piece.keep[known]
+    early = free_motion(dynamics, len(piece.command[known]))[:, counted]
+    rows = error[: early.shape[1]]
+    if not np.isfinite(rows).all() or not moves_already(early, rows, len(dynamics.a) == 1):
+        return np.zeros((*piece.measurement.shape, 0))
     motion = np.zeros((dynamics.a.shape[1], *piece.measurement.shape))
     motion[:, first:] = free_motion(dynamics, len(piece.command) - first)
-    counted = motion if piece.keep is None else motion[:, piece.keep]
-    known = slice(0, ROWS)
-    if not np.isfinite(error).all() or not moves_already(counted[:, known], error[known], len(dynamics.a) == 1):
-        return np.zeros((*piece.measurement.shape, 0))
     flat = motion.reshape(len(motion), -1)
     sizes, turns = np.linalg.eigh(flat @ flat.T)
     kept = sizes > SMALLEST**2 * sizes[-1]

@@ -21,6 +21,7 @@ from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
 FAST_TICKS = 1000.0
+"""Least step of whole numbers that are ticks of a fast clock and no seconds."""
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
 COMMAND_WORDS = ("u", "uk", "v", "in", "dac", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
 MEASUREMENT_WORDS = (
