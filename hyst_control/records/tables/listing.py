@@ -114,7 +114,7 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     time = time or next((one for one in left if sample_time and not one.title and _has_step(one.values, sample_time)), None)
     left = [one for one in left if one is not time]
     if time is not None and time.unit is None and _counts_fast_ticks(time.values):
-        time = None  # of a clock whose rate nobody tells
+        time = None  # ticks of a clock of unknown rate
     left = [one for one in left if not _counts_or_rests(one.values)] or left
     if time is None and len(left) > 2 and _is_clock(left[0].values) and not _named(left[0], COMMAND_WORDS):
         time = None if sample_time else left[0]
