@@ -57,9 +57,8 @@ def closest_combinations(
         return []
     edges = np.cumsum([0, *(1 + one.columns.shape[1] for one in tangents)])
     gap = linearized.measured - linearized.nominal
-    products = linearized.unexplained_products(
-        np.column_stack([*(part for one in tangents for part in (one.added, one.columns)), gap])
-    )
+    parts = [part for one in tangents for part in (one.added[:, None], one.columns)]
+    products = linearized.unexplained_products(*parts, gap[:, None])
     gram, right, energy = products[:-1, :-1], products[:-1, -1], float(products[-1, -1])
     weight, each = linearized.problem.weight, float(np.log(len(gap))) / linearized.problem.weight
     place = {id(one): (int(edges[i]), int(edges[i + 1])) for i, one in enumerate(tangents)}

@@ -46,6 +46,8 @@ TAIL = 3.0
 MIN_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
+ROWS_TOGETHER = 2**13
+"""Rows of many vectors whose products are summed at a time."""
 MIN_APPROACH = 0.25
 """Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
 
@@ -137,11 +139,21 @@ class Linearized:
         explained = self.columns @ cho_solve(self.factor, self.problem.weight * (self.columns.T @ vectors))
         return np.asarray(vectors - explained, dtype=np.float64)
 
-    def unexplained_products(self, vectors: Annotated[Array, "M P"]) -> Annotated[Array, "P P"]:
-        """Inner products of vectors and what `unexplained` leaves of them, without computing that."""
-        products = vectors.T @ vectors
-        if self.count:
-            along = self.columns.T @ vectors
+    def unexplained_products(self, *vectors: Annotated[Array, "M P"]) -> Annotated[Array, "P P"]:
+        """Inner products of the columns of all vectors and what `unexplained` leaves of them, without computing that."""
+        if len(vectors) == 1:
+            (whole,) = vectors
+            products, along = whole.T @ whole, self.columns.T @ whole if self.count else None
+        else:  # block by block: side by side the vectors would need their memory again
+            count = sum(each.shape[1] for each in vectors)
+            products, along = np.zeros((count, count)), np.zeros((self.count, count)) if self.count else None
+            for begin in range(0, len(vectors[0]), ROWS_TOGETHER):
+                rows = slice(begin, begin + ROWS_TOGETHER)
+                table = np.hstack([each[rows] for each in vectors])
+                products += table.T @ table
+                if along is not None:
+                    along += self.columns[rows].T @ table
+        if along is not None:
             products -= self.problem.weight * (along.T @ cho_solve(self.factor, along))
         return np.asarray(products, dtype=np.float64)
 
