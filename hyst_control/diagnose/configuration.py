@@ -187,7 +187,7 @@ class SearchSettings:
     first: int = 6  # fits: fits beside linear coefficients that are finished first: others while they may come near the best
     slack: float = 0.01  # share of what the best removes: most that a fit beside linear coefficients may be off
     near: float = 50.0  # nats: the same, at least
-    screened: int = 8  # starts: starts of an effect that are looked at on top of another effect
+    screened: int = 8  # starts: more starts of an effect are ranked first, by a linear step from each
     scanned: int = 12  # values: values of a parameter that are tried, and then as many between the best and its neighbors
     realizations: int = 8  # realizations: realizations without a number to fit that go on: those that come closest to the record
     promise: float = 0.5  # share of the threshold: least gain of a fit that is gone on with

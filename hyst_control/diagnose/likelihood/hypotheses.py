@@ -75,7 +75,7 @@ class Priors:
     level: float = 0.9  # Probability of the set of explanations that is named
     combined: float = 1e-6  # Probability of something else from which combinations of effects are tried
     parents: int = 2  # Explanations that a further effect is added to
-    screened: int = 3  # Starts of an effect that are looked at on top of another effect
+    screened: int = 3  # More starts of an effect are ranked first, by a linear step from each
     followed: float = 8.0  # Gain from which a search adds further effects, nats
     kept: int = 14  # Single effects, and combinations, that are weighed: those that come closest
     freedom: float = 4.0  # Degrees of freedom of the discrepancy's scale in an octave

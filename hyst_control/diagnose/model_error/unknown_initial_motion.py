@@ -17,8 +17,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already
-from hyst_control.records.session_zero import basis
+from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
 
 SMALLEST = 1e-6
 """Size of a direction, in that of the largest one, under which it is left out."""
@@ -50,35 +49,47 @@ def without_initial_motion(problem: Problem) -> Problem:
         return problem
     pieces = []
     for piece, error in zip(problem.pieces, _errors(problem), strict=True):
-        directions = _directions(dynamics, piece, error)
-        if directions.shape[2]:
-            counted = piece.counted(directions)
-            session = basis(slice(0, len(error)), len(error))
-            shapes = np.kron(session, np.eye(error.shape[1]))
-            table = np.hstack([counted.reshape(error.size, -1), shapes])
-            sizes = np.linalg.lstsq(table, error.ravel(), rcond=SMALLEST)[0][: directions.shape[2]]
-            piece = replace(piece, measurement=piece.measurement - directions @ sizes)
+        states = _states(dynamics, piece, error)
+        if states is not None:
+            moved = np.einsum("ina,ia->na", _motion(dynamics, piece), states)
+            piece = replace(piece, measurement=piece.measurement - moved)
         pieces.append(piece)
     return problem if all(a is b for a, b in zip(pieces, problem.pieces, strict=True)) else replace(problem, pieces=tuple(pieces))
 
 
 def _errors(problem: Problem) -> list[Array]:
-    """What the nominal model leaves of each record's rows that count, measurement unit."""
+    """Errors of the nominal model in each record's rows that count, measurement unit."""
     left = problem.by_piece(problem.in_noise(problem.measured() - problem.simulate(problem.model.chain.stages)))
     return [error * problem.sigma for error in left]
 
 
-def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:
-    """Free motions (N, A, K) of a record, each as large as its measurement's range; none where it begins at rest."""
-    first = 0 if piece.keep is None else int(np.argmax(piece.keep))
-    known = slice(first, first + ROWS)
+def _states(dynamics: LinearFilter, piece: Piece, error: Array) -> Array | None:
+    """States (n, A) with which a record begins; None where it begins at rest."""
+    known = slice(_first(piece), _first(piece) + ROWS)
     counted = slice(None) if piece.keep is None else piece.keep[known]
     early = free_motion(dynamics, len(piece.command[known]))[:, counted]
-    rows = error[: early.shape[1]]
-    if not np.isfinite(rows).all() or not moves_already(early, rows, len(dynamics.a) == 1):
-        return np.zeros((*piece.measurement.shape, 0))
+    rows, coupled = error[: early.shape[1]], len(dynamics.a) == 1
+    if not np.isfinite(rows).all() or not moves_already(early, rows, coupled):
+        return None
+    return states_of(early, rows, coupled)
+
+
+def _motion(dynamics: LinearFilter, piece: Piece) -> Array:
+    """Free motion (n, N, A) from the first row that counts on."""
     motion = np.zeros((dynamics.a.shape[1], *piece.measurement.shape))
-    motion[:, first:] = free_motion(dynamics, len(piece.command) - first)
+    motion[:, _first(piece) :] = free_motion(dynamics, len(piece.command) - _first(piece))
+    return motion
+
+
+def _first(piece: Piece) -> int:
+    return 0 if piece.keep is None else int(np.argmax(piece.keep))
+
+
+def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:
+    """Free motions (N, A, K) of a record, each as large as its measurement's range; none where it begins at rest."""
+    if _states(dynamics, piece, error) is None:
+        return np.zeros((*piece.measurement.shape, 0))
+    motion = _motion(dynamics, piece)
     flat = motion.reshape(len(motion), -1)
     sizes, turns = np.linalg.eigh(flat @ flat.T)
     kept = sizes > SMALLEST**2 * sizes[-1]

@@ -140,7 +140,7 @@ class Linearized:
         return np.asarray(vectors - explained, dtype=np.float64)
 
     def unexplained_products(self, *vectors: Annotated[Array, "M P"]) -> Annotated[Array, "P P"]:
-        """Inner products of the columns of all vectors and what `unexplained` leaves of them, without computing that."""
+        """Inner products between the columns of all vectors and their unexplained parts, without computing these."""
         if len(vectors) == 1:
             (whole,) = vectors
             products, along = whole.T @ whole, self.columns.T @ whole if self.count else None

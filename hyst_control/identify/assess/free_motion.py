@@ -36,7 +36,7 @@ def without_free_motion(model: Model, data: Record, error: Annotated[Array, "N A
         return
     count, coupled = min(len(error), ROWS), len(running.a) == 1
     motion = free_motion(running, count)
-    states = _states(motion, error[:count], coupled)
+    states = states_of(motion, error[:count], coupled)
     for rows, motion in _by_block(running, len(error)):
         error[rows] -= np.einsum("ina,ia->na", motion, states)
 
@@ -48,7 +48,7 @@ def moves_already(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N 
     def left(rows: Array) -> float:
         return float(np.sum((rows - shapes @ np.linalg.lstsq(shapes, rows, rcond=None)[0]) ** 2))
 
-    return left(error - np.einsum("ina,ia->na", motion, _states(motion, error, coupled))) < MOST_LEFT * left(error)
+    return left(error - np.einsum("ina,ia->na", motion, states_of(motion, error, coupled))) < MOST_LEFT * left(error)
 
 
 def free_motion(dynamics: LinearFilter, count: int) -> Annotated[Array, "n N A"]:
@@ -68,7 +68,7 @@ def ending_dynamics(model: Model, sample_time: float, hold: str) -> LinearFilter
     return last if isinstance(last, LinearFilter) and last.a.shape[1] else None
 
 
-def _states(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"], coupled: bool) -> Annotated[Array, "n A"]:
+def states_of(motion: Annotated[Array, "n N A"], error: Annotated[Array, "N A"], coupled: bool) -> Annotated[Array, "n A"]:
     """The states that fit an error best beside the session's zero and drift: of coupled axes the same for all."""
     session = basis(slice(0, len(error)), len(error))
     axes = error.shape[1]

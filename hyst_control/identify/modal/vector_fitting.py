@@ -25,7 +25,7 @@ RELOCATIONS, SETTLED = 10, 0.99
 SLOWEST, MIN_DECAY = 0.05, 0.02
 """Least rate of a real pole and least decay of a pair, in inverse record lengths."""
 FASTEST = -20.0
-"""Real pole, in inverse samples, faster than which none is told from a direct path."""
+"""Fastest real pole, in inverse samples: a faster one is a direct path."""
 
 
 @dataclass(frozen=True)
