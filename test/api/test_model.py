@@ -87,6 +87,10 @@ def test_what_has_no_compensator_is_inverted_over_the_whole_reference():
         (lambda stage: hc.load_model("no_such_model"), "pea_hampi.yaml"),
         (lambda stage: stage.bode(hc.from_arrays(COMMAND, COMMAND, RATE, unit="mrad")), "use a model of this plant"),
         (lambda stage: hc.identify(hc.from_arrays(COMMAND, np.random.default_rng(0).standard_normal(3000), RATE)), "noise"),
+        (
+            lambda stage: hc.identify(hc.from_arrays(np.tile(COMMAND, (2, 1)), np.tile(COMMAND, (2, 1)), RATE)),
+            "transpose the arrays",
+        ),
     ],
 )
 def test_what_does_not_fit_is_one_line(call, words):

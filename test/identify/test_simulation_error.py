@@ -159,3 +159,14 @@ def test_a_record_that_begins_amid_a_motion_teaches_the_same():
     ]
     assert fits[1].fitted < 1.02e-4 < 10 * fits[1].fitted < fits[0].fitted
     np.testing.assert_allclose(fits[1].parameters, TRUTH, atol=1e-3)
+
+
+def test_an_absolute_position_millions_of_times_the_motion_costs_no_digit():
+    """A constant in the measurement is the session's: taken away before squaring, it leaves the fit as it was."""
+    near = record(noise=0.1)
+    far = replace(near, measurement=near.measurement + 1e6 * np.ptp(near.measurement))
+    start = np.array([1.0, 0.0, -1.0])
+    fits = [minimize_simulation_error([window], FREE, start, passes=40, tolerance=1e-12, everything=True) for window in (near, far)]
+    np.testing.assert_allclose(fits[1].parameters, fits[0].parameters, atol=1e-6)
+    assert fits[1].fitted == pytest.approx(fits[0].fitted, rel=1e-6)
+    assert fits[1].nuisances[0] - fits[0].nuisances[0] == pytest.approx(1e6 * np.ptp(near.measurement), rel=1e-9)

@@ -30,7 +30,8 @@ def check_records(records: Sequence[Record], least: int = 50) -> None:
                 f"{', '.join(first.axes)} in {first.unit} of {first.command_unit}: give records of one plant"
             )
         if len(data.command) < least:
-            raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: record for longer")
+            remedy = "record for longer" if len(data.command) >= len(data.axes) else "rows are samples: transpose the arrays"
+            raise InputError(f"{data.name}: must have at least {least} samples, got {len(data.command)}: {remedy}")
         if not data.is_gapless:
             raise InputError(
                 f"{data.name}: command and measurement do not have every tick of one clock: give what `aligned` makes of it"

@@ -177,8 +177,10 @@ class SimulationError:
             total = size + columns + 1
             sums, own, first = np.zeros((2, total, total)), np.zeros(2, dtype=int), count
             pieces: list[Array] = []
+            # Taken away before anything is squared: an absolute position may be millions of times the motion.
+            zero = float(record[0].measurement[0]) if extra else 0.0
             for number, window in enumerate(record):
-                for block in self._blocks(window, running[number], size, columns, number, length):
+                for block in self._blocks(window, running[number], size, columns, number, length, zero):
                     product = block.T @ block
                     if (count - first) % together:
                         pieces[-1] += product
@@ -195,7 +197,7 @@ class SimulationError:
             grams[0] += _kept(sums[0], keep) + penalty
             grams[1] += _kept(sums[1], keep)
             blocks += [_kept(piece, keep) for piece in pieces]
-            nuisances.append(effects[:extra, -1])
+            nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
             rows += own
         chosen, counted = (grams.sum(axis=0), rows.sum()) if self.everything else (grams[0], rows[0])
         return Solution(
@@ -207,8 +209,10 @@ class SimulationError:
             parameters,
         )
 
-    def _blocks(self, window: Window, running: Bundle, size: int, columns: int, number: int, length: int) -> Iterator[Array]:
-        """Blocks of rows of [derivatives, session effects, error] of a window, the `number`-th of its record."""
+    def _blocks(
+        self, window: Window, running: Bundle, size: int, columns: int, number: int, length: int, zero: float
+    ) -> Iterator[Array]:
+        """Blocks of rows of [derivatives, session effects, error beside `zero`] of a window, the `number`-th of its record."""
         signal, first = driving_signal(window)
         running.settle(float(signal[0, 0]))
         n, extra = len(window.command), NUISANCES[self.nuisance]
@@ -230,7 +234,7 @@ class SimulationError:
             if decay is not None:
                 place = size + extra + number * decay.states
                 rows[:, place : place + decay.states] = decay.rows(stop - chunk)
-            np.subtract(window.measurement[chunk:stop], nominal, out=rows[:, -1])
+            np.subtract(window.measurement[chunk:stop] - zero, nominal, out=rows[:, -1])
             for row in range(max(window.skip - chunk, 0), stop - chunk, length):
                 yield rows[row : row + length]
 
