@@ -126,6 +126,22 @@ def test_a_rate_is_told_by_the_octaves_that_know_of_it(factor):
     assert found(simulate(command[:, None], STEP), factor * STEP) == {"wrong_rate"}
 
 
+@pytest.mark.parametrize("tone", [False, True])
+def test_a_delay_of_the_machine_is_no_other_rate_and_no_reversed_time(tone):
+    random = np.random.default_rng(5)
+    command = np.sin(2 * np.pi * 3.7 * TIME) if tone else sosfilt(butter(2, 0.05, output="sos"), random.standard_normal(len(TIME)))
+
+    def simulate(command, step):
+        return answer(command[:, 0], step)[:, None]
+
+    for rows in (3, 6, 12, 30):
+        late = np.concatenate([np.full(rows, command[0]), command[:-rows]])
+        measured = simulate(late[:, None], STEP) + 0.01 * NOISE[:, None]
+        trial = Trial("made", command[:, None], measured, STEP, ("x",), simulate(command[:, None], STEP), "um", simulate)
+        names = {each.name for each in check_records([trial])}
+        assert not names & {"wrong_rate", "reversed_time"}, (rows, names)
+
+
 def test_rails_are_told_from_plateaus_that_belong_to_the_command():
     assert rails(COMMAND, MEASURED) is None
     stairs = np.repeat(np.random.default_rng(1).uniform(0, 100, 60), 100)

@@ -65,7 +65,8 @@ def best_order(expected: Array, measured: Array) -> tuple[int, ...] | None:
 def meant(command: Array, measured: Array, sample_time: float, simulate: Simulation) -> tuple[str, float] | None:
     """The name of what explains a record (N, A) clearly better, and its factor; None where nothing does.
 
-    Names: scaled_command, wrong_rate (true over stated sample rate), swapped_signals, reversed_time.
+    Names: scaled_command, wrong_rate (true over stated sample rate), swapped_signals, reversed_time. The times of a record are wrong only
+    where the machine's own delay and gain explain less: a delay resembles a slower clock, and a tone's delay the reversed tone.
     """
     command, measured = command[:LONGEST], measured[:LONGEST]
     as_given = simulate(command, sample_time)
@@ -81,10 +82,28 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
     tried["reversed_time", 1.0] = misfit(simulate(command[::-1], sample_time)[::-1], measured)
     tried = {key: left for key, left in tried.items() if np.isfinite(left)}
     best = min(tried, key=lambda key: tried[key], default=None)
+    late = _with_delay_and_gain(as_given, measured)
+    if best is not None and best[0] in ("wrong_rate", "reversed_time"):
+        own = min(own, misfit(late, measured))
     if best is not None and tried[best] * CLEAR < own and tried[best] < (LESS_POOR if best[0] == "swapped_signals" else POOR):
         return best
-    rate = _other_rate(as_given, at_rates, measured)
+    rate = _other_rate(late, at_rates, measured)
     return None if rate is None else ("wrong_rate", rate)
+
+
+def _with_delay_and_gain(expected: Array, measured: Array) -> Array:
+    """What is expected (N, A), at the delay, of parts of a row, and with the gain, offset and drift that fit the measurement best."""
+    found = np.empty_like(expected)
+    line = [np.ones(len(expected)), np.linspace(-1.0, 1.0, len(expected))]
+    for index, (one, other) in enumerate(zip(expected.T, measured.T, strict=True)):
+        first = max(_best_shift(one, other, len(one) // 8) - 1, 0)
+        columns = np.column_stack([*(_later(one, first + rows) for rows in range(3)), *line])
+        found[:, index] = columns @ np.linalg.lstsq(columns, other, rcond=1e-9)[0]
+    return found
+
+
+def _later(values: Array, rows: int) -> Array:
+    return np.concatenate([np.repeat(values[:1], rows), values[: len(values) - rows]])
 
 
 def _other_rate(as_given: Array, at_rates: Mapping[float, Array], measured: Array) -> float | None:
@@ -99,7 +118,8 @@ def _other_rate(as_given: Array, at_rates: Mapping[float, Array], measured: Arra
     if best is None:
         return None
     other = left[best]
-    explained = (own > UNEXPLAINED) & (other < LESS_POOR) & (other * CLEAR < own)
+    counts = power > EXPLAINED * power.sum()  # less is what a beginning amid a motion adds everywhere
+    explained = counts & (own > UNEXPLAINED) & (other < LESS_POOR) & (other * CLEAR < own)
     spoiled = (other > UNEXPLAINED) & (own < LESS_POOR) & (own * CLEAR < other)
     return best if explained.any() and not spoiled.any() else None
 
