@@ -126,6 +126,16 @@ def test_a_rate_is_told_by_the_octaves_that_know_of_it(factor):
     assert found(simulate(command[:, None], STEP), factor * STEP) == {"wrong_rate"}
 
 
+def test_a_coarse_sensor_that_a_fast_command_moves_by_less_than_a_step_is_not_dead():
+    chirp = 40.0 * np.sin(2 * np.pi * (0.2 + 12.0 * TIME) * TIME)
+    coarse = np.round(answer(10.0 * answer(chirp, lag=0.05), lag=0.05) / 0.1) * 0.1 + 0.0
+    assert np.ptp(coarse[1200:5400]) == 0.0  # most of the record, in which the command passes its range many times
+    assert names(chirp, coarse) == [set(), set()]
+    stuck = coarse.copy()
+    stuck[400:1000] = stuck[400]
+    assert names(chirp, stuck)[0] == {"dead_sensor"}
+
+
 @pytest.mark.parametrize("tone", [False, True])
 def test_a_delay_of_the_machine_is_no_other_rate_and_no_reversed_time(tone):
     random = np.random.default_rng(5)

@@ -23,7 +23,7 @@ from hyst_control.records.validity.facts import copied_gain, held_samples, impla
 from hyst_control.records.validity.findings import NOTES, Finding, Trial
 from hyst_control.records.validity.reference_model import linear_reference
 from hyst_control.records.validity.rows import MAX_PAIRED, CondensedRows
-from hyst_control.records.validity.sensor import dead_sensor, is_modeled
+from hyst_control.records.validity.sensor import dead_sensor, is_modeled, moves_less_than_a_step
 from hyst_control.records.validity.two_records import exchanged_axes, findings_between
 
 SHORTEST_RECORD = 1024
@@ -68,6 +68,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
     if len(trial.command) < SHORTEST_RECORD or not moving:
         return list(dead.values())
     left = CondensedRows.of(trial)
+    dead = {index: finding for index, finding in dead.items() if not moves_less_than_a_step(trial, left, index)}
     if not dead and (found := _pairing(trial, left, moving)):
         return found
     found = [finding for index in moving for finding in _of_axis(trial, left, index, dead.get(index))]

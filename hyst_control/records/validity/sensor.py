@@ -7,9 +7,12 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.records.quantization_step import quantization_step
 from hyst_control.records.validity.facts import rails
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.incoherence import LONGEST_RECORD
+from hyst_control.records.validity.reference_model import linear_reference
+from hyst_control.records.validity.rows import CondensedRows
 
 MODELED = 0.02
 """Share of a measurement's power that a model leaves up to which standing still is the machine's, not the sensor's."""
@@ -43,11 +46,25 @@ def dead_sensor(trial: Trial, index: int) -> Finding | None:
 
 def _frozen(trial: Trial, index: int) -> float:
     """Largest share of the command's range that passes while the measurement keeps one value for long."""
-    command, values = trial.command[:, index], trial.measurement[:, index]
+    command = trial.command[:, index]
+    passed = [float(np.ptp(command[rows])) for rows in _standing_still(trial.measurement[:, index])]
+    return max(passed, default=0.0) / float(np.ptp(command))
+
+
+def _standing_still(values: Array) -> list[slice]:
+    """Rows of the long stretches in which a measurement (N,) keeps one value, but for their ends, where a step is only about to follow."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(values) != 0) + 1, [len(values)]])
     lengths = np.diff(edges)
-    passed = [0.0]
-    for run in np.flatnonzero(lengths >= max(LONG_STILL * len(values), 3)):
-        end = edges[run + 1] - lengths[run] // 10  # a step at its end is only about to be followed
-        passed.append(float(np.ptp(command[edges[run] : max(end, edges[run] + 2)])))
-    return max(passed) / float(np.ptp(command))
+    long = np.flatnonzero(lengths >= max(LONG_STILL * len(values), 3))
+    return [slice(edges[run], max(edges[run + 1] - lengths[run] // 10, edges[run] + 2)) for run in long]
+
+
+def moves_less_than_a_step(trial: Trial, left: CondensedRows, index: int) -> bool:
+    """True where a linear model expects a coarse sensor to stand still wherever it does: a fast command may move a plant that little."""
+    step = quantization_step(trial.measurement[:LONGEST_RECORD, index])
+    measured = left.measurement[:, index]
+    still = _standing_still(measured)
+    if not step or not still:
+        return False
+    apart = np.abs(linear_reference(left.inputs(index), measured).predicted - measured)
+    return all(float(apart[rows].max()) < step for rows in still)
