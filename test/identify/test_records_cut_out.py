@@ -17,6 +17,7 @@ from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.identify import identify
 from hyst_control.identify.assess.fit_report import MOVING, residual, with_state
 from hyst_control.identify.assess.free_motion import ending_dynamics, free_motion, without_free_motion
+from hyst_control.identify.data.fit_windows import closed_loop
 from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
 from hyst_control.identify.validation import validate_record
 from hyst_control.model_file import Model
@@ -71,6 +72,23 @@ def test_modes_near_the_nyquist_frequency_are_found():
     data, sigma = cut_out(plant, np.tile(command, 2), 4000, 1.2e-3, 1 / 200)
     fit = identify([data], "linear")
     assert fit.report["states"] == 4 and fit.report["records"][0]["rmse"] < 1.1 * sigma
+
+
+def test_a_record_that_happens_to_end_where_it_began_was_not_preceded_by_itself():
+    """With a drift of the sensor, which hides in a comparison of errors what the motion from before makes."""
+    random = np.random.default_rng(8)
+    b, a, _ = signal.cont2discrete(SLOW, PERIOD, "zoh")
+    command = signal.lfilter([0.02], [1.0, -0.98], random.normal(size=9000))
+    measurement = signal.lfilter(b.ravel(), a, command)
+    sigma = 1e-3 * np.ptp(measurement)
+    measurement += sigma * random.normal(size=9000) + 0.15 * np.ptp(measurement) * np.linspace(0, 1, 9000)
+    near = [np.abs(each[3000:, None] - each[None, :3000]) < 0.015 * np.ptp(each[3000:6000]) for each in (command, measurement)]
+    last, first = np.argwhere(np.tril(near[0] & near[1]))[0]
+    rows = slice(first, 3000 + last + 1)
+    data = sampled_record("cut", command[rows, None], measurement[rows, None], PERIOD, ("x",), "um", "zoh", "auto")
+    assert closed_loop(data)
+    fit = identify([data], "linear")
+    assert fit.report["records"][0]["nrmse_own_zero"] < 110.0 * sigma / np.ptp(measurement[rows])
 
 
 def model_of(*stages) -> Model:

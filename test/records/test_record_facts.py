@@ -176,3 +176,27 @@ def test_gaps_of_both_signals_are_counted():
 def test_implausible_ranges_name_the_smaller_unit():
     assert implausible(COMMAND, MEASURED, "um") is None
     assert implausible(COMMAND, 1e3 * MEASURED, "um")[1] == "nm"
+
+
+def test_a_binary_command_that_its_noisy_measurement_tells_exactly_is_not_exchanged_with_it():
+    """Play operators cut the noise off two levels, so that an inverse leaves less of the command than the plant does of the measurement."""
+    random = np.random.default_rng(4)
+    command = np.repeat(random.choice([-1.0, 1.0], len(TIME) // 5), 5)
+    top, bottom = bilinear([1.0], [0.0017, 1.0], 1.0 / STEP)  # a smooth source's, which answers in the same row
+    measured = lfilter(top, bottom, command) + 0.018 * random.standard_normal(len(TIME))
+    assert names(command, measured)[0] == set()
+
+
+def test_axes_that_ring_on_while_the_other_is_driven_are_not_exchanged():
+    """The second axis follows the first command alone, and the first rings while only the second command moves."""
+    random = np.random.default_rng(6)
+    pole = 2 * np.pi * 4.0
+    top, bottom = bilinear([pole**2], [1.0, 0.03 * pole, pole**2], 1.0 / STEP)
+    half = len(TIME) // 2
+    commands = np.zeros((len(TIME), 2))
+    commands[:half, 0] = sosfilt(butter(2, 0.1, output="sos"), random.standard_normal(half))
+    commands[half:, 1] = np.sin(2 * np.pi * 90.0 * TIME[half:])  # beyond what the plant answers
+    first = lfilter(top, bottom, commands[:, 0])
+    measured = np.stack([first, -2.0 * answer(commands[:, 0])], axis=1) + 1e-3 * random.standard_normal(commands.shape)
+    found = check_records([Trial("made", commands, measured, STEP, ("x", "y"))])
+    assert not {each.name for each in found} & {"swapped_axes"}

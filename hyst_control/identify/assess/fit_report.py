@@ -27,8 +27,8 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 
 JUMP = "at rest at 0 V, from which the first command jumps"
 MOVING = "amid a motion: state of the dynamics estimated"
-JUMP_ROWS, JUMP_SHARE = 4096, 0.5
-"""First rows that tell whether a record begins so, and the share of their square error that must be left."""
+JUMP_ROWS, JUMP_SHARE = 4096, 0.8
+"""First rows that tell whether a record begins so, and the share of their square error, beside the session's drift, that may be left at most."""
 OFFSET_SHARE = 0.02
 """Share of the mean square error that a common offset makes where the model states it."""
 
@@ -61,7 +61,7 @@ def with_state(model: Model, data: Record) -> Record:
 
     def left(start: Beginning) -> float:
         error = residual_from(model, replace(first, start=start))
-        return float(np.sum((error - error.mean(axis=0)) ** 2))
+        return float(np.sum(without_zero(error)[0] ** 2))
 
     least = left(Beginning("", memory, begin))
     others = [Beginning(MOVING, memory, begin, moving=True)]

@@ -45,6 +45,9 @@ from hyst_control.records.validity.time_shift import growing_lead, time_shifts
 FAR_LESS = 0.05
 """Ratio of what an arrangement of few sines leaves to what it leaves at another time."""
 
+SWITCHED = 8
+"""Levels up to which a command is a switched one, such as a binary sequence: no sensor's, and play operators cut the noise off such levels."""
+
 FITS = 0.03
 """Share of a measurement's power that a model of the record read backwards or exchanged leaves at most."""
 
@@ -99,7 +102,8 @@ def _alternative(trial: Trial, left: CondensedRows, index: int, ahead: Reference
         opposite, beside = other.inputs(index), other.measurement[:, index]
         # Either of the two may be the one that was turned around.
         ways += [("reversed_command", opposite, beside, CLEAR), ("reversed_command", opposite[::-1], beside[::-1], CLEAR)]
-    if ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES:  # of slow motion the inverse of play operators is such, too
+    possible = len(np.unique(trial.command[:LONGEST_RECORD, index])) > SWITCHED
+    if possible and (ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES):  # of slow motion the inverse of play operators is such, too
         both = left.measurement if _independent(left.command) else measured[:, None]
         limit = CLEAR_EXCHANGE if _cleaner(trial, index) else CLEAR_LEAD
         ways.append(("swapped_signals", both, left.command[:, index], limit))

@@ -21,7 +21,7 @@ from hyst_control.records.validity.beside_model import model_findings
 from hyst_control.records.validity.causality import direction_findings
 from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
 from hyst_control.records.validity.findings import NOTES, Finding, Trial
-from hyst_control.records.validity.reference_model import linear_reference
+from hyst_control.records.validity.reference_model import Reference, linear_reference
 from hyst_control.records.validity.rows import MAX_PAIRED, CondensedRows
 from hyst_control.records.validity.sensor import dead_sensor, is_modeled, moves_less_than_a_step
 from hyst_control.records.validity.two_records import exchanged_axes, findings_between
@@ -106,8 +106,12 @@ def _pairing(trial: Trial, left: CondensedRows, moving: Sequence[int]) -> list[F
         return []
     likeness = np.array(
         [
-            [1.0 - min(linear_reference(left.command[:, [one]], left.measurement[:, other]).unexplained, 1.0) for other in moving]
-            for one in moving
+            [_made_of(linear_reference(left.command[:, [one]], left.measurement[:, other])) for other in moving] for one in moving
         ]
     )
     return exchanged_axes(likeness, trial.name, [trial.axes[index] for index in moving])
+
+
+def _made_of(fit: Reference) -> float:
+    """Share of a measurement's power that its command makes, of what neither a straight line nor ringing from before explains."""
+    return 1.0 - min(fit.unexplained / max(min(fit.without_command, 1.0), 1e-300), 1.0)
