@@ -28,7 +28,7 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 JUMP = "at rest at 0 V, from which the first command jumps"
 MOVING = "amid a motion: state of the dynamics estimated"
 JUMP_ROWS, JUMP_SHARE = 4096, 0.8
-"""First rows that tell whether a record begins so, and the share of their square error, beside the session's drift, that may be left at most."""
+"""First rows that tell whether a record begins so, and the share of their square error, beside a drift, that may be left at most."""
 OFFSET_SHARE = 0.02
 """Share of the mean square error that a common offset makes where the model states it."""
 

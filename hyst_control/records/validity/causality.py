@@ -46,7 +46,7 @@ FAR_LESS = 0.05
 """Ratio of what an arrangement of few sines leaves to what it leaves at another time."""
 
 SWITCHED = 8
-"""Levels up to which a command is a switched one, such as a binary sequence: no sensor's, and play operators cut the noise off such levels."""
+"""Levels up to which a command is switched, such as a binary sequence: no sensor has so few, and play operators cut the noise off them."""
 
 FITS = 0.03
 """Share of a measurement's power that a model of the record read backwards or exchanged leaves at most."""
@@ -103,7 +103,8 @@ def _alternative(trial: Trial, left: CondensedRows, index: int, ahead: Reference
         # Either of the two may be the one that was turned around.
         ways += [("reversed_command", opposite, beside, CLEAR), ("reversed_command", opposite[::-1], beside[::-1], CLEAR)]
     possible = len(np.unique(trial.command[:LONGEST_RECORD, index])) > SWITCHED
-    if possible and (ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES):  # of slow motion the inverse of play operators is such, too
+    # Of slow motion the inverse of play operators is such, too.
+    if possible and (ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES):
         both = left.measurement if _independent(left.command) else measured[:, None]
         limit = CLEAR_EXCHANGE if _cleaner(trial, index) else CLEAR_LEAD
         ways.append(("swapped_signals", both, left.command[:, index], limit))
