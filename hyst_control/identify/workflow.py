@@ -31,7 +31,7 @@ from hyst_control.identify.assess.model_choice import best_family, choice_lines
 from hyst_control.identify.assess.record_consistency import disagreements
 from hyst_control.identify.data.dead_time import lateness, taken_earlier, with_delay
 from hyst_control.identify.data.fit import Fit, Report
-from hyst_control.identify.data.hold_choice import CLEAR, ROUNDING, hold_errors
+from hyst_control.identify.data.hold_choice import hold_errors
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of
 from hyst_control.model_file import USUAL_UNITS, Model, save_model
@@ -301,13 +301,13 @@ def gapless_records(
 def _with_hold(records: list[Record], notes: list[str] | None) -> list[Record]:
     """The stretches of a record that does not state its hold, as pairs if its measurement answers the command of its own row."""
     longest = max(records, key=lambda data: len(data.command))
-    late, same = hold_errors(longest)
-    if not same < CLEAR * late or late < ROUNDING:
+    errors = hold_errors(longest)
+    if not errors.own_row:
         return records
     if notes is not None:
         notes.append(
-            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * same:.2g} % of the range "
-            f"are left, {100 * late:.2g} % with that of the row before (--hold zoh)"
+            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * errors.same:.2g} % of the range "
+            f"are left, {100 * errors.late:.2g} % with that of the row before (--hold zoh)"
         )
     return [replace(data, hold="foh") for data in records]
 

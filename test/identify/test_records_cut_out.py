@@ -18,7 +18,7 @@ from hyst_control.identify import identify
 from hyst_control.identify.assess.fit_report import MOVING, residual, with_state
 from hyst_control.identify.assess.free_motion import ending_dynamics, free_motion, without_free_motion
 from hyst_control.identify.data.fit_windows import closed_loop
-from hyst_control.identify.data.hold_choice import CLEAR, hold_errors
+from hyst_control.identify.data.hold_choice import hold_errors
 from hyst_control.identify.validation import validate_record
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, sampled_record
@@ -141,8 +141,7 @@ def test_a_record_cut_out_is_no_gap_and_a_gain_in_it_is(gain):
 def test_the_hold_of_fast_dynamics_is_told(hold):
     command = np.random.default_rng(4).normal(size=6000)
     data, _ = cut_out(([0.7], [5e-5, 1.0]), command, 4000, 1e-3, 5e-5, hold)
-    late, same = hold_errors(data)
-    assert (same < CLEAR * late) == (hold == "foh")
+    assert hold_errors(data).own_row == (hold == "foh")
 
 
 def test_slow_dynamics_behind_a_smooth_command_are_a_sound_record():

@@ -9,55 +9,89 @@ linear dynamics of a few poles with a direct path, where these leave less.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_states, with_beginning
-from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
-from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.record import Record
+from hyst_control.records.validity.incoherence import next_sample_correlation
+from hyst_control.records.validity.reference_model import linear_reference
 
 ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
-POLES, LINEAR_ROWS = 6, 2**12
-"""Poles of the linear dynamics, and rows from which they are taken."""
+PAIRS, LINEAR_ROWS = (1, 2, 4), 2**12
+"""Pairs of poles of the linear dynamics, and rows to which they are fitted."""
 ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
-CLEAR = 0.7
-"""Share of the error under `zoh` that must be left under `foh` for the latter to be taken."""
+CLEAR, CLEAR_AT_NOISE = 0.7, 0.95
+"""Share of the error under `zoh` that must be left under `foh` for the latter to be taken; and where nothing but white noise is left."""
+WHITE = 0.1
+"""Correlation of neighbors up to which an error is white."""
 
 
-def hold_errors(data: Record) -> tuple[float, float]:
+class HoldErrors(NamedTuple):
     """Held-out errors, shares of the range, with the command of the row before (`zoh`) and of the same row (`foh`); equal if untold."""
+
+    late: float
+    same: float
+    noise: bool = False  # Nothing but white noise is left with the command of the same row
+
+    @property
+    def own_row(self) -> bool:
+        """True where the measurement answers the command of its own row."""
+        return self.late >= ROUNDING and self.same < (CLEAR_AT_NOISE if self.noise else CLEAR) * self.late
+
+
+def hold_errors(data: Record) -> HoldErrors:
+    """What play operators or linear dynamics, whichever leave less, make of a record with either hold."""
     memory, begin = before(with_beginning(data))
     end = min(begin + ROWS, len(data.command))
-    if end - begin < MIN_ROWS:
-        return 1.0, 1.0
-    squares = np.zeros(2)
-    for axis in range(data.command.shape[1]):
-        command, measurement = data.command[:end, axis], data.measurement[begin:end, axis]
-        low, high = float(data.command[:, axis].min()), float(data.command[:, axis].max())
-        if low == high or not np.ptp(measurement) > 0.0 or not np.all(np.isfinite(measurement)):
+    moving = [axis for axis in range(data.command.shape[1]) if np.ptp(data.command[:, axis]) > 0.0]
+    if end - begin < MIN_ROWS or not moving:
+        return HoldErrors(1.0, 1.0)
+    states = np.hstack([_play_states(data, memory, axis, end) for axis in moving])
+    squares, noise = np.zeros(2), True
+    for axis in moving:
+        measurement = data.measurement[begin:end, axis]
+        if not np.ptp(measurement) > 0.0 or not np.all(np.isfinite(measurement)):
             continue
-        thresholds = 0.5 * (high - low) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
-        turns = np.zeros(1) if memory is None else memory[:, axis]
-        first = play_states(turns, thresholds, np.array([len(turns) - 1]))[-1]
-        states = np.vstack([first, followed(command, thresholds, first, np.arange(end))])
         plays = [_held_out(states[begin:end], measurement), _held_out(states[begin + 1 : end + 1], measurement)]
-        squares += np.minimum(plays, [_left_by_poles(data, axis, begin, hold) for hold in ("zoh", "foh")])
+        poles, white = _left_by_poles(data.command[begin:end, moving], measurement)
+        squares += np.minimum(plays, poles)
+        noise &= white and poles[1] < plays[1]
     late, same = np.sqrt(squares)
-    return float(late), float(same)
+    return HoldErrors(float(late), float(same), noise)
 
 
-def _left_by_poles(data: Record, axis: int, begin: int, hold: str) -> float:
-    """Mean square error (share of the range) that linear dynamics leave of the first rows that count, corrected for their number."""
-    rows = slice(begin, min(begin + LINEAR_ROWS, len(data.command)))
-    command, measurement = data.command[rows, axis], data.measurement[rows, axis]
-    if not np.ptp(command) > 0.0 or len(command) < 8 * POLES or not np.ptp(measurement) > 0.0:
-        return np.inf
-    window = Window(command, measurement, data.sample_time, hold, 0, 0)
-    found = vector_fit([window], spread_poles(POLES, len(command)), 0.0, True, relocations=4)
-    return float(found.error / (1.0 - 4.0 * POLES / len(command)) / np.ptp(measurement) ** 2)
+def _play_states(data: Record, memory: Array | None, axis: int, end: int) -> Array:
+    """States of play operators before and behind each of the first rows of a command."""
+    command = data.command[:, axis]
+    thresholds = 0.5 * float(np.ptp(command)) * (np.arange(OPERATORS) / OPERATORS) ** 1.4
+    turns = np.zeros(1) if memory is None else memory[:, axis]
+    first = play_states(turns, thresholds, np.array([len(turns) - 1]))[-1]
+    return np.vstack([first, followed(command[:end], thresholds, first, np.arange(end))])
+
+
+def _left_by_poles(command: Array, measurement: Array) -> tuple[Array, bool]:
+    """Held-out mean square errors, shares of the range, of linear dynamics from the commands (N, A) of the row before and of the same.
+
+    With poles enough either explains a record to its noise, so that Schwarz's price of a parameter is put on the errors of few and many.
+    The second value tells whether the latter leave nothing but white noise.
+    """
+    command, measurement = command[: LINEAR_ROWS + 1], measurement[1 : LINEAR_ROWS + 1]
+    count, axes = len(measurement), command.shape[1]
+    found, white = np.full(2, np.inf), False
+    if count < 16 * max(PAIRS) or not np.ptp(measurement) > 0.0:
+        return found, white
+    for way, rows in enumerate((command[:-1], command[1:])):
+        for pairs in PAIRS:
+            fit = linear_reference(rows, measurement, pairs)
+            error = fit.unexplained * count ** ((axes * (2 * pairs + 1) + 2 * pairs) / count)
+            if error < found[way]:
+                found[way], white = error, abs(next_sample_correlation(measurement - fit.predicted)) < WHITE
+    return found * np.var(measurement) / np.ptp(measurement) ** 2, white
 
 
 def _held_out(states: Array, measurement: Array) -> float:

@@ -51,7 +51,7 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     # only linear models show whose command it was.
     own = linear_reference(command, measured)
     # Slow dynamics make the same of a smooth command and of one of another time. What leaves nothing but white noise is the whole answer.
-    if abs(_next_sample_correlation(measured - own.predicted)) < WHITE and own.unexplained < FOLLOWS * own.without_command:
+    if abs(next_sample_correlation(measured - own.predicted)) < WHITE and own.unexplained < FOLLOWS * own.without_command:
         return []
     commands = (_of_another_time(command, shift) for shift in OTHER_TIMES)
     # A hum is explained by any command once a pole stands at its frequency: the other times begin with the same poles, too.
@@ -71,7 +71,7 @@ def coherent_share(trial: Trial, index: int) -> float:
 def _kind_of_incoherence(trial: Trial, index: int) -> str:
     """Name of the finding on an axis that its command does not explain."""
     command, values = trial.command[:, index], trial.measurement[:, index]
-    smooth = _next_sample_correlation(values)
+    smooth = next_sample_correlation(values)
     centered = (values - values.mean()) * np.hanning(len(values))
     power = np.abs(np.fft.rfft(centered)) ** 2
     power[0] = 0.0
@@ -96,7 +96,8 @@ def in_no_order(values: Array) -> bool:
     return bool(np.mean(power < EMPTY * power.mean()) < 3.0 * EMPTY)
 
 
-def _next_sample_correlation(values: Array) -> float:
+def next_sample_correlation(values: Array) -> float:
+    """Correlation of neighboring values (N,): 0 of white noise."""
     centered = values - values.mean()
     power = float(centered @ centered)
     return float(centered[1:] @ centered[:-1]) / power if power else 0.0

@@ -124,9 +124,9 @@ def continued(command: Array, measured: Array, begun: Reference) -> Reference:
     return _fit(command, measured, _thresholds(command) if begun.hysteresis else (), begun.poles)
 
 
-def linear_reference(command: Array, measured: Array) -> Reference:
-    """The linear model of one measured axis (N,), from commands (N, A)."""
-    return _fit(command, measured, (), None)
+def linear_reference(command: Array, measured: Array, pairs: int = PAIRS) -> Reference:
+    """The linear model of one measured axis (N,), from commands (N, A), with so many pairs of poles."""
+    return _fit(command, measured, (), initial_poles(len(measured), pairs))
 
 
 def _thresholds(command: Array) -> tuple[float, ...]:
@@ -157,9 +157,9 @@ def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Ar
     return np.asarray(1.0 - explained / np.maximum(sums[count:] - sums[: 2 * reach + 1], 1e-300), dtype=np.float64)
 
 
-def initial_poles(count: int) -> Poles:
+def initial_poles(count: int, pairs: int = PAIRS) -> Poles:
     """Poles of moderately damped oscillations from a few periods in `count` rows to a third of the sample rate."""
-    angle = np.geomspace(4.0 * np.pi / count, 2.0, PAIRS)
+    angle = np.geomspace(4.0 * np.pi / count, 2.0, pairs)
     return np.asarray(np.exp((1j - 0.3) * angle), dtype=np.complex128)
 
 
