@@ -306,8 +306,8 @@ def _with_hold(records: list[Record], notes: list[str] | None) -> list[Record]:
         return records
     if notes is not None:
         notes.append(
-            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * errors.same:.2g} % of the range "
-            f"are left, {100 * errors.late:.2g} % with that of the row before (--hold zoh)"
+            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * errors.same:.2g} % of the "
+            f"range are left, {100 * errors.late:.2g} % with that of the row before (--hold zoh)"
         )
     return [replace(data, hold="foh") for data in records]
 

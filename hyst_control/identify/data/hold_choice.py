@@ -19,11 +19,12 @@ from hyst_control.identify.data.initial_memory import OPERATORS, followed, play_
 from hyst_control.records.record import Record
 from hyst_control.records.validity.incoherence import next_sample_correlation
 from hyst_control.records.validity.reference_model import linear_reference
+from hyst_control.records.validity.rows import fastest_rows
 
 ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
 PAIRS, LINEAR_ROWS = (1, 2, 4), 2**12
-"""Pairs of poles of the linear dynamics, and rows to which they are fitted."""
+"""Pairs of poles of the linear dynamics, and rows to which they are fitted: where an axis' command moves fastest."""
 ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
 CLEAR, CLEAR_AT_NOISE = 0.7, 0.95
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken; and where nothing but white noise is left."""
@@ -58,7 +59,8 @@ def hold_errors(data: Record) -> HoldErrors:
         if not np.ptp(measurement) > 0.0 or not np.all(np.isfinite(measurement)):
             continue
         plays = [_held_out(states[begin:end], measurement), _held_out(states[begin + 1 : end + 1], measurement)]
-        poles, white = _left_by_poles(data.command[begin:end, moving], measurement)
+        rows = fastest_rows(data.command[begin:end, [axis]], min(LINEAR_ROWS, end - begin))
+        poles, white = _left_by_poles(data.command[begin:end, moving][rows], measurement[rows])
         squares += np.minimum(plays, poles)
         noise &= white and poles[1] < plays[1]
     late, same = np.sqrt(squares)
@@ -80,7 +82,7 @@ def _left_by_poles(command: Array, measurement: Array) -> tuple[Array, bool]:
     With poles enough either explains a record to its noise, so that Schwarz's price of a parameter is put on the errors of few and many.
     The second value tells whether the latter leave nothing but white noise.
     """
-    command, measurement = command[: LINEAR_ROWS + 1], measurement[1 : LINEAR_ROWS + 1]
+    measurement = measurement[1:]
     count, axes = len(measurement), command.shape[1]
     found, white = np.full(2, np.inf), False
     if count < 16 * max(PAIRS) or not np.ptp(measurement) > 0.0:

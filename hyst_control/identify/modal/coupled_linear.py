@@ -27,13 +27,14 @@ from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
 MAX_LINES = 6000
-"""Largest number of lines of one record in a fit: those where the command is strongest."""
+"""Largest number of lines of one record in a fit: those where the command is strongest.
+
+Lines that it hardly reaches count, too: without them a mode could ring there as it liked, at the first jump of a command.
+"""
 WHOLE_ROWS, PART_ROWS = 2**22, 2**20
 """Rows of a record up to which its spectrum is taken as a whole, and of the parts of a longer one."""
 PART_LINES, FEWEST_LINES = 4 * MAX_LINES, 200
 """Largest number of lines of all parts of a long record, and that of one part where there are very many."""
-BAND_POWER = 1e-5
-"""Power of a line relative to the strongest one below which it is left out."""
 NEGLIGIBLE_IMPROVEMENT = 0.01
 """A model is preferred to a larger one that is better on held-out data by no more than this fraction of the error."""
 NOTHING_HELD_OUT = (
@@ -78,7 +79,7 @@ def spectra_of_records(records: Sequence[Record]) -> list[Spectra]:
 
 
 def spectra_of(data: Record, most: int = MAX_LINES) -> Spectra:
-    """Take a record's discrete Fourier transform at the lines where the command has power, except the static line.
+    """Take a record's discrete Fourier transform at the lines where the command has most power, except the static line.
 
     Scaled to the root of the number of samples, so that sums of squares are those of the samples.
     """
@@ -90,7 +91,7 @@ def spectra_of(data: Record, most: int = MAX_LINES) -> Spectra:
     power[0] = 0.0
     if n % 2 == 0:
         power[-1] = 0.0
-    lines = np.flatnonzero(power > BAND_POWER * power.max())
+    lines = np.flatnonzero(power > 0.0)
     if len(lines) > most:
         lines = np.sort(lines[np.argsort(power[lines])[-most:]])
     return Spectra(2 * np.pi * lines / n, u[lines][:, :, None], y[lines][:, :, None], False)

@@ -58,15 +58,19 @@ class CondensedRows:
 
     def fastest(self, trial: Trial) -> CondensedRows:
         """As many rows of the trial as they are, where its commands move fastest."""
-        count = len(self.command)
-        power = np.zeros(len(trial.command))
-        for part in blocks(len(power) - 1):
-            power[part.start + 1 : part.stop + 1] = np.sum(np.diff(trial.command[part.start : part.stop + 1], axis=0) ** 2, axis=1)
-        np.cumsum(power, out=power)
-        begin = int(np.argmax(power[count - 1 :] - power[: len(power) - count + 1]))
-        rows = slice(begin, begin + count)
+        rows = fastest_rows(trial.command, len(self.command))
         return CondensedRows(trial.command[rows], trial.measurement[rows], None, 1)
 
     def inputs(self, index: int) -> Array:
         """Commands that may drive an axis."""
         return self.command if self.command.shape[1] <= MAX_PAIRED else self.command[:, [index]]
+
+
+def fastest_rows(command: Array, count: int) -> slice:
+    """So many rows of commands (N, A), where they move fastest."""
+    power = np.zeros(len(command))
+    for part in blocks(len(power) - 1):
+        power[part.start + 1 : part.stop + 1] = np.sum(np.diff(command[part.start : part.stop + 1], axis=0) ** 2, axis=1)
+    np.cumsum(power, out=power)
+    begin = int(np.argmax(power[count - 1 :] - power[: len(power) - count + 1])) if count < len(power) else 0
+    return slice(begin, begin + count)
