@@ -224,6 +224,7 @@ def test_a_long_record_is_taken_in_parts(monkeypatch):
     data = made(command)
     monkeypatch.setattr(coupled_linear, "WHOLE_ROWS", 2 * part)
     monkeypatch.setattr(coupled_linear, "PART_ROWS", part)
+    monkeypatch.setattr(coupled_linear, "PART_LINES", part)
     tracemalloc.start()
     parts = coupled_linear.spectra_of_records([data])
     _, peak = tracemalloc.get_traced_memory()
