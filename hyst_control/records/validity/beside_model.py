@@ -87,7 +87,7 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
         own = min(own, misfit(late, measured))
     if best is not None and tried[best] * CLEAR < own and tried[best] < (LESS_POOR if best[0] == "swapped_signals" else POOR):
         return best
-    rate = _other_rate(late, at_rates, measured)
+    rate = _other_rate([as_given, late], at_rates, measured)
     return None if rate is None else ("wrong_rate", rate)
 
 
@@ -106,13 +106,13 @@ def _later(values: Array, rows: int) -> Array:
     return np.concatenate([np.repeat(values[:1], rows), values[: len(values) - rows]])
 
 
-def _other_rate(as_given: Array, at_rates: Mapping[float, Array], measured: Array) -> float | None:
-    """The rate by which the model explains an octave of the measurement (N, A) that it leaves as given, and none the other way round.
+def _other_rate(as_given: Sequence[Array], at_rates: Mapping[float, Array], measured: Array) -> float | None:
+    """The rate by which the model explains an octave of the measurement (N, A) that it leaves as given in each way, and none vice versa.
 
     Slow motion has most of the power and knows nothing of the rate, so that a model's own discrepancy there hides it from the whole.
     """
     power = _octaves(measured)
-    own = _octaves(measured - as_given) / power
+    own = np.min([_octaves(measured - expected) for expected in as_given], axis=0) / power
     left = {rate: _octaves(measured - expected) / power for rate, expected in at_rates.items() if np.isfinite(expected).all()}
     best = min(left, key=lambda rate: float(np.mean(np.minimum(left[rate], 1.0))), default=None)
     if best is None:
