@@ -200,3 +200,11 @@ def test_axes_that_ring_on_while_the_other_is_driven_are_not_exchanged():
     measured = np.stack([first, -2.0 * answer(commands[:, 0])], axis=1) + 1e-3 * random.standard_normal(commands.shape)
     found = check_records([Trial("made", commands, measured, STEP, ("x", "y"))])
     assert not {each.name for each in found} & {"swapped_axes"}
+
+
+def test_a_drift_larger_than_the_motion_is_no_unplugged_sensor():
+    rows = np.arange(1600)
+    command = np.sin(2 * np.pi * rows / 100)
+    drift = 2.0 * (rows / 1600) ** 1.5
+    assert names(command, answer(command) + drift + NOISE[:1600])[0] == set()
+    assert names(command, drift + NOISE[:1600])[0] == {"unplugged_sensor"}

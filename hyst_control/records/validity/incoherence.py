@@ -8,6 +8,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.averaged_spectra import Spectra, segment_length
+from hyst_control.records.session_zero import without_zero
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, continued, hysteretic_reference, linear_reference
 
@@ -62,10 +63,10 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
 
 
 def coherent_share(trial: Trial, index: int) -> float:
-    """Share of an axis' power that is coherent with the commands."""
-    rows = slice(0, LONGEST_RECORD)
-    length = segment_length(len(trial.command[rows]))
-    return float(Spectra.of(trial.command[rows], trial.measurement[rows], length).explained[index])
+    """Share of an axis' power that is coherent with the commands, as it is or without a drift, which may be larger than all motion."""
+    command, measurement = trial.command[:LONGEST_RECORD], trial.measurement[:LONGEST_RECORD]
+    length = segment_length(len(command))
+    return max(float(Spectra.of(command, rows, length).explained[index]) for rows in (measurement, without_zero(measurement)[0]))
 
 
 def _kind_of_incoherence(trial: Trial, index: int) -> str:
