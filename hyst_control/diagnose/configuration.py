@@ -39,6 +39,7 @@ class Thresholds:
     # nats: what such a change must gain where the fits know the spectrum of the model discrepancy: what the largest of four changes
     # gains by chance in 4 % of the cases, and the margin
     distortion_whitened: float = 6.3
+    noise_deviations: float = 3.0  # standard errors of the noise's estimate: energy beyond the noise's that is no chance
     min_excess: float = 0.1  # share of the noise's energy: energy beyond the noise's under which nothing is called unknown
     # stated energies: energy that does not follow the command up to which it is the repeatability of the plant
     run_to_run: float = 4.0

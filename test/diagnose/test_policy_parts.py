@@ -11,10 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hyst_control.diagnose.configuration import CONFIGURATION
+from hyst_control.diagnose.decide.novelty import remainder
 from hyst_control.diagnose.decide.policy import join, practical_floor, strained
 from hyst_control.diagnose.decide.record_findings import detected
+from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
-from test.diagnose.made_evidence import ALL, LIMITS, PLAIN
+from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, QUIET, effect, evidence
 from test.diagnose.policy_rows import C
 
 NO, EFF, PAR, AMB, UNK = (
@@ -79,3 +82,14 @@ def test_coefficients_are_strained_beyond_what_their_chi_square_allows(count):
     """The chi-square has mean n and standard deviation sqrt(2 n)."""
     least = 0.5 * (count + LIMITS.strain_deviations * np.sqrt(2.0 * count))
     assert strained(least * (1 + 1e-9), count, LIMITS) and not strained(least * (1 - 1e-9), count, LIMITS)
+
+
+def test_energy_beyond_the_noise_counts_from_three_standard_errors_of_its_estimate():
+    """The scatter of the estimate is that of white noise of so many samples, and what is left of the gap counts once it exceeds it."""
+    rows, random = 3000, np.random.default_rng(1)
+    lower, upper = CONFIGURATION.noise.band
+    scatter = np.std([noise_of([random.standard_normal(rows)]) ** 2 for _ in range(400)])
+    for deviations, counts in ((2.5, False), (3.6, True)):
+        left = replace(QUIET, energy=1.0 + deviations * scatter)
+        seen = evidence(effect("delay", residual=left), floor=0.0, noise_bins=0.5 * (upper - lower) * rows)
+        assert (remainder(seen, 1, LIMITS) > 0.0) == counts

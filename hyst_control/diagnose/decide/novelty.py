@@ -25,8 +25,7 @@ def signs(
 ) -> dict[Reason, float]:
     """Measure the signs of an unknown effect beside an explanation."""
     one, residual = evidence.hypotheses[chosen], residual_of(evidence, chosen)
-    due = evidence.stated
-    beyond = (residual.energy - due) / max(evidence.floor**2, thresholds.min_excess * due)
+    beyond = (residual.energy - evidence.stated) / _noticed(evidence, thresholds)
     found: dict[Reason, float] = {}
     if not outweighed:
         found[Reason.ENERGY_LEFT] = min(beyond, _share_left(evidence, chosen, thresholds) / thresholds.unknown_share)
@@ -93,9 +92,19 @@ def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[t
 def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
     after, due = residual_of(evidence, chosen).energy, evidence.stated
-    if not after - due > max(evidence.floor**2, thresholds.min_excess * due):
+    if not after - due > _noticed(evidence, thresholds):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
+
+
+def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:
+    """Energy beyond what is due that counts: more than is worth naming, and than chance makes of the noise's own estimate.
+
+    A median over n lines of an exponential distribution has the relative standard error 1 / (ln 2 sqrt(n)); of Hann's window two thirds of
+    the lines are independent.
+    """
+    by_chance = thresholds.noise_deviations * np.sqrt(1.5 / max(evidence.noise_bins, 1.0)) / np.log(2.0)
+    return float(max(evidence.floor**2, max(thresholds.min_excess, by_chance) * evidence.stated))
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:

@@ -27,8 +27,11 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 
 JUMP = "at rest at 0 V, from which the first command jumps"
 MOVING = "amid a motion: state of the dynamics estimated"
-JUMP_ROWS, JUMP_SHARE = 4096, 0.8
-"""First rows that tell whether a record begins so, and the share of their square error, beside a drift, that may be left at most."""
+BEGINNING_ROWS, AT_REST_SHARE, OTHER_SHARE = 4096, 0.5, 0.8
+"""First rows that tell whether a record begins so, and the share of their square error that may be left at most, beside a drift.
+
+The first one is for a record that its hysteresis has begin at rest: what a model lacks in the first motion is no motion from before.
+"""
 OFFSET_SHARE = 0.02
 """Share of the mean square error that a common offset makes where the model states it."""
 
@@ -54,8 +57,8 @@ def residual_from(model: Model, data: Record) -> Array:
 def with_state(model: Model, data: Record) -> Record:
     """The record, known to begin at rest at 0 V, from which its first command jumps, or amid a motion, if that fits far better."""
     memory, begin = before(data)
-    end = begin + JUMP_ROWS
-    if begin > JUMP_ROWS or not model.chain.stages:
+    end = begin + BEGINNING_ROWS
+    if begin > BEGINNING_ROWS or not model.chain.stages:
         return data
     first = data.rows(0, end)
 
@@ -63,12 +66,12 @@ def with_state(model: Model, data: Record) -> Record:
         error = residual_from(model, replace(first, start=start))
         return float(np.sum(without_zero(error)[0] ** 2))
 
-    least = left(Beginning("", memory, begin))
+    least, share = left(Beginning("", memory, begin)), AT_REST_SHARE if data.start == "settled" else OTHER_SHARE
     others = [Beginning(MOVING, memory, begin, moving=True)]
     if np.any(data.command[0]):
         others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
     for other in others:
-        if (found := left(other)) < JUMP_SHARE * least:
+        if (found := left(other)) < share * least:
             data, least = replace(data, start=other), found
     return data
 

@@ -25,7 +25,7 @@ MOST_LEFT = 0.5
 """Share of an error's energy that its free motion may leave where there is one."""
 GONE = 1e-9
 """Share of the largest free motion under which it has died away."""
-SMALLEST = 1e-10
+SMALLEST = 1e-4
 """Relative singular value from which a motion is estimated beside the others and the session's zero and drift."""
 
 

@@ -46,7 +46,7 @@ class HoldErrors(NamedTuple):
 
 
 def hold_errors(data: Record) -> HoldErrors:
-    """What play operators or linear dynamics, whichever leave less, make of a record with either hold."""
+    """Errors that play operators or linear dynamics, whichever leave less, make of a record with either hold."""
     memory, begin = before(with_beginning(data))
     end = min(begin + ROWS, len(data.command))
     moving = [axis for axis in range(data.command.shape[1]) if np.ptp(data.command[:, axis]) > 0.0]
