@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from hyst_control.identify import identify
 from hyst_control.identify.data.hold_choice import hold_errors
@@ -70,3 +71,16 @@ def test_the_terminal_shows_five_notes():
     fit.report["notes"][:] = [f"number {k}" for k in range(9)]
     lines = [line for line in Result(fit, None).text().splitlines() if line.startswith("  note:")]
     assert len(lines) == MAX_NOTES and lines[-1] == "  note: 5 more are in the report (--json)"
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_the_hold_of_axes_that_drive_each_other_is_told(hold):
+    """Two lags; the other axis makes a fifth of each motion, many times what the holds differ by."""
+    random, step = np.random.default_rng(3), 2e-3
+    top, bottom, _ = signal.cont2discrete(([1.0], [0.012, 1.0]), step, hold)
+    command = signal.lfilter([0.3], [1.0, -0.7], random.normal(size=(3000, 2)), axis=0)
+    answers = signal.lfilter(top.ravel(), bottom, command @ [[1.0, 0.2], [-0.2, 1.0]], axis=0)
+    measured = answers + 1e-3 * np.ptp(answers) * random.normal(size=answers.shape)
+    errors = hold_errors(sampled_record("two", command, measured, step, ("x", "y"), "um", start="settled"))
+    assert errors.own_row == (hold == "foh")
+    assert errors.same < 1.1 * np.sqrt(2) * 1e-3 or hold == "zoh"

@@ -98,10 +98,10 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:
-    """Energy beyond what is due that counts: more than is worth naming, and than chance makes of the noise's own estimate.
+    """Least energy beyond what is due that counts: more than the practical floor, and more than the noise's estimate is uncertain by.
 
-    A median over n lines of an exponential distribution has the relative standard error 1 / (ln 2 sqrt(n)); of Hann's window two thirds of
-    the lines are independent.
+    The noise is a median over n spectral lines, whose relative standard error is 1 / (ln 2 sqrt(n)). With Hann's window two thirds of the
+    lines are independent.
     """
     by_chance = thresholds.noise_deviations * np.sqrt(1.5 / max(evidence.noise_bins, 1.0)) / np.log(2.0)
     return float(max(evidence.floor**2, max(thresholds.min_excess, by_chance) * evidence.stated))

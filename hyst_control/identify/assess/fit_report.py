@@ -28,9 +28,9 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 JUMP = "at rest at 0 V, from which the first command jumps"
 MOVING = "amid a motion: state of the dynamics estimated"
 BEGINNING_ROWS, AT_REST_SHARE, OTHER_SHARE = 4096, 0.5, 0.8
-"""First rows that tell whether a record begins so, and the share of their square error that may be left at most, beside a drift.
+"""First rows that tell whether a record begins so, and the share of their square error, beside a drift, that may be left at most.
 
-The first one is for a record that its hysteresis has begin at rest: what a model lacks in the first motion is no motion from before.
+The smaller share is for a record whose hysteresis begins at rest: there the error of the first rows is mostly the model's own.
 """
 OFFSET_SHARE = 0.02
 """Share of the mean square error that a common offset makes where the model states it."""

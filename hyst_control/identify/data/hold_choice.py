@@ -79,8 +79,8 @@ def _play_states(data: Record, memory: Array | None, axis: int, end: int) -> Arr
 def _left_by_poles(command: Array, measurement: Array) -> tuple[Array, bool]:
     """Held-out mean square errors, shares of the range, of linear dynamics from the commands (N, A) of the row before and of the same.
 
-    With poles enough either explains a record to its noise, so that Schwarz's price of a parameter is put on the errors of few and many.
-    The second value tells whether the latter leave nothing but white noise.
+    With enough poles either command explains a record to its noise, so Schwarz's criterion puts a price on each parameter. The second value
+    is true where the commands of the same row leave nothing but white noise.
     """
     measurement = measurement[1:]
     count, axes = len(measurement), command.shape[1]

@@ -92,7 +92,10 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
 
 
 def _with_delay_and_gain(expected: Array, measured: Array) -> Array:
-    """What is expected (N, A), at the delay, of parts of a row, and with the gain, offset and drift that fit the measurement best."""
+    """The expected motion (N, A), delayed and scaled to fit the measurement best, with an offset and a drift added.
+
+    The delay may be a part of a row: it is a sum of three neighboring ones.
+    """
     found = np.empty_like(expected)
     line = [np.ones(len(expected)), np.linspace(-1.0, 1.0, len(expected))]
     for index, (one, other) in enumerate(zip(expected.T, measured.T, strict=True)):
