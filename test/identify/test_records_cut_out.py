@@ -179,3 +179,26 @@ def test_beside_a_baseline_record_cut_out_as_well_nothing_is_named(seed):
     today, before = (replace(whole.rows(begin, begin + 1500), start="auto", source=str(begin)) for begin in (1500, 0))
     report, *_ = diagnosed([today], model, baseline=[before], cache=False)
     assert report["verdict"] == "no_gap"
+
+
+def test_no_mode_of_coupled_axes_rings_between_the_lines_of_a_command():
+    """Axes driven one after the other in a band, whose commands jump to rest: simulated beside the true answer, all is the noise."""
+    random, half, step = np.random.default_rng(1), 2000, 1e-4
+    command = np.zeros((2 * half, 2))
+    for axis in range(2):
+        lines = random.choice(np.arange(1, 300), 40, replace=False)
+        waves = [np.cos(2 * np.pi * line * np.arange(half) / half + random.uniform(0, 6.28)) for line in lines]
+        command[axis * half : (axis + 1) * half, axis] = np.sum(waves, axis=0)
+    fast = 5059.0
+    plants = ([fast**2], [1, 0.394 * fast, fast**2]), ([1957.0], [1, 1957.0])
+    answers = []
+    for plant, gains in zip(plants, ([6.6, 0.2], [-0.5, 6.6]), strict=True):
+        b, a, _ = signal.cont2discrete(plant, step, "foh")
+        driven = command @ gains
+        answers.append(signal.lfilter(b.ravel(), a, driven, zi=signal.lfilter_zi(b.ravel(), a) * driven[0])[0])
+    answer = np.stack(answers, axis=1)
+    sigma = 2e-3 * np.ptp(answer)
+    noisy = answer + sigma * random.normal(size=answer.shape)
+    fit = identify([sampled_record("two", command, noisy, step, ("x", "y"), "um", "zoh", "auto")], "linear")
+    for axis, row in enumerate(fit.report["records"]):
+        assert row["nrmse_own_zero"] < 110.0 * sigma / np.ptp(noisy[:, axis])
