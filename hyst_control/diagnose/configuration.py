@@ -275,8 +275,11 @@ class BaselineSettings:
     # share of the range, rms: difference up to which a model carries its error from one command to another
     similar_command: float = 0.02
     overlap: float = 0.5  # share of the new record: least part of it in which they are
+    # by which a model's error changes where a command changes by its own motion: median of 90 pairs of drawn machines and commands
+    error_slope: float = 8.0
     similar_overlap: float = 0.9  # share of the new record: the same of a command that is similar only
-    zero_share: float = 0.3  # share of the range: standard deviation of the zero, drift and curvature of a session
+    # share of the range: standard deviation of the zero, drift and curvature of a session
+    zero_share: tuple[float, ...] = (0.3, 0.05, 0.05)
     # share of its bins: independent values of a model discrepancy whose spectrum a model file states
     stated_independent: float = 0.05
     # share of the mean slope: standard deviation of the weights by which the initial memory of sessions differs

@@ -18,6 +18,9 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import with_mechanics
 
+STEP = 1.065
+"""Ratio of the frequencies at which a search begins: about the width of a mode as damped as the starts are."""
+
 
 @register
 @dataclass(frozen=True)
@@ -76,16 +79,17 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Frequencies up to the sampling's half, and as far down as the record shows a few periods.
+    """Frequencies up to the sampling's half, and as far down as the record shows ten periods: fewer tell no mode from what is slow.
 
     deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
     part would be a gain.
     """
     nyquist = 0.5 / around.sample_time
-    lower, upper = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist), 0.95 * nyquist
-    starts = tuple(np.geomspace(max(min(200.0, 0.2 * nyquist), lower), 0.8 * nyquist, 60))
+    lower, upper = min(10.0 / around.duration, 0.05 * nyquist), 0.95 * nyquist
+    count = 1 + int(np.ceil(np.log(0.8 * nyquist / lower) / np.log(STEP)))
+    starts = tuple(np.geomspace(lower, 0.8 * nyquist, count))
     return (
-        Parameter("frequency", "Hz", starts[30], starts, lower, upper, 1.0, True),
+        Parameter("frequency", "Hz", starts[count // 2], starts, lower, upper, 1.0, True),
         Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),
         Parameter("gain", "", 0.0, (0.01,), -1.0, 1.0, 0.1, is_size=True),
         Parameter("quadrature", "", 0.0, (0.0,), -1.0, 1.0, 0.03, told=False),

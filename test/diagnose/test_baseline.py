@@ -142,6 +142,41 @@ def test_a_change_is_named_beside_a_clean_record_of_the_same_command(name):
     assert report["baseline"]["same_command"]
 
 
+@pytest.mark.parametrize("factor", [1.02, 1.04])
+def test_a_healthy_machine_at_a_similar_command_has_no_gap(factor):
+    """What a model leaves at a command is not what it leaves at 1.02 times that, as a loop asks for when the gain has changed."""
+    command = sines(50.0)
+    new, clean = record(factor * command, machine(factor * command, 1), "new"), record(command, machine(command, 2), "clean")
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean], without=WITHOUT)
+    assert report["verdict"] == "no_gap"
+    late_by = record(factor * command, machine(factor * command, 1, sensor=late(2e-3)), "new")
+    report, *_ = diagnosed([late_by], MODEL, cache=False, baseline=[clean], without=WITHOUT)
+    assert report["verdict"] == "effect" and report["effects"][0]["name"] == "delay"
+    assert report["effects"][0]["parameters"]["tau"]["value"] == pytest.approx(2e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_drift_of_a_whole_range_is_no_session_where_an_effect_explains_the_record(seed):
+    """A slew limit on a single slow climb: a parabola of a session's zero resembles it."""
+    random, time = np.random.default_rng(seed), np.arange(int(2.0 * RATE)) / RATE
+    levels = np.append(0.0, np.cumsum(random.uniform(2.0, 14.0, 5)))
+    command = np.interp(time, np.linspace(0.0, 2.0, 13), np.append(levels, levels[-1] + random.uniform(-8.0, 8.0, 7)))
+    most = 0.5 * np.abs(np.diff(command)).max()
+
+    def limited(u):
+        found = u.copy()
+        for k in range(1, len(u)):
+            found[k] = found[k - 1] + np.clip(u[k] - found[k - 1], -most, most)
+        return found
+
+    clean = [record(sines(frequency), machine(sines(frequency), 9), f"{frequency} Hz") for frequency in (20.0, 50.0)]
+    new = record(command, machine(command, 1, drive=limited), "new")
+    without = [name for name in WITHOUT if name != "slew_limit"]
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, without=without)
+    first = report["effects"][0]
+    assert first["name"] == "slew_limit" and first["parameters"]["rate"]["value"] == pytest.approx(most * RATE, rel=0.1)
+
+
 def test_a_clean_record_shows_its_session_at_most():
     command = sines(50.0)
     new, clean = record(command, machine(command, 3), "new"), record(command, machine(command, 4), "clean")

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from hyst_control.records.record import Record, Signal
+from hyst_control.records.validity.beside_model import refutes
 from hyst_control.records.validity.checks import check_records, examined
 from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
 from hyst_control.records.validity.findings import Trial
@@ -208,3 +209,22 @@ def test_a_drift_larger_than_the_motion_is_no_unplugged_sensor():
     drift = 2.0 * (rows / 1600) ** 1.5
     assert names(command, answer(command) + drift + NOISE[:1600])[0] == set()
     assert names(command, drift + NOISE[:1600])[0] == {"unplugged_sensor"}
+
+
+@pytest.mark.parametrize("limit", [np.inf, 6.0])
+def test_a_model_refutes_what_it_explains_less(limit):
+    """Command and measurement of a closed loop tell each other either way; a model of the machine knows which one came first."""
+
+    def simulate(command, step):
+        return answer(command[:, 0], step, 0.05)[:, None]
+
+    def made(command, measured):
+        return trial(command, measured, simulated=simulate(command[:, None], STEP), simulate=simulate)
+
+    sound = made(COMMAND, np.minimum(answer(COMMAND, lag=0.05), limit) + NOISE)
+    assert all(refutes(sound, 0, name) for name in ("reversed_time", "reversed_command", "swapped_signals"))
+    assert not refutes(sound, 0, "dead_sensor")
+    backwards = made(COMMAND[::-1].copy(), sound.measurement[::-1, 0])
+    assert not refutes(backwards, 0, "reversed_time")
+    assert not refutes(made(COMMAND[::-1].copy(), sound.measurement[:, 0]), 0, "reversed_command")
+    assert not refutes(made(sound.measurement[:, 0], COMMAND), 0, "swapped_signals")

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Annotated, Any
 
 import numpy as np
@@ -48,6 +49,7 @@ from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, sp
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.correlation import correlation_length
 from hyst_control.records.record import Record
+from hyst_control.records.repeated_periods import is_same
 from hyst_control.records.session_zero import SHAPES, usual_zero, without_zero
 
 
@@ -106,7 +108,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     """Make the baseline of a problem from baseline records."""
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
     if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
-        # What a model leaves changes little from one command to a similar one, and its simulation knows the difference.
+        # Of what a model leaves a part is the same on a similar command, and its simulation knows the difference.
         matches = [
             matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
         ]
@@ -212,6 +214,7 @@ def _carried(
     run_to_run: list[Array] = []
     zeros: list[Array] = []
     noises: list[Array] = []
+    unlike: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
         filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
@@ -238,6 +241,8 @@ def _carried(
         quiet, left = without_noise(mean, np.fmin(repeating, differing))
         series.append(quiet)
         noises.append(left)
+        if apart := max(_apart(piece.command, match, settings) for match in found):
+            unlike.append(min(settings.error_slope * apart, 1.0) * without_zero(quiet[kept])[0])
         differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
         run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
@@ -261,21 +266,36 @@ def _carried(
     if not differences:  # one record tells nothing of the next one
         motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
         floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+    own_error = alone if differences else floor
+    spectra = [
+        ErrorSpectrum.of(errors, problem.sample_time, longest, lowest_frequency(problem), factor)
+        for errors, factor in ((run_to_run, both**2), (unlike, 1.0))
+        if errors
+    ]
+    if unlike:
+        spread = np.sqrt(np.mean(np.concatenate(unlike) ** 2, axis=0))
+        own_error, floor = np.hypot(own_error, spread), np.hypot(floor, settings.same_floor * spread)
     model = replace(problem.model.with_stages((*stages, zero)), tolerance={}, uncertainty={}, noise={"sigma": noise.tolist()})
     beside = replace(
         problem,
         model=model,
         pieces=tuple(pieces),
         lowest_frequency=lowest_frequency(problem),
-        own_error=alone if differences else floor,
+        own_error=own_error,
         own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
-        own_spectrum=ErrorSpectrum.of(run_to_run, problem.sample_time, longest, lowest_frequency(problem), both**2)
-        if run_to_run
-        else None,
+        own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,
     )
     own = np.concatenate([without_zero(rows)[0] for rows in series])
     error = np.sqrt(np.mean(own**2, axis=0))
     return Baseline(beside, True, repeatability, usual, floor, clean, error)
+
+
+def _apart(command: Array, match: Match, settings: BaselineSettings) -> float:
+    """Distance of a command from a baseline record's, in rms of its motion; 0 where both are the same."""
+    own, other = command[match.begin : match.end], match.clean.command[match.begin + match.shift : match.end + match.shift]
+    if is_same(own, other, settings.same_command):
+        return 0.0
+    return float(np.sqrt(np.mean((own - other) ** 2) / np.mean((own - own.mean(axis=0)) ** 2)))
 
 
 def _fills_memory(
@@ -333,6 +353,6 @@ def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSetting
     gaps = [piece.measurement - simulated_rows(problem, i, piece) for i, piece in enumerate(problem.pieces)]
     zeros = np.array([without_zero(rows)[1] for rows in gaps])
     known = np.where(np.abs(zeros - mean) < np.abs(zeros), mean, 0.0)
-    scale = np.repeat((settings.zero_share * spans)[:, None], len(SHAPES), axis=1)
+    scale = np.array(settings.zero_share) * spans[:, None]
     scale[:, 0] = np.maximum(scale[:, 0], np.max(np.abs(zeros - known)[:, :, 0], axis=0))
     return SessionZero.usual(scale, durations, known)

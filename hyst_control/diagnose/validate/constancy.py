@@ -64,7 +64,7 @@ def distortions(linearized: Linearized, scored: FittedHypothesis, temper: float)
             distorted = variable * added
             left = projected(distorted)
             size = float(distorted @ left)
-            if not (is_bounded(distorted) and energy > 0.0) or size < MIN_LEFT * float(distorted @ distorted):
+            if not (is_bounded(distorted) and size > MIN_LEFT * float(distorted @ distorted)):
                 continue  # this record cannot tell
             along = float(left @ solution.residual)
             certain = max(temper, effective_sample_weight(problem, solution.residual - along / size * left)) * problem.weight

@@ -63,6 +63,10 @@ class ErrorSpectrum:
             power += factor / len(errors) * np.stack([np.interp(frequencies, at, column) for column in own.T], axis=1)
         return cls(frequencies, power, np.sqrt(noise))
 
+    def with_further(self, other: ErrorSpectrum) -> ErrorSpectrum:
+        """Add an error that has nothing to do with this one, at the same frequencies."""
+        return ErrorSpectrum(self.frequencies, self.power + other.power, np.maximum(self.noise, other.noise))
+
     def with_slow_part(self, known: ErrorSpectrum, excited: Annotated[Array, "F A"]) -> ErrorSpectrum:
         """Replace the slow part by that of fewer rows, up to where this spectrum first falls below the white noise.
 

@@ -91,6 +91,25 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
     return None if rate is None else ("wrong_rate", rate)
 
 
+def refutes(trial: Trial, index: int, name: str) -> bool:
+    """True where a model explains an axis as it is, and less of it read backwards or exchanged, which a model of no physics asks for.
+
+    In a closed loop the command follows from the measurement before, so that the one tells the other either way.
+    """
+    if trial.simulate is None or trial.simulated is None or name not in ("reversed_time", "reversed_command", "swapped_signals"):
+        return False
+    command, measured = trial.command[:LONGEST], trial.measurement[:LONGEST]
+    own = misfit(trial.simulated[:LONGEST, index], measured[:, index])
+    if name == "swapped_signals":
+        other = misfit(trial.simulate(measured, trial.sample_time)[:, index], command[:, index])
+    else:
+        backwards = trial.simulate(command[::-1], trial.sample_time)[:, index]
+        other = misfit(backwards[::-1], measured[:, index])
+        if name == "reversed_command":
+            other = min(other, misfit(backwards, measured[:, index]))
+    return own < UNEXPLAINED and not other < own
+
+
 def _with_delay_and_gain(expected: Array, measured: Array) -> Array:
     """The expected motion (N, A), delayed and scaled to fit the measurement best, with an offset and a drift added.
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra
-from hyst_control.records.validity.beside_model import model_findings
+from hyst_control.records.validity.beside_model import model_findings, refutes
 from hyst_control.records.validity.causality import direction_findings
 from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
 from hyst_control.records.validity.findings import NOTES, Finding, Trial
@@ -77,7 +77,7 @@ def _of_trial(trial: Trial) -> list[Finding]:
 
 def _of_axis(trial: Trial, left: CondensedRows, index: int, dead: Finding | None) -> list[Finding]:
     """Findings on an axis that moves: the first reason to refuse it, and notes."""
-    found = direction_findings(trial, left, index)
+    found = [each for each in direction_findings(trial, left, index) if not refutes(trial, index, each.name)]
     if dead is not None and not any(each.name == "swapped_signals" for each in found):
         return [dead]
     return [*found, *_facts(trial, index)]

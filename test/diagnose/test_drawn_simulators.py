@@ -1,0 +1,54 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnosis of plain Python simulators beside records that SciPy made: effects where no shipped machine has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+import hyst_control as hc
+
+RATE, ROWS = 1000.0, 4000
+TIME = np.arange(ROWS) / RATE
+
+
+def mode(rows, frequency, damping, static):
+    w = 2 * np.pi * frequency
+    top, bottom, _ = cont2discrete(([static * w * w], [1.0, 2 * damping * w, w * w]), 1 / RATE, "foh")
+    return static * rows[0] + lfilter(np.ravel(top), bottom, rows - rows[0])
+
+
+def simulate(command, sample_time, gain):
+    return gain * np.append(command[0], command[:-1])
+
+
+def diagnosed(command, measured):
+    random = np.random.default_rng(5)
+    record = hc.from_arrays(command, measured + 0.01 * random.standard_normal(ROWS), rate=RATE, hold="zoh")
+    return hc.diagnose(record, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False)
+
+
+@pytest.mark.parametrize("frequency", [11.0, 47.0])
+def test_a_mode_is_found_wherever_the_record_shows_ten_periods(frequency):
+    """Search began at 100 Hz for a record of 1 kHz, and at 200 Hz for a faster one."""
+    random = np.random.default_rng(2)
+    lines = np.arange(1, 400)
+    phases = random.uniform(0, 2 * np.pi, len(lines))
+    command = 50.0 + 2.0 * np.cos(2 * np.pi * np.outer(TIME, lines / 4.0) + phases).sum(axis=1)
+    truth = simulate(command, 1 / RATE, 0.1)
+    found = diagnosed(command, truth + mode(truth, frequency, 0.02, 0.05))
+    assert [effect["name"] for effect in found.document["effects"]] == ["resonance"]
+    values = found.document["effects"][0]["parameters"]
+    assert values["frequency"]["value"] == pytest.approx(frequency, rel=0.01)
+    assert values["gain"]["value"] == pytest.approx(0.05, rel=0.15)
+
+
+def test_a_delay_that_acts_where_the_command_rests_is_tested_without_an_error():
+    """What a part of a row of delay changes stands in rows whose command does not move: no size can change with its direction there."""
+    command = np.repeat(np.random.default_rng(1).choice([10.0, 90.0], ROWS // 20), 20)
+    truth = simulate(command, 1 / RATE, 0.1)
+    found = diagnosed(command, 0.9 * truth + 0.1 * np.append(truth[0], truth[:-1]))
+    assert [effect["name"] for effect in found.document["effects"]] == ["delay"]
+    assert found.document["effects"][0]["parameters"]["tau"]["value"] == pytest.approx(1e-4, rel=0.05)
