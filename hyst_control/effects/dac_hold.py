@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -142,6 +143,13 @@ def stage(values: Values, around: Surroundings) -> DacHold:
     return DacHold(samples, values.get("step", 0.0), phase, rounding)
 
 
+def distinct(values: Mapping[str, float], commands: Sequence[Array]) -> bool:
+    """A hold that takes every step of the commands equally late is a delay."""
+    steps = [np.flatnonzero(np.any(np.diff(command, axis=0), axis=1)) + 1 for command in commands]
+    late = np.concatenate([(values["phase"] - at) % values["samples"] for at in steps])
+    return values["samples"] == 1.0 or len(np.unique(late)) > 1
+
+
 EFFECT = Effect(
     "dac_hold",
     "dac",
@@ -149,6 +157,7 @@ EFFECT = Effect(
     parameters,
     stage,
     variants=variants,
+    distinct=distinct,
     record_check=RecordCheck.COMMAND_LATTICE,
     exercised=lambda around: around.slew > 0,
     phrase="a held or coarsely rounded command",

@@ -147,6 +147,8 @@ class Effect:
     # Realizations that differ in numbers that are not fitted, such as an order, a phase or a manner of rounding: values of
     # these numbers, each tried with the effect's other parameters fitted. Values of all parameters leave nothing to fit
     variants: Callable[[Surroundings], tuple[Mapping[str, float], ...]] = lambda _: ({},)
+    # Whether a realization differs from a simpler effect on these commands, each (N, A)
+    distinct: Callable[[Mapping[str, float], Sequence[Array]], bool] = lambda *_: True
     summary: Callable[[Values], dict[str, float]] = lambda _: {}  # What the gap report has of parameters that are not told
     line: Line | None = None  # Of an effect that is one in the spectrum
     further_lines: tuple[Line, ...] = ()  # Other shapes that it may have there

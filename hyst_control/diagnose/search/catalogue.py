@@ -22,6 +22,7 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
     others = 0 if problem.pieces[0].others is None else problem.pieces[0].others.shape[1]
     surroundings = replace(problem.surroundings, axes=count + others)
     axes: list[int | None] = [None] if count == 1 else [None, *range(count)]
+    commands = [piece.command for piece in problem.pieces]
     found: list[Member] = []
     for name, effect in EFFECTS.items():
         if name in without or (not effect.waveform and effect.line is None) or not effect.exercised(surroundings):
@@ -46,6 +47,8 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
                 fitted = tuple(parameter for parameter in own if parameter.name not in fixed)
                 if any(parameter.suggested for parameter in fitted) and not suggested.get(name):
                     continue  # nothing of the kind in this record
+                if not effect.distinct(fixed, commands):
+                    continue
                 found.append(Member(effect, fitted, problem, axis, fixed=tuple(fixed.items())))
         if effect.separate_sizes and count > 1:
             found.append(Member(effect, count * parameters, problem, separate_sizes=True))

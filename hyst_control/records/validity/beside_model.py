@@ -36,6 +36,8 @@ MIN_SHIFT = 3
 MIN_SECTION = 256
 """Rows of a section of a record in which a shift is looked for."""
 MAX_AXES = 4
+REFUTABLE = ("reversed_time", "reversed_command", "swapped_signals", "unrelated_measurement", "unplugged_sensor")
+"""Findings that a model of the machine may refute."""
 
 
 def misfit(expected: Array, measured: Array) -> float:
@@ -94,12 +96,15 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
 def refutes(trial: Trial, index: int, name: str) -> bool:
     """True where a model explains an axis as it is, and less of it read backwards or exchanged, which a model of no physics asks for.
 
-    In a closed loop the command follows from the measurement before, so that the one tells the other either way.
+    In a closed loop the command follows from the measurement before, so that the one tells the other either way. What a model explains
+    is not unrelated to its command, however little of it is linear.
     """
-    if trial.simulate is None or trial.simulated is None or name not in ("reversed_time", "reversed_command", "swapped_signals"):
+    if trial.simulate is None or trial.simulated is None or name not in REFUTABLE:
         return False
     command, measured = trial.command[:LONGEST], trial.measurement[:LONGEST]
     own = misfit(trial.simulated[:LONGEST, index], measured[:, index])
+    if name in ("unrelated_measurement", "unplugged_sensor"):
+        return own < UNEXPLAINED
     if name == "swapped_signals":
         other = misfit(trial.simulate(measured, trial.sample_time)[:, index], command[:, index])
     else:
