@@ -59,9 +59,8 @@ class BegunFilter(Filter):
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Play up to half of the stroke, from several starts: a linear step from a narrow one says little of a wide one."""
     size = around.stroke
-    scale = 0.01 * size if around.lowest_frequency is None else 0.05 * size
     return (
-        Parameter("half_width", "unit", 0.0, (0.002 * size, 0.01 * size, 0.05 * size, 0.2 * size), 0.0, 0.5 * size, scale),
+        Parameter("half_width", "unit", 0.0, (0.002 * size, 0.01 * size, 0.05 * size, 0.2 * size), 0.0, 0.5 * size, 0.05 * size),
         Parameter("start", "", 0.0, (-0.7, 0.7, -0.7, 0.7), -1.0, 1.0, 0.5, told=False),
         Parameter("begun", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
     )

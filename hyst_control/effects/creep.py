@@ -54,10 +54,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Size, and the span of time constants: of no ladder the record shows more than its length and sampling."""
     least, most = 10.0 * around.sample_time, 2.0 * around.duration
     starts = tuple(float(np.clip(begin, least, most)) for begin in (0.1, 0.01, 0.3 * around.duration))
-    # Beside the model discrepancy an effect is as large as physics allows, and few samples would hold a narrow prior against it.
-    scale = 0.02 if around.lowest_frequency is None else 0.05
     return (
-        Parameter("gamma", "", 0.0, (0.01, 0.01, 0.03), -0.5, 0.5, scale),
+        Parameter("gamma", "", 0.0, (0.01, 0.01, 0.03), -0.5, 0.5, 0.05),
         Parameter("begin", "s", starts[0], starts, least, most, 1.5, True, told=False),
         Parameter("decades", "", 4.0, (4.0, 4.0, 0.8), 0.4, 6.0, 2.0, told=False),
     )

@@ -7,11 +7,12 @@ One file in this package is one effect. It defines the effect's stage where the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from hyst_control.base.arrays import Array
 from hyst_control.chain.stage import Stage
 
 PLACES = ("dac", "drive", "hysteresis", "piezo", "mechanics", "motion", "sensor", "adc", "transport")
@@ -55,9 +56,7 @@ class Surroundings:
     slew: float  # V/s, the largest of the command
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
-    # Lowest frequency (Hz) that the command excites, where baseline records keep the model discrepancy apart, so that effects
-    # may be as large as physics allows; None where they do not
-    lowest_frequency: float | None = None
+    lowest_frequency: float = 1.0  # Hz, that the command excites
     # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above
     # 1 stands for two real poles
     modes: tuple[tuple[float, float], ...] = ()

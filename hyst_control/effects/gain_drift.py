@@ -214,12 +214,8 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Change over the record, beside the model discrepancy from a fifth of the gain to five times as much."""
-    change = (
-        Parameter("change", "", 0.0, (0.01,), -0.3, 0.3, 0.03)
-        if around.lowest_frequency is None
-        else Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
-    )
+    """Change over the record, from a fifth of the gain to five times as much."""
+    change = Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
     return change, *drift_parameters(around, min(0.05 * around.duration + around.moved, around.duration))
 
 

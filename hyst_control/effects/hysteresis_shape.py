@@ -19,6 +19,8 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 
+REACH, USUAL = 0.25, 0.05
+"""Largest and usual bend, in shares of the stroke."""
 CUBIC = 12.0 * float(np.sqrt(3.0))
 """Makes the cubic 1 at its greatest."""
 BEND = """
@@ -136,26 +138,14 @@ def shape(values: Values, around: Surroundings) -> HysteresisShape:
     return HysteresisShape(even, lower, max(upper, lower + 1e-6), odd=odd, tilt=tilt, behind=behind)
 
 
-def _reach(around: Surroundings) -> float:
-    """Largest bend, in shares of the stroke."""
-    return 0.1 if around.lowest_frequency is None else 0.25
-
-
-def _usual(around: Surroundings) -> float:
-    """Usual bend, in shares of the stroke."""
-    return 0.2 * _reach(around)
-
-
 EFFECT = Effect(
     "hysteresis_shape",
     "hysteresis",
     "The single-valued curve under the loops is bent, evenly or oddly, or tilted.",
     lambda around: (
-        Parameter("even", "", 0.0, (0.005,), -_reach(around), _reach(around), _usual(around), told=False),
-        Parameter("odd", "", 0.0, (0.0,), -_reach(around), _reach(around), _usual(around), told=False, is_size=True),
-        Parameter(
-            "tilt", "", 0.0, (0.0,), -2.0 * _reach(around), 2.0 * _reach(around), 1.5 * _usual(around), told=False, is_size=True
-        ),
+        Parameter("even", "", 0.0, (0.005,), -REACH, REACH, USUAL, told=False),
+        Parameter("odd", "", 0.0, (0.0,), -REACH, REACH, USUAL, told=False, is_size=True),
+        Parameter("tilt", "", 0.0, (0.0,), -2.0 * REACH, 2.0 * REACH, 1.5 * USUAL, told=False, is_size=True),
         Parameter("behind", "", 0.0, (0.0, 1.0), 0.0, 1.0, 1.0, told=False),
     ),
     shape,

@@ -166,20 +166,11 @@ def lowpass_system(cutoff: float, order: int, damping: float = 1.0) -> LinearSys
 
 
 def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Cutoff, order, and the damping of one of second order, as a record shows them.
-
-    The cutoff goes from what the record is just long enough to show up to what its sampling hardly does; beside baseline records from a
-    tenth of the lowest excited frequency.
-    """
-    nyquist = 0.5 / around.sample_time
-    if around.lowest_frequency is not None:
-        starts = tuple(np.geomspace(0.3 * around.lowest_frequency, nyquist, 6).tolist())
-        lower = 0.1 * around.lowest_frequency
-    else:
-        starts = tuple(share * nyquist for share in (0.03, 0.2, 0.7))
-        lower = min(3.0 / around.duration, 0.01 * nyquist)
+    """Cutoff, order, and the damping of one of second order: from a tenth of the lowest excited frequency to what sampling hardly shows."""
+    nyquist, slowest = 0.5 / around.sample_time, around.lowest_frequency
+    starts = tuple(np.geomspace(0.3 * slowest, nyquist, 6).tolist())
     return (
-        Parameter("cutoff", "Hz", np.inf, starts, lower, nyquist, 1.5, logarithmic=True),
+        Parameter("cutoff", "Hz", np.inf, starts, 0.1 * slowest, nyquist, 1.5, logarithmic=True),
         Parameter("order", "", 1.0, (1.0, 2.0), 1.0, 2.0, 1.0),
         Parameter("damping", "", 1.0, (0.9,), 0.4, 1.1, 0.3, told=False),
     )

@@ -74,34 +74,24 @@ class SensorNonlinearity(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """second, third: up to 5 % of the stroke, fourth, fifth: up to 2 %; beside the model discrepancy up to all that is measured.
+    """second, third: up to the stroke, fourth, fifth: up to 40 % of it; no bend is larger than what is measured.
 
-    ratio: of the constant to the first two's root sum square.
-
-    The terms belong to a range that nobody tells. Over the record's the same bend has other terms: a slope, which the model's gain
-    takes up, and a constant, which would look like an offset. It goes with the bend, so that an offset alone is none. Beside clean
-    records, where no coefficient takes the slope up, slope is its ratio to the same root sum square.
+    ratio: of the constant to the first two's root sum square. The terms belong to a range that nobody tells. Over the record's the same
+    bend has other terms: a slope, which is its ratio to the same root sum square where no coefficient takes it up, and a constant, which
+    would look like an offset. It goes with the bend, so that an offset alone is none.
     """
     size = around.stroke
-    wide = 1.0 if around.lowest_frequency is None else 5.0
-    # No bend is larger than what is measured; how large a usual one is does not depend on that.
-    most, fewer, usual = (
-        (0.05 * size, 0.02 * size, 0.002 * size) if around.lowest_frequency is None else (size, 0.4 * size, 0.01 * size)
-    )
     return (
-        *(
-            Parameter(name, "unit", 0.0, (0.002 * size,), -most, most, 0.01 * wide * size, is_size=True)
-            for name in ("second", "third")
-        ),
+        *(Parameter(name, "unit", 0.0, (0.002 * size,), -size, size, 0.05 * size, is_size=True) for name in ("second", "third")),
         Parameter("ratio", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
-        *(Parameter(name, "unit", 0.0, (0.0,), -fewer, fewer, usual, told=False) for name in ("fourth", "fifth")),
-        *([Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False)] if around.lowest_frequency is not None else []),
+        *(Parameter(name, "unit", 0.0, (0.0,), -0.4 * size, 0.4 * size, 0.01 * size, told=False) for name in ("fourth", "fifth")),
+        Parameter("slope", "", 0.0, (0.0,), -8.0, 8.0, 2.0, told=False),
     )
 
 
 def variants(around: Surroundings) -> tuple[Values, ...]:
-    """Beside baseline records also the second and third term alone: more are not identifiable beside the model discrepancy."""
-    return ({},) if around.lowest_frequency is None else ({}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0})
+    """All terms, and the second and third alone: more are not identifiable beside a model discrepancy."""
+    return {}, {"ratio": 0.0, "fourth": 0.0, "fifth": 0.0, "slope": 0.0}
 
 
 def stage(values: Values, around: Surroundings) -> SensorNonlinearity:

@@ -66,7 +66,7 @@ def test_of_the_realizations_of_a_pair_the_one_of_fewest_parameters_is_fitted():
     x = COMMAND / 10.0
     bent = COMMAND + 0.2 * (2.5 * x**3 - 1.5 * x) + 0.06 * (1.5 * x**2 - 0.5)  # Legendre polynomials of degree 3 and 2
     noise = NOISE * np.random.default_rng(0).standard_normal(bent.shape)
-    linearized, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, lowest_frequency=3.0))
+    linearized, members = prepared(problem_of(bent * (1.0 + 0.03 * TIME[:, None] / TIME[-1]) + noise, beside_error=True))
     ((candidate, start),) = pairs_of(linearized, members, 1, 4)
     assert set(candidate.names) == {"gain_drift", "sensor_nonlinearity"}
     assert len(start) == 3  # two degrees of the bend, and what the gain drifts by
@@ -80,7 +80,7 @@ def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():
 
 def test_a_size_far_beyond_the_usual_one_is_kept_where_samples_count_little():
     # The model discrepancy makes all samples together worth a few: a normal prior would draw the gain far toward 0.
-    problem = problem_of(1.9 * COMMAND, lowest_frequency=3.0, own_error=np.array([1.0]), own_correlation=30.0)
+    problem = problem_of(1.9 * COMMAND, beside_error=True, own_error=np.array([1.0]), own_correlation=30.0)
     linearized, members = prepared(problem)
     assert ROWS * problem.weight < 0.01
     found = fitted(linearized, members, "gain")

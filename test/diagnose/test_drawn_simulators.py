@@ -24,10 +24,26 @@ def simulate(command, sample_time, gain):
     return gain * np.append(command[0], command[:-1])
 
 
-def diagnosed(command, measured):
+def slow(command, sample_time, gain, corner):
+    """A lag that is as slow as many delays."""
+    pole = np.exp(-corner * sample_time)
+    return gain * (command[0] + lfilter([0.0, 1.0 - pole], [1.0, -pole], command - command[0]))
+
+
+GAIN = {"gain": (0.1, 0.002, "um/V")}
+LAG = {**GAIN, "corner": (10.0, 0.5, "1/s")}
+
+
+def diagnosed(command, measured, simulator=simulate, parameters=GAIN):
     random = np.random.default_rng(5)
     record = hc.from_arrays(command, measured + 0.01 * random.standard_normal(ROWS), rate=RATE, hold="zoh")
-    return hc.diagnose(record, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False)
+    return hc.diagnose(record, simulator, parameters=parameters, verbose=False)
+
+
+def values_of(found, name):
+    """Parameters of the only effect that is named."""
+    assert [effect["name"] for effect in found.document["effects"]] == [name]
+    return {key: one["value"] for key, one in found.document["effects"][0]["parameters"].items()}
 
 
 @pytest.mark.parametrize("frequency", [11.0, 47.0])
@@ -39,10 +55,8 @@ def test_a_mode_is_found_wherever_the_record_shows_ten_periods(frequency):
     command = 50.0 + 2.0 * np.cos(2 * np.pi * np.outer(TIME, lines / 4.0) + phases).sum(axis=1)
     truth = simulate(command, 1 / RATE, 0.1)
     found = diagnosed(command, truth + mode(truth, frequency, 0.02, 0.05))
-    assert [effect["name"] for effect in found.document["effects"]] == ["resonance"]
-    values = found.document["effects"][0]["parameters"]
-    assert values["frequency"]["value"] == pytest.approx(frequency, rel=0.01)
-    assert values["gain"]["value"] == pytest.approx(0.05, rel=0.15)
+    values = values_of(found, "resonance")
+    assert values["frequency"] == pytest.approx(frequency, rel=0.01) and values["gain"] == pytest.approx(0.05, rel=0.15)
 
 
 def test_a_delay_that_acts_where_the_command_rests_is_tested_without_an_error():
@@ -50,5 +64,25 @@ def test_a_delay_that_acts_where_the_command_rests_is_tested_without_an_error():
     command = np.repeat(np.random.default_rng(1).choice([10.0, 90.0], ROWS // 20), 20)
     truth = simulate(command, 1 / RATE, 0.1)
     found = diagnosed(command, 0.9 * truth + 0.1 * np.append(truth[0], truth[:-1]))
-    assert [effect["name"] for effect in found.document["effects"]] == ["delay"]
-    assert found.document["effects"][0]["parameters"]["tau"]["value"] == pytest.approx(1e-4, rel=0.05)
+    assert values_of(found, "delay")["tau"] == pytest.approx(1e-4, rel=0.05)
+
+
+@pytest.mark.parametrize("rows", [8, 120])
+def test_a_delay_of_any_length_is_a_delay(rows):
+    """Of steps of equal length: a hold over 10 rows would take each of them 8 rows late."""
+    command = np.repeat(np.random.default_rng(4).uniform(10.0, 90.0, 20), ROWS // 20)
+    late = np.append(np.full(rows, command[0]), command[:-rows])
+    found = diagnosed(command, slow(late, 1 / RATE, 0.1, 10.0), slow, LAG)
+    assert values_of(found, "delay")["tau"] == pytest.approx(rows / RATE, rel=0.02)
+
+
+def test_a_hold_that_does_more_than_to_delay_is_a_hold():
+    command = np.interp(TIME, np.linspace(0.0, TIME[-1], 30), np.random.default_rng(4).uniform(10.0, 90.0, 30))
+    held = command[np.arange(ROWS) // 10 * 10]
+    assert values_of(diagnosed(command, slow(held, 1 / RATE, 0.1, 10.0), slow, LAG), "dac_hold")["samples"] == 10
+
+
+def test_a_gain_may_drift_by_half():
+    command = 50.0 + 40.0 * np.sin(2 * np.pi * 2.0 * TIME) * np.cos(2 * np.pi * 0.7 * TIME)
+    truth = slow(command, 1 / RATE, 0.1, 10.0) * (1.0 + 0.5 * TIME / TIME[-1])
+    assert values_of(diagnosed(command, truth, slow, LAG), "gain_drift")["change"] == pytest.approx(0.5, rel=0.02)

@@ -169,7 +169,7 @@ def test_a_low_frequency_error_is_that_of_fewer_rows_where_they_excite_it():
 def test_a_small_slow_residual_beside_an_own_error_keeps_its_weight():
     """What a low-pass leaves of a record has a tenth of the noise, and is slow: its density is below that of own error and noise."""
     command = np.sin(2 * np.pi * STEP * np.arange(ROWS))[:, None]
-    given = problem(2.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1), lowest_frequency=1.0)
+    given = problem(2.0 * command, command, own_error=np.array([0.2]), own_spectrum=spectrum_of(1), beside_error=True)
     slow = (slow_error(9)[:, 0] - slow_error(9).mean()) / 0.2
     assert effective_sample_weight(given, 0.05 * slow) == 1.0
     assert effective_sample_weight(given, slow) < 0.1  # as large as own error and noise: few of its samples are independent

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from hyst_control.records.record import Record, Signal
-from hyst_control.records.validity.beside_model import refutes
+from hyst_control.records.validity.beside_model import REFUTABLE, refutes
 from hyst_control.records.validity.checks import check_records, examined
 from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
 from hyst_control.records.validity.findings import Trial
@@ -222,8 +222,9 @@ def test_a_model_refutes_what_it_explains_less(limit):
         return trial(command, measured, simulated=simulate(command[:, None], STEP), simulate=simulate)
 
     sound = made(COMMAND, np.minimum(answer(COMMAND, lag=0.05), limit) + NOISE)
-    assert all(refutes(sound, 0, name) for name in ("reversed_time", "reversed_command", "swapped_signals"))
-    assert not refutes(sound, 0, "dead_sensor")
+    assert all(refutes(sound, 0, name) for name in REFUTABLE) and not refutes(sound, 0, "dead_sensor")
+    hum = made(COMMAND, np.sin(2 * np.pi * 50.0 * TIME))
+    assert not refutes(hum, 0, "unrelated_measurement") and not refutes(hum, 0, "unplugged_sensor")
     backwards = made(COMMAND[::-1].copy(), sound.measurement[::-1, 0])
     assert not refutes(backwards, 0, "reversed_time")
     assert not refutes(made(COMMAND[::-1].copy(), sound.measurement[:, 0]), 0, "reversed_command")

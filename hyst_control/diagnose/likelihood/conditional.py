@@ -45,7 +45,7 @@ def conditioned(baseline: Baseline, settings: BaselineSettings) -> Baseline:
     assert isinstance(carried, CarriedError)
     count = max(len(baseline.clean.pieces) // len(problem.pieces), 1)
     longest = max(problem.counts)
-    slowest = problem.lowest_frequency or 1.0 / (longest * problem.sample_time)
+    slowest = problem.surroundings.lowest_frequency
 
     def spectrum(series: list[Array]) -> Array:
         return ErrorSpectrum.of(series, problem.sample_time, longest, slowest).power

@@ -186,7 +186,7 @@ def _beside_own_error(
     beside = replace(
         problem,
         model=model,
-        lowest_frequency=lowest_frequency(problem),
+        beside_error=True,
         own_error=rest,
         own_correlation=length,
         own_spectrum=spectrum,
@@ -280,7 +280,7 @@ def _carried(
         problem,
         model=model,
         pieces=tuple(pieces),
-        lowest_frequency=lowest_frequency(problem),
+        beside_error=True,
         own_error=own_error,
         own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
         own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,

@@ -22,6 +22,7 @@ from hyst_control.diagnose.problem.periodic_error import PeriodicError
 from hyst_control.diagnose.problem.simulation_cache import MAX_BYTES, KnownLinks
 from hyst_control.effects.effect import Surroundings
 from hyst_control.effects.placement import mechanics_index
+from hyst_control.identify.data.excited_band import lowest_frequency
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filtered
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
@@ -63,8 +64,8 @@ class Problem:
     sample_time: float
     hold: str
     sigma: Array
-    lowest_frequency: float | None = None
-    """Lowest frequency (Hz) that the command excites; only where baseline records keep the model discrepancy apart."""
+    beside_error: bool = False
+    """Whether baseline records, or the model's file, keep the model discrepancy apart."""
     own_error: Array | None = None
     """Rms (A,) of what the model leaves on baseline records, measurement unit; None where it is not known."""
     own_correlation: float = 1.0
@@ -200,7 +201,7 @@ class Problem:
             slew,
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
-            self.lowest_frequency,
+            lowest_frequency([piece.command for piece in self.pieces], self.sample_time),
             shared_modes(poles),
             min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
             min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,

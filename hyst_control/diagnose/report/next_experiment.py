@@ -109,7 +109,7 @@ def _distance(part: AxisDiagnosis, rivals: Sequence[FittedHypothesis], command: 
         problem.sample_time,
         problem.hold,
         problem.sigma,
-        problem.lowest_frequency,
+        problem.beside_error,
         problem.own_error,
         problem.own_correlation,
         problem.own_spectrum,

@@ -153,7 +153,7 @@ def diagnose(
         parts.append(found)
         axis += len(axes)
     notes += [note for part in parts for note in _outlier_notes(part)]
-    problem = replace(problem, lowest_frequency=parts[0].problem.lowest_frequency)
+    problem = replace(problem, beside_error=parts[0].problem.beside_error)
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
 
 

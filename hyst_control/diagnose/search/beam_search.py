@@ -357,7 +357,7 @@ def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -
     its samples count as few as are independent. The problem's own weight, which the fits have already, is not applied again.
     """
     size = float(np.mean(residual**2))
-    length = 1.0 if problem.lowest_frequency is None else correlation_length(residual.reshape(-1, len(problem.model.axes)))
+    length = correlation_length(residual.reshape(-1, len(problem.model.axes))) if problem.beside_error else 1.0
     density = size * length if problem.own_spectrum is not None else max(size, 1.0) * length
     return min(1.0 / max(density, 1.0) / problem.weight, 1.0)
 

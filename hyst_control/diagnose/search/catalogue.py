@@ -52,11 +52,10 @@ def catalogue(problem: Problem, suggested: Mapping[str, Sequence[float]], withou
                 found.append(Member(effect, fitted, problem, axis, fixed=tuple(fixed.items())))
         if effect.separate_sizes and count > 1:
             found.append(Member(effect, count * parameters, problem, separate_sizes=True))
-    beside_clean = problem.lowest_frequency is not None
     return found + [
         replace(member, elsewhere=place)
         for member in found
-        for place in member.effect.also_at + (member.effect.also_beside_clean if beside_clean else ())
+        for place in member.effect.also_at + (member.effect.also_beside_clean if problem.beside_error else ())
     ]
 
 

@@ -105,9 +105,7 @@ def _pairing(trial: Trial, left: CondensedRows, moving: Sequence[int]) -> list[F
     if not 2 <= len(moving) <= MAX_PAIRED:
         return []
     likeness = np.array(
-        [
-            [_made_of(linear_reference(left.command[:, [one]], left.measurement[:, other])) for other in moving] for one in moving
-        ]
+        [[_made_of(linear_reference(left.command[:, [one]], left.measurement[:, other])) for other in moving] for one in moving]
     )
     return exchanged_axes(likeness, trial.name, [trial.axes[index] for index in moving])
 
