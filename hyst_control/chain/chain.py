@@ -34,7 +34,7 @@ from hyst_control.chain.parameter import chains
 from hyst_control.chain.stage import Filter, Modifier, Sampling, Stage, register
 
 Piece = tuple[tuple[Stage, ...], bool]
-"""Stages of one filter of a chain, and whether they are linear and something that is not follows them."""
+"""Stages of one filter of a chain, and whether what follows them shall see a held signal held at its means."""
 Link = tuple[tuple[Stage, ...], bool, Sampling]
 """Stages of one filter of a chain, whether its output is held at its means, and its clock: equal links have equal filters."""
 
@@ -182,7 +182,7 @@ def pieces(stages: Sequence[Stage]) -> list[Piece]:
     """Cut stages that are arranged already where one filter ends and the next one begins."""
     runs = [(linear, list(group)) for linear, group in groupby(stages, key=_in_linear_run)]
     return [
-        (tuple(piece), linear and number + 1 < len(runs))
+        (tuple(piece), linear and number + 1 < len(runs) and _averaged(piece, runs[number + 1][1][0]))
         for number, (linear, run) in enumerate(runs)
         for piece in (_cut_before_uneven_delays(run) if linear else [[stage] for stage in run])
     ]
@@ -190,8 +190,8 @@ def pieces(stages: Sequence[Stage]) -> list[Piece]:
 
 def link_of(piece: Piece, sampling: Sampling) -> Link:
     """Tell all that the filter of a piece is made of: equal for pieces that need the same filter."""
-    stages, followed = piece
-    return stages, followed and sampling.hold == "zoh" and _averaged(stages), sampling
+    stages, averaged = piece
+    return stages, averaged and sampling.hold == "zoh", sampling
 
 
 def started_link(link: Link) -> Filter:
@@ -252,10 +252,10 @@ def _in_linear_run(stage: Stage) -> bool:
     return isinstance(stage, Delay) or stage.linear
 
 
-def _averaged(run: Sequence[Stage]) -> bool:
-    """True where what follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
+def _averaged(run: Sequence[Stage], following: Stage) -> bool:
+    """True where a stage that follows a run of a held signal shall see it held at its means (see `effects.amplifier_lowpass`)."""
     systems = [stage for stage in run if not isinstance(stage, Delay)]
-    return bool(systems) and all(isinstance(stage, Averaged) for stage in systems)
+    return all(isinstance(stage, Averaged) for stage in systems) if systems else following.sees_means
 
 
 def _carries_delay(stage: Stage) -> bool:

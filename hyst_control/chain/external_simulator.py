@@ -41,6 +41,7 @@ class ExternalSimulator(Stage):
 
     name: ClassVar[str] = "external_simulator"
     ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.MIXES_AXES
+    sees_means: ClassVar[bool] = True
     simulate: Simulate
     names: tuple[str, ...]
     values: tuple[float, ...]

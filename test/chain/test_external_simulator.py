@@ -16,7 +16,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.coordinates import chain_coordinates, with_coordinates
 from hyst_control.chain.external_simulator import external_simulator
-from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.model_file import Model, model_to_document, simulate
@@ -67,6 +67,24 @@ def test_a_continuous_signal_before_it_is_held_at_its_means():
     expected = simulate(model_of([slow, TransferFunction([2.0], [5e-3, 1.0])]), begun_at_rest())
     found = simulate(model_of([slow, Gain(1.0), stage]), begun_at_rest())
     assert np.max(np.abs(found - expected)) < 5e-3 * np.ptp(expected)
+
+
+@pytest.mark.parametrize("late", [(1.5, 0.0), (0.0, 0.25), (2.0, 3.75)])
+def test_a_delay_of_one_axis_moves_a_part_of_a_sample(late):
+    """The mean of a held command that comes late, over each interval between samples: a share of one value and the rest of the next."""
+
+    def mixed(command, sample_time):
+        return command @ np.array([[1.0, 0.5], [-0.5, 1.0]])
+
+    stage, _ = external_simulator(mixed, {})
+    rows = begun_at_rest(2)
+    found = simulate(model_of([Delay([rate * STEP for rate in late]), stage], axes=2), rows)
+    means = np.empty_like(rows)
+    for axis, samples in enumerate(late):
+        whole, share = int(samples), samples % 1.0
+        padded = np.concatenate([np.zeros(whole + 1), rows[:, axis]])
+        means[:, axis] = (1.0 - share) * padded[1:][: len(rows)] + share * padded[: len(rows)]
+    np.testing.assert_allclose(found, mixed(means, STEP), atol=1e-9)
 
 
 @given(st.lists(st.integers(0, 60), max_size=4), st.sampled_from(["zoh", "foh"]), st.sampled_from([0, 1]))
