@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hyst_control.diagnose.configuration import CONFIGURATION
-from hyst_control.diagnose.decide.novelty import remainder
+from hyst_control.diagnose.decide.novelty import changes, remainder
 from hyst_control.diagnose.decide.policy import join, practical_floor, strained
 from hyst_control.diagnose.decide.record_findings import detected
+from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
 from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, QUIET, effect, evidence
@@ -93,3 +94,6 @@ def test_energy_beyond_the_noise_counts_from_three_standard_errors_of_its_estima
         left = replace(QUIET, energy=1.0 + deviations * scatter)
         seen = evidence(effect("delay", residual=left), floor=0.0, noise_bins=0.5 * (upper - lower) * rows)
         assert (remainder(seen, 1, LIMITS) > 0.0) == counts
+        changing = DistortionEvidence("delay", "level", 10.0, 1e6, 1.0)
+        of_itself = evidence(effect("delay", residual=replace(left, distortions=(changing,))), floor=0.0, noise_bins=seen.noise_bins)
+        assert any(sign > LIMITS.novelty_threshold for _, sign in changes(of_itself, 1, LIMITS)) == counts

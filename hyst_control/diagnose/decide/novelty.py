@@ -74,7 +74,7 @@ def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[t
     that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
     """
     residual, due = residual_of(evidence, index), evidence.stated
-    beyond = np.inf if evidence.whitened else (residual.energy - due) / (thresholds.min_excess * due)
+    beyond = np.inf if evidence.whitened else (residual.energy - due) / (_excess(evidence, thresholds) * due)
     nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = []
     for test in residual.distortions:
@@ -98,13 +98,18 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:
-    """Least energy beyond what is due that counts: more than the practical floor, and more than the noise's estimate is uncertain by.
+    """Least energy beyond what is due that counts: more than the practical floor, and more than the noise's estimate is uncertain by."""
+    return float(max(evidence.floor**2, _excess(evidence, thresholds) * evidence.stated))
+
+
+def _excess(evidence: Evidence, thresholds: Thresholds) -> float:
+    """Share of what is due that counts as more than it.
 
     The noise is a median over n spectral lines, whose relative standard error is 1 / (ln 2 sqrt(n)). With Hann's window two thirds of the
     lines are independent.
     """
     by_chance = thresholds.noise_deviations * np.sqrt(1.5 / max(evidence.noise_bins, 1.0)) / np.log(2.0)
-    return float(max(evidence.floor**2, max(thresholds.min_excess, by_chance) * evidence.stated))
+    return float(max(thresholds.min_excess, by_chance))
 
 
 def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
