@@ -275,7 +275,7 @@ class BaselineSettings:
     # share of the range, rms: difference up to which a model carries its error from one command to another
     similar_command: float = 0.02
     overlap: float = 0.5  # share of the new record: least part of it in which they are
-    # by which a model's error changes where a command changes by its own motion: median of 90 pairs of drawn machines and commands
+    # share of what a model leaves that changes, in shares by which the motion of the command does
     error_slope: float = 8.0
     similar_overlap: float = 0.9  # share of the new record: the same of a command that is similar only
     # share of the range: standard deviation of the zero, drift and curvature of a session
