@@ -13,6 +13,7 @@ from scipy.fft import rfft
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.memoryless import Offset
+from hyst_control.identify.assess.free_motion import ROWS as MOTION_ROWS
 from hyst_control.identify.assess.free_motion import without_free_motion
 from hyst_control.identify.data.fit import RecordRow
 from hyst_control.identify.data.fit_windows import before
@@ -60,18 +61,24 @@ def with_state(model: Model, data: Record) -> Record:
     end = begin + BEGINNING_ROWS
     if begin > BEGINNING_ROWS or not model.chain.stages:
         return data
-    first = data.rows(0, end)
+    first, still = data.rows(0, end), Beginning("", memory, begin)
 
     def left(start: Beginning) -> float:
         error = residual_from(model, replace(first, start=start))
         return float(np.sum(without_zero(error)[0] ** 2))
 
-    least, share = left(Beginning("", memory, begin)), AT_REST_SHARE if data.start == "settled" else OTHER_SHARE
+    def spoils(start: Beginning) -> bool:
+        """A slow motion resembles the session's drift in the first rows, and leaves an offset in those that follow."""
+        longer = data.rows(0, begin + MOTION_ROWS)
+        with_it, without = (float(np.sum(residual_from(model, replace(longer, start=each)) ** 2)) for each in (start, still))
+        return with_it > without
+
+    least, share = left(still), AT_REST_SHARE if data.start == "settled" else OTHER_SHARE
     others = [Beginning(MOVING, memory, begin, moving=True)]
     if np.any(data.command[0]):
         others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
     for other in others:
-        if (found := left(other)) < share * least:
+        if (found := left(other)) < share * least and not (other.moving and spoils(other)):
             data, least = replace(data, start=other), found
     return data
 
