@@ -56,7 +56,7 @@ class Surroundings:
     slew: float  # V/s, the largest of the command
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
-    lowest_frequency: float = 1.0  # Hz, that the command excites
+    lowest_frequency: float = 1.0  # Lowest frequency that the command excites, Hz
     # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above
     # 1 stands for two real poles
     modes: tuple[tuple[float, float], ...] = ()
