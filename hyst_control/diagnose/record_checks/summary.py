@@ -115,13 +115,13 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
     return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))
 
 
-def outliers(residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks) -> tuple[int, float]:
-    """Single samples of a residual that stand out of their neighbors as no white noise does.
+def outliers(residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks, step: float = 0.0) -> tuple[int, float]:
+    """Single samples of a residual that stand out of their neighbors as no white noise does, and no rounding to a lattice of some step.
 
     Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
     """
     inner = residual[1:-1] - 0.5 * (residual[:-2] + residual[2:])
     scale = 1.4826 * float(np.median(np.abs(inner - np.median(inner))))
     size = np.pad(np.abs(inner), 1)
-    apart = (size > settings.outlier_deviations * scale) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
+    apart = (size > max(settings.outlier_deviations * scale, 1.5 * step)) & (size >= np.roll(size, 1)) & (size >= np.roll(size, -1))
     return int(apart.sum()), float(np.sqrt(np.sum(size[apart] ** 2) / len(residual)))

@@ -114,7 +114,7 @@ def residual_evidence(
         if finding.check is RecordCheck.VALUE_LATTICE:
             steps[finding.axis] = finding.value
     rows = problem.rows(scored.solution.residual)
-    counted = [outliers(rows[:, axis], configuration.checks) for axis in range(len(problem.model.axes))]
+    counted = [outliers(rows[:, axis], configuration.checks, steps[axis]) for axis in range(len(problem.model.axes))]
     return ResidualEvidence(
         float(np.mean(leftover(problem, scored, steps) ** 2)),
         tuple(
