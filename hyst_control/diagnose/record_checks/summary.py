@@ -116,7 +116,7 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
 
 
 def outliers(residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks, step: float = 0.0) -> tuple[int, float]:
-    """Single samples of a residual that stand out of their neighbors as no white noise does, and no rounding to a lattice of some step.
+    """Single samples of a residual that stand out of their neighbors as no white noise does, and no rounding to some step.
 
     Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.
     """
