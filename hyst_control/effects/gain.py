@@ -20,7 +20,7 @@ EFFECT = Effect(
     "gain",
     "sensor",
     "The gain of amplifier, piezo or sensor is 1 + gain times the model's.",
-    lambda _: (Parameter("gain", "", 0.0, (0.01,), -0.8, 4.0, 0.1),),
+    lambda _: (Parameter("gain", "", 0.0, (0.01,), -0.8, 4.0, 0.03),),
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
     separate_sizes=True,

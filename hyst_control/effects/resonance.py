@@ -79,13 +79,14 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Frequencies up to the sampling's half, and as far down as the record shows ten periods: fewer tell no mode from what is slow.
+    """Frequencies up to the sampling's half, and as far down as the record shows ten periods and the command an octave below.
 
     deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
     part would be a gain.
     """
     nyquist = 0.5 / around.sample_time
-    lower, upper = min(10.0 / around.duration, 0.05 * nyquist), 0.95 * nyquist
+    lower = min(max(10.0 / around.duration, 2.0 * around.lowest_frequency), 0.05 * nyquist)
+    upper = 0.95 * nyquist
     count = 1 + int(np.ceil(np.log(0.8 * nyquist / lower) / np.log(STEP)))
     starts = tuple(np.geomspace(lower, 0.8 * nyquist, count))
     return (

@@ -174,7 +174,7 @@ def test_the_best_fit_is_settled_first_and_then_those_that_may_come_near_it(monk
 
 def test_a_fit_far_behind_a_better_one_is_not_refined_again(monkeypatch):
     linearized = linearised_of(PLANT, LAG)
-    unknowns = candidate_of(linearized, "gain").unknowns()
+    unknowns = candidate_of(linearized, "delay").unknowns()
     begun, made = fit(linearized, unknowns, unknowns.centre), []
     usual = Linearized.__init__
     monkeypatch.setattr(Linearized, "__init__", lambda *given: made.append(1) or usual(*given))
