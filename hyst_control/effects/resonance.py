@@ -79,16 +79,21 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Frequencies up to the sampling's half, and as far down as the record shows ten periods and the command an octave below.
+    """Frequencies up to the sampling's half, and as far down as the record shows ten periods.
+
+    What a model leaves is slow: beside it slow modes count from three periods on, and are not begun with.
 
     deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
     part would be a gain.
     """
     nyquist = 0.5 / around.sample_time
-    lower = min(max(10.0 / around.duration, 2.0 * around.lowest_frequency), 0.05 * nyquist)
-    upper = 0.95 * nyquist
-    count = 1 + int(np.ceil(np.log(0.8 * nyquist / lower) / np.log(STEP)))
-    starts = tuple(np.geomspace(lower, 0.8 * nyquist, count))
+    lower, upper = min(10.0 / around.duration, 0.05 * nyquist), 0.95 * nyquist
+    begin = lower
+    if around.beside_error:
+        lower = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist)
+        begin = max(min(200.0, 0.2 * nyquist), lower)
+    count = 1 + int(np.ceil(np.log(0.8 * nyquist / begin) / np.log(STEP)))
+    starts = tuple(np.geomspace(begin, 0.8 * nyquist, count))
     return (
         Parameter("frequency", "Hz", starts[count // 2], starts, lower, upper, 1.0, True),
         Parameter("damping", "", 0.02, (0.03,), 0.002, 0.2, 1.0, True),

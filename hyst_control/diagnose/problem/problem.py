@@ -202,6 +202,7 @@ class Problem:
             (float(measurement.min()), float(measurement.max())),
             len(self.model.axes),
             lowest_frequency([piece.command for piece in self.pieces], self.sample_time),
+            self.beside_error,
             shared_modes(poles),
             min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
             min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,
