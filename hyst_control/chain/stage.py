@@ -133,7 +133,7 @@ class Stage:
     ROLES: ClassVar[Role] = Role.NONE
     """Answers of the properties below that are the same for every stage of the class; a stage may override a property instead."""
     sees_means: ClassVar[bool] = False
-    """Whether dynamics of its own see what a delay of a part of a sample does to a held signal between the samples."""
+    """Whether the stage has internal dynamics that respond to a fractional delay of a held command."""
     only_limits: ClassVar[bool] = False
     """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
 

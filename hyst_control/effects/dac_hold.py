@@ -144,7 +144,7 @@ def stage(values: Values, around: Surroundings) -> DacHold:
 
 
 def distinct(values: Mapping[str, float], commands: Sequence[Array]) -> bool:
-    """A hold that takes every step of the commands equally late is a delay."""
+    """False for a hold that delays every step of these commands by the same time: that is a delay."""
     steps = [np.flatnonzero(np.any(np.diff(command, axis=0), axis=1)) + 1 for command in commands]
     late = np.concatenate([(values["phase"] - at) % values["samples"] for at in steps])
     return values["samples"] == 1.0 or len(np.unique(late)) > 1

@@ -57,7 +57,7 @@ class Surroundings:
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
     lowest_frequency: float = 1.0  # Lowest frequency that the command excites, Hz
-    beside_error: bool = False  # Whether what the model leaves on baseline records is known
+    beside_error: bool = False  # Whether the model discrepancy is known
     # Frequency (Hz) and damping of every mode of the nominal mechanics, where these drive the axes together; a damping above
     # 1 stands for two real poles
     modes: tuple[tuple[float, float], ...] = ()

@@ -81,7 +81,7 @@ def _oscillator(w: float, damping: float) -> np.ndarray:
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Frequencies up to the sampling's half, and as far down as the record shows ten periods.
 
-    What a model leaves is slow: beside it slow modes count from three periods on, and are not begun with.
+    A model discrepancy is mostly slow and resembles a slow mode. Where it is known, the search begins at faster modes.
 
     deflection: share of the mode's static deflection that is there; without it a mode shows near its frequency alone. Any other static
     part would be a gain.

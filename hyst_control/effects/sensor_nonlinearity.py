@@ -76,9 +76,8 @@ class SensorNonlinearity(Stage):
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """second, third: up to the stroke, fourth, fifth: up to 40 % of it; no bend is larger than what is measured.
 
-    ratio: of the constant to the first two's root sum square. The terms belong to a range that nobody tells. Over the record's the same
-    bend has other terms: a slope, which is its ratio to the same root sum square where no coefficient takes it up, and a constant, which
-    would look like an offset. It goes with the bend, so that an offset alone is none.
+    The terms are polynomials over the sensor's own range, which is unknown. Over the record's range the same curve also has a constant and
+    a slope. ratio and slope are these, divided by the norm of (second, third), so that an offset or a gain alone is no nonlinearity.
     """
     size = around.stroke
     return (

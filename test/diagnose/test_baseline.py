@@ -144,7 +144,7 @@ def test_a_change_is_named_beside_a_clean_record_of_the_same_command(name):
 
 @pytest.mark.parametrize("factor", [1.02, 1.04])
 def test_a_healthy_machine_at_a_similar_command_has_no_gap(factor):
-    """What a model leaves at a command is not what it leaves at 1.02 times that, as a loop asks for when the gain has changed."""
+    """The model error changes with the command, here scaled as by a control loop after a gain change."""
     command = sines(50.0)
     new, clean = record(factor * command, machine(factor * command, 1), "new"), record(command, machine(command, 2), "clean")
     report, *_ = diagnosed([new], MODEL, cache=False, baseline=[clean], without=WITHOUT)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of plain Python simulators beside records that SciPy made: effects where no shipped machine has them."""
+"""Diagnosis of plain Python simulators with records made by SciPy: effects slower, later or larger than on the shipped machines."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def values_of(found, name):
 
 @pytest.mark.parametrize("frequency", [11.0, 47.0])
 def test_a_mode_is_found_wherever_the_record_shows_ten_periods(frequency):
-    """Search began at 100 Hz for a record of 1 kHz, and at 200 Hz for a faster one."""
+    """Both modes are slower than a fifth of the Nyquist frequency."""
     random = np.random.default_rng(2)
     lines = np.arange(1, 400)
     phases = random.uniform(0, 2 * np.pi, len(lines))
@@ -60,7 +60,7 @@ def test_a_mode_is_found_wherever_the_record_shows_ten_periods(frequency):
 
 
 def test_a_delay_that_acts_where_the_command_rests_is_tested_without_an_error():
-    """What a part of a row of delay changes stands in rows whose command does not move: no size can change with its direction there."""
+    """A fractional delay acts on rows at which the command is constant, so the test of its direction has nothing to compare."""
     command = np.repeat(np.random.default_rng(1).choice([10.0, 90.0], ROWS // 20), 20)
     truth = simulate(command, 1 / RATE, 0.1)
     found = diagnosed(command, 0.9 * truth + 0.1 * np.append(truth[0], truth[:-1]))

@@ -38,7 +38,7 @@ def test_an_effect_may_be_half_of_the_range(name, parameter, least, lowest_frequ
 
 
 def test_a_gain_may_be_a_third_of_the_model_s():
-    assert reach("gain", "gain", True)[0] < -0.65 and reach("gain_drift", "change", True)[0] < -0.65
+    assert reach("gain", "gain", 1.0)[0] < -0.65 and reach("gain_drift", "change", 1.0)[0] < -0.65
 
 
 @pytest.mark.parametrize("name", ["amplifier_lowpass", "sensor_lowpass"])
@@ -53,3 +53,11 @@ def test_a_filter_ends_at_the_nyquist_frequency(name, lowest_frequency):
 def test_wide_and_narrow_play_are_both_begun_at():
     starts = next(one for one in EFFECTS["backlash"].parameters(AROUND) if one.name == "half_width").starts
     assert min(starts) < 0.01 * STROKE and max(starts) > 0.1 * STROKE
+
+
+@pytest.mark.parametrize("rate", [200.0, 1e3, 2e4])
+def test_slow_modes_are_searched_for_only_where_the_model_discrepancy_is_unknown(rate):
+    around = replace(AROUND, sample_time=1.0 / rate, duration=20.0)
+    slow, fast = (EFFECTS["resonance"].parameters(replace(around, beside_error=known))[0] for known in (False, True))
+    assert min(slow.starts) == pytest.approx(10.0 / 20.0) and min(fast.starts) == pytest.approx(min(200.0, 0.1 * rate))
+    assert all(one.lower <= start <= one.upper for one in (slow, fast) for start in one.starts)

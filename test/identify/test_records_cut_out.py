@@ -45,7 +45,7 @@ def cut_out(plant, command: np.ndarray, kept: int, noise: float = 6e-4, period: 
     return sampled_record("cut", command[-kept:, None], noisy[:, None], period, ("x",), "um", "zoh", "auto"), sigma
 
 
-def replace_measurement(data: Record, added: np.ndarray) -> Record:
+def with_error(data: Record, added: np.ndarray) -> Record:
     """The record with an error (N,) of the model in its measurement."""
     return data.with_values(measurement=data.measurement + added[:, None])
 
@@ -136,7 +136,7 @@ def test_a_slow_motion_that_leaves_more_of_the_rows_that_follow_is_none():
     data, sigma = cut_out(([1.0], [0.3, 1.0]), command, 12000, noise=1e-4)
     place = np.clip(np.arange(12000) / 4096, 0.0, 1.0)
     bent = 0.5 * place * (1.0 - place) * (1.0 - 2.0 * place)
-    wrong = replace_measurement(data, bent)
+    wrong = with_error(data, bent)
     still = np.sqrt(np.mean((bent + sigma * np.random.default_rng(7).normal(size=12000)) ** 2))
     assert np.sqrt(np.mean(residual(model, wrong) ** 2)) < 1.05 * still
 

@@ -98,12 +98,12 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:
-    """Least energy beyond what is due that counts: more than the practical floor, and more than the noise's estimate is uncertain by."""
+    """Smallest excess energy that counts: above the practical floor and above the uncertainty of the noise estimate."""
     return float(max(evidence.floor**2, _excess(evidence, thresholds) * evidence.stated))
 
 
 def _excess(evidence: Evidence, thresholds: Thresholds) -> float:
-    """Share of what is due that counts as more than it.
+    """Smallest significant excess, relative to the expected energy.
 
     The noise is a median over n spectral lines, whose relative standard error is 1 / (ln 2 sqrt(n)). With Hann's window two thirds of the
     lines are independent.

@@ -108,7 +108,7 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
     """Make the baseline of a problem from baseline records."""
     matches = [matching(piece.command, clean.pieces, settings.same_command, settings.overlap) for piece in problem.pieces]
     if not all(matches) and any(np.ptp(simulated_rows(clean, i, piece)) > 0 for i, piece in enumerate(clean.pieces)):
-        # Of what a model leaves a part is the same on a similar command, and its simulation knows the difference.
+        # The model error on a similar command is partly the same.
         matches = [
             matching(piece.command, clean.pieces, settings.similar_command, settings.similar_overlap) for piece in problem.pieces
         ]

@@ -94,10 +94,10 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
 
 
 def refutes(trial: Trial, index: int, name: str) -> bool:
-    """True where a model explains an axis as it is, and less of it read backwards or exchanged, which a model of no physics asks for.
+    """True where the model contradicts a finding: it explains the axis as recorded better than reversed or exchanged.
 
-    In a closed loop the command follows from the measurement before, so that the one tells the other either way. What a model explains
-    is not unrelated to its command, however little of it is linear.
+    In a closed loop the command is computed from the measurement, so that a fit without physics works in either direction. A measurement
+    that the model explains is not unrelated to the command, even if the relation is nonlinear.
     """
     if trial.simulate is None or trial.simulated is None or name not in REFUTABLE:
         return False
