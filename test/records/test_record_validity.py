@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.signal import cont2discrete
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.excitation import build
@@ -294,6 +295,37 @@ def test_records_that_contradict_each_other_are_named(plant):
     assert names(one, changed(other, measurement=1e3 * other.measurement)) == {"scaled_measurement"}
     assert names(one, changed(other, measurement=4.0 * other.measurement)) == {"different_plants"}
     assert names(one, changed(other, axes=tuple("uv"[: len(other.axes)]))) == {"different_plants"}
+
+
+def in_a_closed_loop(relays=40, bandwidth=4.0, rate=1e4, seed=1):
+    """Command and measurement of an integral control of a Preisach stage, a third of whose motion is relays', with a mode of 294 Hz."""
+    rng, count = np.random.default_rng(seed), int(2 * rate)
+    upper, lower = (grid.ravel() for grid in np.meshgrid(*2 * [np.linspace(-0.05, 1.05, relays)]))
+    upper, lower = upper[upper > lower], lower[upper > lower]
+    share = np.exp(-(((upper - lower) / 0.25) ** 2))
+    share *= 0.36 / share.sum()
+    omega = 2 * np.pi * 294.0
+    step, held, *_ = cont2discrete(
+        (np.array([[0, 1], [-(omega**2), -2 * 0.036 * omega]]), np.array([[0], [omega**2]]), np.eye(2), np.zeros((2, 1))), 1 / rate
+    )
+    turn = 2 * np.pi * np.arange(count // 4) * 4 / count
+    reference = np.concatenate([size * (0.5 - 0.5 * np.cos(k * turn)) for k, size in ((2, 0.8), (8, 0.6), (20, 0.5), (40, 0.3))])
+    reference += 0.05 * np.repeat(rng.choice([-1.0, 1.0], 400), count // 400)
+    noise, state, switched = 3e-4 * rng.standard_normal(count), np.zeros(2), -np.ones(len(upper))
+    command, measurement = np.zeros(count), np.zeros(count)
+    for k in range(count):
+        measurement[k] = state[0] + noise[k]
+        driven = command[k]
+        switched[driven >= upper], switched[driven <= lower] = 1.0, -1.0
+        state = step @ state + held[:, 0] * (0.64 * driven + 0.5 * (0.36 + share @ switched))
+        if k + 1 < count:
+            command[k + 1] = driven + 2 * np.pi * bandwidth / rate * (reference[k] - measurement[k])
+    return command, measurement
+
+
+def test_a_command_that_a_controller_made_of_a_rough_measurement_is_not_exchanged_with_it():
+    command, measurement = in_a_closed_loop()
+    assert names(Trial("loop", command[:, None], measurement[:, None], 1e-4, ("x",))) == set()
 
 
 def test_records_too_short_to_judge_or_at_rest_are_left_alone():

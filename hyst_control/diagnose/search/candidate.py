@@ -203,8 +203,12 @@ class Member:
         return insert(stages, self.place, stage)
 
     def extra(self, x: Annotated[Array, "P"]) -> Annotated[Array, "M"]:
-        """Compute the part that is added to the output."""
-        return self._lines(x) if self.is_line else self._coupled(x)
+        """Compute the part that is added to the output; that of the last values is kept: fits ask for it beside many coefficients."""
+        key = np.asarray(x).tobytes()
+        if key not in self._extras:
+            self._extras.clear()
+            self._extras[key] = self._lines(x) if self.is_line else self._coupled(x)
+        return self._extras[key]
 
     def extra_columns(self, x: Annotated[Array, "P"]) -> Annotated[Array, "M P"]:
         """Derivatives ∂extra/∂x of the part that is added to the output."""
@@ -232,6 +236,10 @@ class Member:
             self._responses.clear()
             self._responses[key] = self._linear_columns(start, linear)
         return linear, self._responses[key]
+
+    @cached_property
+    def _extras(self) -> dict[bytes, Array]:
+        return {}
 
     @cached_property
     def _responses(self) -> dict[bytes, Array]:

@@ -104,9 +104,12 @@ def _alternative(trial: Trial, left: CondensedRows, index: int, ahead: Reference
         ways += [("reversed_command", opposite, beside, CLEAR), ("reversed_command", opposite[::-1], beside[::-1], CLEAR)]
     possible = len(np.unique(trial.command[:LONGEST_RECORD, index])) > SWITCHED
     # Of slow motion the inverse of play operators is such, too.
+    cleaner = _cleaner(trial, index)
+    # In a closed loop the command follows the measurement, too: what a model explains of the rougher signal is no inverse.
+    possible = possible and (cleaner or ahead.unexplained > FITS)
     if possible and (ahead.unexplained > SATURATION_MATTERS or sines >= MIN_SINES):
         both = left.measurement if _independent(left.command) else measured[:, None]
-        limit = CLEAR_EXCHANGE if _cleaner(trial, index) else CLEAR_LEAD
+        limit = CLEAR_EXCHANGE if cleaner else CLEAR_LEAD
         ways.append(("swapped_signals", both, left.command[:, index], limit))
     clear: list[tuple[float, str, float]] = []
     for name, inputs, wanted, limit in ways:
