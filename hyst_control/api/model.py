@@ -155,7 +155,7 @@ class Model(model_file.Model, Shown):
         """Score the model on a record that it was not fitted to: errors; as a number the coefficient of determination."""
         table = validate_record({self.name: self}, record, "score")
         shares = []
-        for data in compared_stretches(record):
+        for data in compared_stretches(record, self):
             error = residual(self, data)
             shares.append(1.0 - np.mean(error**2, axis=0) / np.var(data.measurement[-len(error) :], axis=0))
         return Score(table, float(np.min(shares)), self, record)

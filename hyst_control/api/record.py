@@ -168,7 +168,7 @@ class Record(EditableRecord, Shown):
             )
             for topic, signal in self.signals.items()
         }
-        return of.Dataset(arrays, attrs={"source": self.source, "hold": self.hold})
+        return of.Dataset(arrays, attrs={"source": self.source, **({"hold": self.hold} if self.states_hold else {})})
 
     def save(self, path: str | Path) -> None:
         """Write the record as a bag at `path`, which `read_bag` and the commands read."""
@@ -183,7 +183,7 @@ def read_csv(
     *,
     time: str | None = None,
     rows: tuple[int, int | None] = (0, None),
-    hold: str = "zoh",
+    hold: str | None = None,
 ) -> Record:
     r"""Read a record from a text table: CSV or white space, .gz too.
 
@@ -201,7 +201,7 @@ def read_csv(
     rows
         First row and one past the last.
     hold
-        The command between samples: "zoh" (held by a DAC) or "foh" (a smooth source was sampled).
+        The command between samples: "zoh" (held by a DAC), "foh" (a smooth source was sampled), or None: found from the record.
 
     Returns
     -------
@@ -235,7 +235,7 @@ def read_mat(
     *,
     time: str | None = None,
     rows: tuple[int, int | None] = (0, None),
-    hold: str = "zoh",
+    hold: str | None = None,
     variable: str | None = None,
 ) -> Record:
     """Read a record from a MATLAB file, or from .npy and .npz.
@@ -310,7 +310,7 @@ def from_arrays(
     command_unit: str = "V",
     unit: str = "um",
     axes: Sequence[str] | None = None,
-    hold: str = "zoh",
+    hold: str | None = None,
     source: str = "arrays",
 ) -> Record:
     """Make a record of arrays.
@@ -326,7 +326,7 @@ def from_arrays(
     axes
         Names of the axes; x, y, … by default.
     hold
-        The command between samples: "zoh" (held by a DAC) or "foh" (a smooth source was sampled).
+        The command between samples: "zoh" (held by a DAC), "foh" (a smooth source was sampled), or None: found from the record.
     source
         Name of the record.
 
@@ -453,7 +453,7 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
         command_unit=str(driven.attrs["units"]),
         unit=str(measured.attrs["units"]),
         axes=[str(name) for name in driven["axis"].values] if "axis" in driven.coords else None,
-        hold=str(dataset.attrs.get("hold", "zoh")),
+        hold=dataset.attrs.get("hold"),
         source="dataset",
     )
 

@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         rows = (int(first or 0), int(last) if last else None)
     except ValueError:
         raise InputError(f"--rows: must be first:end in whole numbers, got {arguments.rows!r}") from None
-    table = arguments.rate, rows, arguments.hold or "zoh", arguments.variable, arguments.skip
+    table = arguments.rate, rows, arguments.hold, arguments.variable, arguments.skip
     records = import_records(arguments.file, columns, *table, arguments.resample, arguments.allow_gaps)
     return written(arguments.output, [record.shifted(arguments.shift) for record in records])
 

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             raise InputError("--rate: a bag has its own rate: leave it out")
         record = read_bag(one_bag(arguments.bag), arguments.namespace, topics=("command",))
         [data] = record.aligned(["command"])
-        commands, sample_time, hold = data.command, data.sample_time, record.hold
+        commands, sample_time, hold = data.command, data.sample_time, record.hold if record.states_hold else model.hold
         if commands.shape[1] != len(model.axes):
             raise InputError(f"{arguments.bag}: command has {commands.shape[1]} axes, {arguments.model} {len(model.axes)}")
         notes = [f"note: {note}" for note in record.notes]
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         "command": Signal(time, commands, tuple(model.axes), model.units["command"]),
         "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),
     }
-    write_bag(arguments.output, Record(signals, arguments.output, (), hold))
+    write_bag(arguments.output, Record(signals, arguments.output, (), hold, states_hold=True))
     unit, rate = model.units["measurement"], 1.0 / sample_time
     made = Artifacts(
         "simulate",

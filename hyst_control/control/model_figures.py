@@ -95,7 +95,7 @@ def _of_axis(system: Discrete, index: int) -> tuple[Complex, Complex]:
 
 def beside(model: Model, record: Record) -> list[Panel]:
     """Measured against simulated signals, what is left, the loops, and how the rest correlates, of the record's longest stretch."""
-    data = max(compared_stretches(record), key=lambda each: len(each.command))
+    data = max(compared_stretches(record, model), key=lambda each: len(each.command))
     check_pair(model.name, model, data)
     error = residual(model, data)
     begin = len(data.command) - len(error)

@@ -77,6 +77,6 @@ def _split(bag: str, folder: Path, namespace: str | None, unit: str) -> dict[str
                 topic: Signal(signal.time, signal.values[:, column : column + 1], (AXIS,), signal.unit)
                 for topic, signal in signals.items()
             }
-            write_bag(part / axis, Record(own, f"{record.source} {axis}", hold=record.hold))
+            write_bag(part / axis, replace(record, signals=own, source=f"{record.source} {axis}"))
         part.rename(place)
     return {axis: str(place / axis) for axis in axes}

@@ -17,7 +17,7 @@ from hyst_control.identify.assess.fit_report import error_rows, residual
 from hyst_control.identify.data.initial_memory import with_beginning
 from hyst_control.identify.data.record_segmentation import stretches_between_rests
 from hyst_control.identify.trial_beside_model import trial_beside
-from hyst_control.identify.workflow import LONGEST_JUDGED, gapless_records
+from hyst_control.identify.workflow import AUTO, LONGEST_JUDGED, gapless_records
 from hyst_control.model_file import Model, load_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
@@ -77,8 +77,8 @@ def validate_record(
 ) -> Table:
     """Score models by name on a record; the table is that of `validate_bags`."""
     table = Table(source)
-    for data in compared_stretches(record, hold, start):
-        for name, model in models.items():
+    for name, model in models.items():
+        for data in compared_stretches(record, model, hold, start):
             progress.step(f"{name} on {data.name}")
             check_pair(name, model, data)
             add_rows(table, name, model, data)
@@ -108,8 +108,10 @@ def _remarks(table: Table, name: str, model: Model, data: Record) -> list[str]:
     return found
 
 
-def compared_stretches(record: Record, hold: str | None = None, start: str = "auto") -> list[Record]:
-    """Gapless stretches of a record with the memory that each begins with, as models are compared on them."""
+def compared_stretches(record: Record, model: Model, hold: str | None = None, start: str = "auto") -> list[Record]:
+    """Gapless stretches of a record with the memory that each begins with, as a model is compared on them; it knows how they are held."""
+    if hold in (None, AUTO) and not record.states_hold:
+        hold = model.hold
     return [with_beginning(data) for data in gapless_records(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)]
 
 

@@ -44,11 +44,11 @@ from hyst_control.records.tables.units import refusal_of_unit
 from hyst_control.records.validity.checks import examined, refuse_invalid
 from hyst_control.records.validity.findings import Trial
 
-AUTO = "auto"
+AUTO, LINEAR = "auto", "linear"
 """In place of a family: the best one."""
 BY_THEMSELVES = (
-    "auto tries no family whose axes are coupled: where the command of one axis moves another, name one, such as --model mhl or "
-    "--model linear"
+    "the axes were fitted by themselves: where the command of one moves another, name a family that couples axes, such as --model mhl "
+    "or --model linear"
 )
 """Note on several axes where no family was named."""
 LONGEST_JUDGED = 2**22
@@ -188,6 +188,7 @@ def identify_records(
         record = aligned_by_reception(record, TOPICS)
         notes += record.notes
         cut += gapless_records(record, hold, start, allow_gaps, notes)
+    cut = with_one_hold(cut, notes)
     looked_at = [each.rows(0, LONGEST_JUDGED) for each in cut]
     trials = [Trial(each.name, each.command, each.measurement, each.sample_time, each.axes, unit=each.unit) for each in looked_at]
     found, remarks = examined(trials) if force else ([], refuse_invalid(trials))
@@ -210,7 +211,7 @@ def identify_records(
         *notes,
         *differing,
         *fit.report["notes"],
-        *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 else []),
+        *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 and fit.report["family"] != LINEAR else []),
     ]
     report: Report = {**fit.report, "verdict": verdict, "explained": shares, "losses": lost, "notes": notes}
     return with_delay(replace(fit, report=report), late * begun[0].sample_time)
@@ -225,10 +226,15 @@ def identified(records: Sequence[Record], family: str | None = None, method: str
     else:
         second = [name for name, each in estimators().items() if each.second_choice and each.has(options)]
 
+        def further(best: Fit) -> list[str]:
+            coupled = len(begun[0].axes) > 1
+            linear = coupled or any(each.linear for each in poorly_explained(begun, residuals_of(best, begun)))
+            return [*([LINEAR] if linear and estimator_of(LINEAR).has(options) else []), *second]
+
         def explains(fit: Fit) -> bool:
             return not useless(explained_shares(begun, residuals_of(fit, begun)))
 
-        fit = best_family(chosen, lambda name: identify(begun, name, method, **options), second, explains)
+        fit = best_family(chosen, lambda name: identify(begun, name, method, **options), further, explains)
     left = residuals_of(fit, begun)
     units = {"command": records[0].command_unit, "measurement": records[0].unit}
     report = fit.report if units["command"] == "V" else _in_command_unit(fit.report, units)
@@ -293,23 +299,29 @@ def gapless_records(
                 f"{record.source}: {topic}: unit {reason}: import it with its unit, or name the unit of a bag without a layout"
             )
     record.check_axes()
-    record = replace(record, hold=record.hold if hold in (None, AUTO) else hold, start=record.start if start == AUTO else start)
-    stretches = _long_enough(record.aligned(allow_gaps=allow_gaps), record.source, notes)
-    return _with_hold(stretches, notes) if hold in (None, AUTO) and record.hold == "zoh" else stretches
+    if hold not in (None, AUTO):
+        record = replace(record, hold=hold, states_hold=True)
+    record = replace(record, start=record.start if start == AUTO else start)
+    return _long_enough(record.aligned(allow_gaps=allow_gaps), record.source, notes)
 
 
-def _with_hold(records: list[Record], notes: list[str] | None) -> list[Record]:
-    """The stretches of a record that does not state its hold, as pairs if its measurement answers the command of its own row."""
-    longest = max(records, key=lambda data: len(data.command))
-    errors = hold_errors(longest)
-    if not errors.own_row:
-        return records
-    if notes is not None:
-        notes.append(
-            f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * errors.same:.2g} % of the "
-            f"range are left, {100 * errors.late:.2g} % with that of the row before (--hold zoh)"
-        )
-    return [replace(data, hold="foh") for data in records]
+def with_one_hold(records: Sequence[Record], notes: list[str] | None = None) -> list[Record]:
+    """Records of one machine with one hold: that of those that state theirs, else pairs if the longest answers commands of its own rows."""
+    stated = {data.hold for data in records if data.states_hold}
+    if all(data.states_hold for data in records) or len(stated) > 1:
+        return list(records)
+    if stated:
+        hold = stated.pop()
+    else:
+        longest = max(records, key=lambda data: len(data.command))
+        errors = hold_errors(longest)
+        hold = "foh" if errors.own_row else "zoh"
+        if errors.own_row and notes is not None:
+            notes.append(
+                f"{longest.name}: hold foh: the measurement answers the command of its own row, with which {100 * errors.same:.2g} % of "
+                f"the range are left, {100 * errors.late:.2g} % with that of rows before (--hold zoh)"
+            )
+    return [data if data.states_hold else replace(data, hold=hold) for data in records]
 
 
 def _long_enough(stretches: list[Record], source: str, notes: list[str] | None) -> list[Record]:

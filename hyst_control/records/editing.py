@@ -76,7 +76,7 @@ class EditableRecord(Record):
                 return np.asarray(values[np.arange(-(-len(values) * up // down)) * down // up])
             return np.asarray(resample_poly(values, up, down, axis=0, padtype="line"))
 
-        done = replace(self._changed(tuple(self.signals), resampled, begin, 1.0 / rate), hold="zoh" if held else "foh")
+        done = replace(self._changed(tuple(self.signals), resampled, begin, 1.0 / rate), hold="zoh" if held else "foh", states_hold=True)
         return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
 
     def filter(self: Edited, low_pass: float | None = None, high_pass: float | None = None, *, order: int = 4) -> Edited:
@@ -113,7 +113,7 @@ class EditableRecord(Record):
         except ValueError:
             raise InputError(f"{self.source}: is too short for this filter: choose a lower order or a longer record") from None
         words = " and ".join(f"{name.replace('_', '-')} {corner:g} Hz" for name, corner in given.items())
-        return replace(done, hold="foh")._noted(f"filtered: {words}, order {order} without phase")
+        return replace(done, hold="foh", states_hold=True)._noted(f"filtered: {words}, order {order} without phase")
 
     def detrend(self: Edited, kind: str = "linear", *, topics: Sequence[str] = MEASUREMENT) -> Edited:
         """Remove the mean or the straight line of best fit, which of a measurement is offset and drift.

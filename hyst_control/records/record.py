@@ -129,6 +129,8 @@ class Record:
     """The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled)."""
     history: tuple[str, ...] = ()
     """Steps of its preparation, in their order."""
+    states_hold: bool = False
+    """True where the source says how the command is held; of others "zoh" is what is usual."""
     start: str | Beginning = "auto"
     """State at the first row: "settled" (at rest at the first command, reached from 0 V), "unknown", or "auto" (found from the record)."""
 
@@ -404,7 +406,7 @@ def sampled_record(
     sample_time: float,
     axes: Sequence[str],
     unit: str,
-    hold: str = "zoh",
+    hold: str | None = None,
     start: str = "auto",
     command_unit: str = "V",
 ) -> Record:
@@ -437,4 +439,4 @@ def sampled_record(
         "command": Signal(time, command, tuple(axes), command_unit),
         "measurement": Signal(time, measurement, tuple(axes), unit),
     }
-    return Record(signals, name, hold=hold, start=start)
+    return Record(signals, name, hold=hold or "zoh", states_hold=hold is not None, start=start)

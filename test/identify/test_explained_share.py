@@ -162,7 +162,7 @@ def test_a_choice_between_families_says_that_none_of_them_couples_axes(named, tm
     signals = {"command": Signal(TIME, command, ("x", "y"), "V"), "measurement": Signal(TIME, 0.4 * command, ("x", "y"), "um")}
     write_bag(tmp_path / "bag", Record(signals, "made"))
     notes = identify_bags([tmp_path / "bag"], named, tmp_path / "model.yaml").fit.report["notes"]
-    told = [note for note in notes if "whose axes are coupled" in note]
+    told = [note for note in notes if "fitted by themselves" in note]
     assert len(told) == (0 if named == "linear" else 1)
     # None of the families that are compared couples axes, and those that do are named.
     coupling = {family for name in ("coupled", "cross_coupling") for family in every_option()[name]}

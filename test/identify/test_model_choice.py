@@ -4,11 +4,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.identify import Fit
 from hyst_control.identify.assess.model_choice import POOR, USELESS, best_family
+from hyst_control.identify.workflow import identified
+from hyst_control.model_file import simulate
+from hyst_control.records.record import sampled_record
 
 
 class Stand:
@@ -25,6 +30,22 @@ class Stand:
         return Fit(None, {"family": name, "held_out_nrmse": [error], "parameters": [{}] * count, "records": [], "notes": []})
 
 
+def slow_too(best):
+    return ["slow"]
+
+
+def test_of_those_named_for_the_best_one_the_first_that_does_well_ends_the_search():
+    stand = Stand(a=(2.0 * POOR, 5), quick=(0.1, 7), slow=(0.05, 20))
+    named = []
+
+    def further(best):
+        named.append(best.report["family"])
+        return ["quick", "slow"]
+
+    assert best_family(["a"], stand, further).report["family"] == "quick"
+    assert stand.asked == ["a", "quick"] and named == ["a"]
+
+
 @pytest.mark.parametrize(
     "first, slow, asked, chosen",
     [
@@ -36,25 +57,61 @@ class Stand:
 )
 def test_the_second_choice_is_tried_where_the_first_is_poor_and_wins_by_its_error(first, slow, asked, chosen):
     stand = Stand(a=(first, 5), b=(2.0 * first, 3), slow=(slow, 20))
-    fit = best_family(["a", "b"], stand, ["slow"])
+    fit = best_family(["a", "b"], stand, slow_too)
     assert stand.asked == asked and fit.report["family"] == chosen
     assert [row["family"] for row in fit.report["tried"] if row["chosen"]] == [chosen]
 
 
 def test_a_second_choice_that_does_not_suit_leaves_the_first():
-    fit = best_family(["a"], Stand(a=(2.0 * POOR, 5)), ["slow"])
+    fit = best_family(["a"], Stand(a=(2.0 * POOR, 5)), slow_too)
     assert fit.report["family"] == "a" and fit.report["tried"][1]["refused"] == "slow: does not suit"
 
 
 def test_a_family_whose_simulation_explains_nothing_is_passed_over():
     """Rows that were not fitted are predicted with a zero of their own, and do not show that a simulation runs away."""
     stand = Stand(a=(0.2, 5), b=(0.4, 3), slow=(0.3, 20))
-    fit = best_family(["a", "b"], stand, ["slow"], lambda fit: fit.report["family"] != "a")
+    fit = best_family(["a", "b"], stand, slow_too, lambda fit: fit.report["family"] != "a")
     assert stand.asked == ["a", "b"] and fit.report["family"] == "b"
     assert fit.report["tried"][0]["refused"] == USELESS
 
 
 def test_the_second_choice_is_tried_where_no_other_simulation_is_of_use():
     stand = Stand(a=(0.2, 5), slow=(0.4, 20))
-    assert best_family(["a"], stand, ["slow"], lambda fit: fit.report["family"] == "slow").report["family"] == "slow"
-    assert best_family(["a"], stand, ["slow"], lambda fit: False).report["family"] == "a"
+    assert best_family(["a"], stand, slow_too, lambda fit: fit.report["family"] == "slow").report["family"] == "slow"
+    assert best_family(["a"], stand, slow_too, lambda fit: False).report["family"] == "a"
+
+
+THREE = {180.0: 0.1, 520.0: 0.05, 1350.0: 0.04}
+
+
+def modes(command, gains, step=1e-4):
+    """Modes (Hz) of a stage without hysteresis, each with its gain, exactly as a converter holds their command."""
+    answer = np.zeros(len(command))
+    for frequency, gain in gains.items():
+        omega = 2 * np.pi * frequency
+        top, bottom, _ = cont2discrete(([gain * omega**2], [1.0, 0.06 * omega, omega**2]), step, "zoh")
+        answer += lfilter(np.ravel(top)[1:], bottom, np.concatenate([[0.0], command[:-1]]))
+    return answer
+
+
+def test_a_stage_without_hysteresis_gets_the_linear_family_unasked():
+    random = np.random.default_rng(2)
+    command = 50.0 + 40.0 * np.repeat(random.uniform(-1.0, 1.0, 700), 5)
+    measurement = modes(command - 50.0, THREE) + 1e-3 * random.normal(size=len(command))
+    record = sampled_record("modes", command[:, None], measurement[:, None], 1e-4, ("x",), "um", "zoh", "unknown")
+    fit = identified([record])
+    assert fit.report["family"] == "linear"
+    fresh = 50.0 + 40.0 * np.repeat(random.uniform(-1.0, 1.0, 700), 5)
+    wanted = modes(fresh - 50.0, THREE)
+    left = (simulate(fit.model, fresh[:, None], 1e-4, "zoh")[:, 0] - wanted)[-2000:]
+    assert np.std(left) < 2e-3
+
+
+def test_axes_that_move_each_other_get_the_linear_family_unasked():
+    random = np.random.default_rng(3)
+    command = 50.0 + 40.0 * np.repeat(random.uniform(-1.0, 1.0, (700, 2)), 5, axis=0)
+    motion = [modes(column - 50.0, {180.0: 0.1}) for column in command.T]
+    measurement = np.column_stack([motion[0] + 0.2 * motion[1], motion[1]]) + 1e-3 * random.normal(size=command.shape)
+    record = sampled_record("axes", command, measurement, 1e-4, ("x", "y"), "um", "zoh", "unknown")
+    fit = identified([record])
+    assert fit.report["family"] == "linear" and fit.report["records"][0]["nrmse"] < 0.1

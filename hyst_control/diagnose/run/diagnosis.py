@@ -242,7 +242,7 @@ def problem_of(
                     )
             pieces.append(Piece(command, measurement, keep))
         sample_times.add(record.sample_time)
-        holds.add(model.hold if record.hold == "zoh" and model.hold == "foh" else record.hold)
+        holds.add(record.hold if record.states_hold else model.hold)
     if len({float(f"{step:.6g}") for step in sample_times}) > 1:
         raise InputError(
             f"records have different sample times ({', '.join(f'{step:g} s' for step in sorted(sample_times))}): "

@@ -17,7 +17,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.identify.assess.fit_report import noise_sigma
 from hyst_control.identify.data.fit_windows import before
 from hyst_control.identify.data.initial_memory import OPERATORS, followed
-from hyst_control.identify.modal.vector_fitting import driven, spread_poles, vector_fit
+from hyst_control.identify.modal.vector_fitting import Partial, driven, residues_of, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
@@ -25,6 +25,8 @@ from hyst_control.records.stream.row_store import mean_square
 
 ROWS, ORDER = 2**13, 8
 """Rows that are compared, and order of the linear reference."""
+DIES = 3.0
+"""Factors of e by which an oscillation of the linear reference decays over these rows, at least."""
 LITTLE, MUCH, BETTER = 0.01, 0.05, 2.0
 """Shares of the range: less is no reason to look further, more is poor whatever the references leave; and how much less they leave."""
 
@@ -39,6 +41,8 @@ class Poor:
     reference_name: str
     follows: str
     share: float
+    linear: bool
+    """The reference is linear."""
 
     def text(self) -> str:
         """As one line."""
@@ -74,10 +78,11 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     if not np.ptp(command) > 0.0:
         return None
     window = Window(command, measurement, data.sample_time, data.hold, 0, 0)
-    linear = vector_fit([window], spread_poles(min(ORDER, len(command) // 16), len(command)), 0.0, True, relocations=4)
+    linear = _linear_reference(window)
     plays = np.column_stack([_plays(data, axis, first + rows.start, len(command)), _powers(command)])
+    by_poles = f"a linear model of order {len(linear.poles) + np.count_nonzero(linear.poles.imag)}"
     references = {
-        f"a linear model of order {len(linear.poles) + np.count_nonzero(linear.poles.imag)}": linear.error,
+        by_poles: linear.error,
         "a chain of play operators with a cubic": _mean_square_left(plays, measurement),
     }
     best = min(references, key=lambda each: references[each])
@@ -94,7 +99,15 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     power = float(np.var(error[rows]))
     shares = {each: 1.0 - _mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}
     most = max(shares, key=lambda each: shares[each])
-    return Poor(name, own, reference, best, most if shares[most] > 0.3 else "", shares[most])
+    return Poor(name, own, reference, best, most if shares[most] > 0.3 else "", shares[most], best == by_poles)
+
+
+def _linear_reference(window: Window) -> Partial:
+    """A linear model without poles that ring through the rows: such a one makes a hum of any beginning."""
+    rows = len(window.command)
+    found = vector_fit([window], spread_poles(min(ORDER, rows // 16), rows), 0.0, True, relocations=4)
+    dying = found.poles[(found.poles.imag == 0.0) | (-found.poles.real * rows > DIES)]
+    return found if len(dying) == len(found.poles) else residues_of([window], dying, 0.0, True)
 
 
 def _worst_rows(error: Array) -> slice:

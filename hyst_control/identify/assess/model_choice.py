@@ -23,10 +23,13 @@ USELESS = "its simulation of the whole records explains less than a constant and
 def best_family(
     families: Sequence[str],
     identify: Callable[[str], Fit],
-    second: Sequence[str] = (),
+    further: Callable[[Fit], Sequence[str]] = lambda fit: (),
     explains: Callable[[Fit], bool] = lambda fit: True,
 ) -> Fit:
-    """Identify every family and take the plainest of those that do best on held-out rows."""
+    """Identify every family and take the plainest of those that do best on held-out rows.
+
+    Where none of them does well, those that are named for the best one are tried in turn, until one does.
+    """
     rows: list[TriedRow] = []
     fits: dict[str, Fit] = {}
     useful: set[str] = set()
@@ -54,9 +57,15 @@ def best_family(
         attempt(family)
     if not fits:
         raise errors[0]
-    if not useful or min(scored().values()) > POOR:
-        for family in second:
-            attempt(family)
+
+    def is_poor() -> bool:
+        return not useful or min(scored().values()) > POOR
+
+    if is_poor():
+        scores = scored()
+        for family in further(fits[min(scores, key=lambda name: scores[name])]):
+            if is_poor():
+                attempt(family)
     scores = scored()
     limit = (1.0 + AS_GOOD) * min(scores.values())
     counts = {row["family"]: row["parameters"] for row in rows}
@@ -72,14 +81,19 @@ def best_family(
 def _row(family: str, fit: Fit | None, seconds: float, refused: str) -> TriedRow:
     return {
         "family": family,
-        "structure": "; ".join(fit.report.get("structure", [])) if fit else "",
+        "structure": _structure(fit) if fit else "",
         "parameters": len(fit.report["parameters"]) if fit else 0,
-        "held_out_nrmse": max(fit.report["held_out_nrmse"]) if fit else None,
+        "held_out_nrmse": max(fit.report.get("held_out_nrmse", ()), default=None) if fit else None,
         "seconds": seconds,
         "chosen": False,
         "refused": refused,
         "structures": fit.report.get("structures", []) if fit else [],
     }
+
+
+def _structure(fit: Fit) -> str:
+    states = fit.report.get("states")
+    return "; ".join(fit.report.get("structure", [])) or (f"{states} states" if states else "")
 
 
 def choice_lines(rows: Sequence[TriedRow]) -> list[str]:

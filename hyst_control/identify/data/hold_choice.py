@@ -23,8 +23,10 @@ from hyst_control.records.validity.rows import fastest_rows
 
 ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 """Rows of a record that are looked at, the least number of them, and parts of which every third is held out."""
-PAIRS, LINEAR_ROWS = (1, 2, 4), 2**12
-"""Pairs of poles of the linear dynamics, and rows to which they are fitted: where an axis' command moves fastest."""
+PAIRS, LINEAR_ROWS, ROWS_OF_A_PAIR = (1, 2, 4, 6), 2**12, 16
+"""Pairs of poles of the linear dynamics, rows to which they are fitted (where an axis' command moves fastest), and fewest for each pair."""
+LATEST = 3
+"""Rows before its own whose command a measurement may answer: what a delay takes, no few poles have to."""
 ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
 CLEAR, CLEAR_AT_NOISE = 0.7, 0.95
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken; and where nothing but white noise is left."""
@@ -77,19 +79,20 @@ def _play_states(data: Record, memory: Array | None, axis: int, end: int) -> Arr
 
 
 def _left_by_poles(command: Array, measurement: Array) -> tuple[Array, bool]:
-    """Held-out mean square errors, shares of the range, of linear dynamics from the commands (N, A) of the row before and of the same.
+    """Held-out mean square errors, shares of the range, of linear dynamics from the commands (N, A) of rows before and of the same.
 
     With enough poles either command explains a record to its noise, so Schwarz's criterion puts a price on each parameter. The second value
     is true where the commands of the same row leave nothing but white noise.
     """
-    measurement = measurement[1:]
+    measurement = measurement[LATEST:]
     count, axes = len(measurement), command.shape[1]
     found, white = np.full(2, np.inf), False
-    if count < 16 * max(PAIRS) or not np.ptp(measurement) > 0.0:
+    if not np.ptp(measurement) > 0.0:
         return found, white
-    for way, rows in enumerate((command[:-1], command[1:])):
-        for pairs in PAIRS:
-            fit = linear_reference(rows, measurement, pairs)
+    for late in range(LATEST, -1, -1):
+        way = 0 if late else 1
+        for pairs in (each for each in PAIRS if count >= ROWS_OF_A_PAIR * each):
+            fit = linear_reference(command[LATEST - late : len(command) - late], measurement, pairs)
             error = fit.unexplained * count ** ((axes * (2 * pairs + 1) + 2 * pairs) / count)
             if error < found[way]:
                 found[way], white = error, abs(next_sample_correlation(measurement - fit.predicted)) < WHITE

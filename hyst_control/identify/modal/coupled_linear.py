@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -58,7 +58,10 @@ def fit(records: Sequence[Record], options: LinearOptions) -> Fit:
     found = axis_fit(chosen, records[0].sample_time)
     if all(row["held_out"] is None for row in table):
         found = replace(found, notes=lambda _: [NOTHING_HELD_OUT])
-    more = {"orders": table, "states": chosen.model.states}
+    more: dict[str, Any] = {"orders": table, "states": chosen.model.states}
+    if np.isfinite(chosen.held_out):
+        motion = np.sqrt(sum(len(data) * np.var(data.measurement, axis=0) for data in records) / sum(map(len, records)))
+        more["held_out_nrmse"] = (100.0 * chosen.held_out * motion / np.max([data.span for data in records], axis=0)).tolist()
     return fit_of(records, [found], "linear", options.method, offset=0.0, by_axis=True, more=more)
 
 

@@ -80,6 +80,8 @@ class Candidate:
     seconds: float
     exact: float
     """Mean square error from which a fit counts as exact."""
+    search_error: float | None = None
+    """Mean square error on the blocks held out, before the fit to all rows."""
 
     @property
     def held_out(self) -> float:
@@ -182,7 +184,8 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
         (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best]),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
-    return replace(chosen, solution=_final([_middle(window) for window in windows], chosen, options)), table
+    final = _final([_middle(window) for window in windows], chosen, options)
+    return replace(chosen, solution=final, search_error=chosen.held_out), table
 
 
 def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions) -> Solution:
@@ -374,7 +377,7 @@ def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFi
             f"axis {axis}: static gain known to {doubt}: the record is too short for its slowest motion: hold the command longer"
         ]
 
-    return AxisFit(sections.stages, solution.parameters, solution.covariance, numbers, notes=notes)
+    return AxisFit(sections.stages, solution.parameters, solution.covariance, numbers, candidate.search_error, notes=notes)
 
 
 def checked(records: Sequence[Record]) -> Record:

@@ -101,9 +101,9 @@ def read_fields(
         raise InputError(f"{path}: has no messages of {missing[0]}: its topics are {bag.listed()}")
     parts = _signals(path, wanted, times, {column.topic: column.unit for column in named}, notes)
     hold = bag.hold if hold is None else hold
-    regular, more = on_one_clock(str(path), parts, hold, resample, allow_gaps)
+    regular, more = on_one_clock(str(path), parts, hold or "zoh", resample, allow_gaps)
     signals = {topic: _joined([regular[f"{topic} {index}"] for index in range(len(fields))]) for topic, fields in wanted.items()}
-    return Record(signals, str(path), (*notes, *more), hold)
+    return Record(signals, str(path), (*notes, *more), hold or "zoh", states_hold=hold is not None)
 
 
 def _field_of(name: str, scale: float) -> _Field:

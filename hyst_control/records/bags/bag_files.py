@@ -51,7 +51,7 @@ class _Metadata:
 
     files: tuple[str, ...]
     compression: str
-    hold: str
+    hold: str | None
     history: tuple[str, ...]
 
 
@@ -67,7 +67,7 @@ class Bag:
     """Every topic to read that the bag knows, also those without a message."""
     types: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Type and definition of topics."""
-    hold: str = "zoh"
+    hold: str | None = None
     history: tuple[str, ...] = ()
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
@@ -168,7 +168,7 @@ def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
             raise InputError("relative_file_paths is no list of names")
         custom = found.get("custom_data")
         said = custom if isinstance(custom, dict) else {}
-        hold = "foh" if said.get("hold") == "foh" else "zoh"
+        hold = said["hold"] if said.get("hold") in ("zoh", "foh") else None
         history = tuple(str(said.get("history", "")).splitlines())
         return _Metadata(tuple(Path(name).name for name in names), compression, hold, history)
     except InputError as error:

@@ -109,10 +109,10 @@ def read_bag(
         received = {name: each for name, each in signals.items() if name in SIGNALS and len(each.time) > 1}
         if all(signal.timing == "receive" for signal in received.values()):
             with suppress(InputError):  # of several rates, or without any: told by who needs one
-                regular, more = on_one_clock(str(path), received, bag.hold, allow_gaps=True)
+                regular, more = on_one_clock(str(path), received, bag.hold or "zoh", allow_gaps=True)
                 signals |= regular
                 notes += more
-    record = Record(signals, str(path), tuple(notes), bag.hold, bag.history)
+    record = Record(signals, str(path), tuple(notes), bag.hold or "zoh", bag.history, bag.hold is not None)
     return replace(record, notes=(*record.notes, *_not_followed(record)))
 
 

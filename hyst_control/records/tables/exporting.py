@@ -94,7 +94,7 @@ def _write_mcap(record: Record, path: Path) -> None:
     topics, signals = list(record.signals), list(record.signals.values())
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
         part = Path(temporary) / path.name
-        with open_bag(part, {"hold": record.hold} if record.hold != "zoh" else None) as writer:
+        with open_bag(part, {"hold": record.hold} if record.states_hold else None) as writer:
             for topic in topics:
                 writer.add_topic(f"/{topic}")
             for at in np.argsort(times, kind="stable").tolist():

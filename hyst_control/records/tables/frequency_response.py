@@ -86,7 +86,7 @@ def response_record(source: str, columns: Sequence[Column], held: dict[str, Arra
         topic: Signal(time, values[:, None], axis_names(1), unit)
         for topic, values, unit in (("command", command, units[1]), ("measurement", measurement, units[0]))
     }
-    return Record(signals, source, tuple(notes), "foh")
+    return Record(signals, source, tuple(notes), "foh", states_hold=True)
 
 
 def _steady(frequency: Array, response: np.ndarray, rate: float, count: int) -> tuple[Array, Array]:

@@ -46,7 +46,7 @@ def import_records(
     columns: Sequence[Column],
     rate: float | None,
     rows: tuple[int, int | None] = (0, None),
-    hold: str = "zoh",
+    hold: str | None = None,
     variable: str | None = None,
     skip: int = 0,
     resample: float | None = None,
@@ -111,7 +111,7 @@ def _of_run(
     time: Array,
     values: dict[str, Array],
     units: dict[str, str],
-    hold: str,
+    hold: str | None,
     rate: float | None,
     begin: int,
     resample: float | None,
@@ -128,8 +128,8 @@ def _of_run(
         )
         time, values = time[kept], {topic: array[kept] for topic, array in values.items()}
     raw = _record(str(path), time, values, units, notes, hold)
-    signals, more = on_one_clock(str(path), raw.signals, hold, resample, allow_gaps)
-    record = Record(signals, str(path), (*notes, *more), hold)
+    signals, more = on_one_clock(str(path), raw.signals, raw.hold, resample, allow_gaps)
+    record = replace(raw, signals=signals, notes=(*notes, *more))
     if rate is not None and len(time) > 1:
         own = 1.0 / record.common_step(list(signals)[:1])
         if abs(own - rate) > RATE_TOLERANCE * rate:
@@ -139,9 +139,11 @@ def _of_run(
     return record
 
 
-def _record(source: str, time: Array, values: dict[str, Array], units: dict[str, str], notes: Sequence[str], hold: str) -> Record:
+def _record(
+    source: str, time: Array, values: dict[str, Array], units: dict[str, str], notes: Sequence[str], hold: str | None
+) -> Record:
     signals = {topic: Signal(time, array, axis_names(array.shape[1]), units[topic]) for topic, array in values.items()}
-    return Record(signals, source, tuple(notes), hold)
+    return Record(signals, source, tuple(notes), hold or "zoh", states_hold=hold is not None)
 
 
 def _scaled(path: Path, column: Column, held: dict[str, Array], begin: int, end: int) -> Array:
@@ -187,7 +189,7 @@ def write_bag(path: str | Path, record: Record) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
         part = Path(temporary) / path.name
-        said = {"hold": record.hold} if record.hold != "zoh" else {}
+        said = {"hold": record.hold} if record.states_hold else {}
         if record.history:
             said["history"] = "\n".join(record.history)
         with open_bag(part, said or None) as writer:
