@@ -87,6 +87,7 @@ EFFECT = Effect(
     stage,
     exercised=lambda around: around.axes > 1,
     couples=True,
+    separate_sizes=True,
     phrase="cross coupling of {coupling}",
     coupled_parameters=coupled_parameters,
     summary=at_rest,

@@ -86,3 +86,42 @@ def test_a_gain_may_drift_by_half():
     command = 50.0 + 40.0 * np.sin(2 * np.pi * 2.0 * TIME) * np.cos(2 * np.pi * 0.7 * TIME)
     truth = slow(command, 1 / RATE, 0.1, 10.0) * (1.0 + 0.5 * TIME / TIME[-1])
     assert values_of(diagnosed(command, truth, slow, LAG), "gain_drift")["change"] == pytest.approx(0.5, rel=0.02)
+
+
+PAIR = {"gx": (0.1, 0.002, "um/V"), "gy": (0.08, 0.002, "um/V"), "fx": (60.0, 1.0, "Hz"), "fy": (75.0, 1.0, "Hz")}
+
+
+def pair(command, sample_time, gx, gy, fx, fy):
+    """Two axes, each with a mode, exact for a held command."""
+    found = []
+    for rows, gain, frequency in zip(command.T, (gx, gy), (fx, fy), strict=True):
+        w = 2 * np.pi * frequency
+        top, bottom, _ = cont2discrete(([gain * w * w], [1.0, 0.4 * w, w * w]), sample_time, "zoh")
+        found.append(gain * rows[0] + lfilter(np.ravel(top), bottom, rows - rows[0]))
+    return np.column_stack(found)
+
+
+@pytest.mark.parametrize("shares", [(0.03, 0.0), (0.03, -0.02)])
+def test_a_static_share_of_the_other_axis_is_no_mode_beyond_the_command(shares):
+    """The machine runs eight steps to a sample, and differs from the simulator by what these are: a mode makes that as well."""
+    random = np.random.default_rng(8)
+    command = np.cumsum(random.standard_normal((ROWS, 2)), axis=0)
+    command = lfilter([0.05], [1.0, -0.95], command - command.mean(axis=0), axis=0)
+    command *= 40.0 / np.abs(command).max(axis=0)
+    fine = pair(np.repeat(command, 8, axis=0), 1 / RATE / 8, 0.1012, 0.0795, 60.4, 74.5)[::8]
+    measured = fine + fine[:, ::-1] * np.array(shares) + 0.003 * random.standard_normal((ROWS, 2))
+    found = hc.diagnose(hc.from_arrays(command, measured, rate=RATE), pair, parameters=PAIR, verbose=False)
+    values = values_of(found, "cross_coupling")
+    for axis, share in zip("xy", shares, strict=True):
+        assert values.get(f"coupling_{axis}", values["coupling"] if share else 0.0) == pytest.approx(share, abs=0.001)
+
+
+def test_a_limit_that_the_command_hardly_reaches_is_not_told():
+    random = np.random.default_rng(6)
+    command = lfilter([0.02], [1.0, -0.98], random.standard_normal(ROWS))
+    command = 50.0 + 40.0 * command / np.abs(command).max()
+    fine = np.clip(np.repeat(command, 8), None, 70.0)
+    lagged = slow(fine, 1 / RATE / 8, 0.1, 300.0)[::8]
+    found = diagnosed(command, lagged, slow, {**GAIN, "corner": (300.0, 3.0, "1/s")})
+    values = values_of(found, "saturation")
+    assert values["upper"] == pytest.approx(70.0, rel=0.01) and "lower" not in values

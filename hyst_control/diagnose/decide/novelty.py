@@ -15,7 +15,7 @@ import numpy as np
 
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide.record_findings import residual_of, share_of_outliers
-from hyst_control.diagnose.evidence import DistortionEvidence, Evidence, Outliers
+from hyst_control.diagnose.evidence import DistortionEvidence, Evidence, HypothesisEvidence, Outliers
 from hyst_control.diagnose.record_checks.summary import held_at_one_value
 from hyst_control.diagnose.verdict import Reason
 
@@ -95,6 +95,11 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     if not after - due > _noticed(evidence, thresholds):
         return 0.0
     return _share_left(evidence, chosen, thresholds)
+
+
+def leaves_more(evidence: Evidence, one: HypothesisEvidence, thresholds: Thresholds) -> bool:
+    """True where a hypothesis leaves more than it is due to, by an excess that counts."""
+    return one.energy - evidence.stated > _noticed(evidence, thresholds)
 
 
 def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:

@@ -23,7 +23,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Thresholds
 from hyst_control.diagnose.decide import novelty
-from hyst_control.diagnose.decide.novelty import remainder, unexplained
+from hyst_control.diagnose.decide.novelty import leaves_more, remainder, unexplained
 from hyst_control.diagnose.decide.record_findings import findings, flicker_found, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found, without_vibration
 from hyst_control.diagnose.evidence import (
@@ -240,16 +240,20 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
 def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
-    Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
-    coefficients had to leave their tolerance for a part, and need not for the combination.
+    So it is where one of its effects becomes a simpler one at an end of its ranges, which leaves hardly more than noise. Beside a great
+    effect what its stage and the physics differ by is many times the noise. But the share does not count where the coefficients had to leave their tolerance for a part, and
+    need not for the combination.
     """
     one = evidence.hypotheses[index]
-    if len(one.names) < 2:
+    ends = [{simpler, *one.names} - {name} for name, simpler in evidence.ends_as if name in one.names]
+    plainer = [
+        other
+        for other in (evidence.hypotheses[i] for i in claims)
+        if other.names and set(other.names) < set(one.names) or set(other.names) in ends and not leaves_more(evidence, other, thresholds)
+    ]
+    if not plainer:
         return False
-    parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
-    if not parts:
-        return False
-    best = min(parts, key=lambda part: part.misfit)
+    best = min(plainer, key=lambda other: other.misfit)
     better = best.misfit - one.misfit
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
@@ -282,8 +286,7 @@ def _listed(
     for index in claims:
         best.setdefault(key(evidence.hypotheses[index]), index)
     least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
-    simpler = dict(evidence.ends_as)
-    same = {name for name in best if name != chosen and sorted(simpler.get(effect, effect) for effect in name) == sorted(chosen)}
+    same = {name for name in best for effect, plain in evidence.ends_as if effect in name and {plain, *name} - {effect} == set(chosen)}
     return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
 
 

@@ -166,6 +166,8 @@ def _searched(
         (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
     everything = [solution for _, solution in fits + combinations] + [none.solution]
     fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
+    together = _with_fewer_limits(linearized, fits + combinations, without, thresholds.added_share)
+    fits, combinations = together[: len(fits)], together[len(fits) :]
     temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
     nothing = weighed(linearized.problem, none.solution)
 
@@ -327,6 +329,29 @@ def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]])
     starts = [np.concatenate([solution.x[place] for place in places[:i] + places[i + 1 :]]) for i in range(len(places))]
     solutions = map_known(_refitted, [(linearized, one, start, solution.z) for one, start in zip(candidates, starts, strict=True)])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
+
+
+def _with_fewer_limits(
+    linearized: Linearized, found: Sequence[tuple[Candidate, Solution]], without: float, share: float
+) -> list[tuple[Candidate, Solution]]:
+    """Fits, the best one without those of several limits of an effect that take off no more than a share of all that it does."""
+    found = list(found)
+    if not found:
+        return found
+    best = min(range(len(found)), key=lambda index: found[index][1].misfit)
+    candidate, solution = found[best]
+    most = solution.misfit + share * (without - solution.misfit)
+    for index, member in enumerate(candidate.members):
+        for limit in [parameter for parameter in member.parameters if np.isinf(parameter.absent)]:
+            member = candidate.members[index]
+            p = member.parameters.index(limit)
+            if sum(np.isinf(parameter.absent) for parameter in member.parameters) > 1:
+                plainer = candidate.replacing(index, member.without(p))
+                fewer = _refitted(linearized, plainer, np.delete(solution.x, candidate.slices()[index].start + p), solution.z)
+                if fewer is not None and fewer.misfit <= most:
+                    candidate, solution = plainer, fewer
+    found[best] = candidate, solution
+    return found
 
 
 def _refitted(linearized: Linearized, candidate: Candidate, start: Array, z: Array) -> Solution | None:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, cast
 
@@ -177,8 +177,15 @@ class Member:
 
     @property
     def untold(self) -> set[str]:
-        """Names of parameters that the gap report does not have."""
-        return {p.name for p in (*self.parameters, *self.effect.parameters(self.problem.surroundings)) if not p.told}
+        """Names of parameters that the gap report does not have, such as a limit that is not there."""
+        fitted = (*self.parameters, *self.effect.parameters(self.problem.surroundings))
+        return {p.name for p in fitted if not p.told} | {name for name, value in self.fixed if np.isinf(value)}
+
+    def without(self, index: int) -> Member:
+        """The same effect with a parameter at the value at which that does nothing."""
+        gone = self.parameters[index]
+        rest = self.parameters[:index] + self.parameters[index + 1 :]
+        return replace(self, parameters=rest, fixed=(*self.fixed, (gone.name, gone.absent)))
 
     def stage(self, x: Annotated[Array, "P"]) -> Stage:
         """Build the effect's stage for scaled parameters."""
@@ -412,6 +419,10 @@ class Candidate:
         """Add an effect, in signal order, and where it is on several axes in theirs."""
         order = list(EFFECTS)
         return Candidate(tuple(sorted((*self.members, member), key=lambda one: (order.index(one.name), one.axis or 0))))
+
+    def replacing(self, index: int, member: Member) -> Candidate:
+        """The same with another realization of one effect."""
+        return Candidate((*self.members[:index], member, *self.members[index + 1 :]))
 
     def without(self, index: int) -> Candidate:
         """Remove one effect."""
