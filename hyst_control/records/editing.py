@@ -13,15 +13,12 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.records.outliers import THRESHOLD, WINDOW, outlying
 from hyst_control.records.record import Record, Signal
 
 MEASUREMENT = ("measurement",)
 MAX_FACTOR = 1000
 """Largest numerator and denominator of the ratio of two rates."""
-NEARBY = 21
-"""Samples around one that say how rough the signal is there."""
-NORMAL_75, NORMAL_95 = 1.15, 1.96
-"""Quantiles of |x| over its standard deviation, of normal noise."""
 
 Edited = TypeVar("Edited", bound="EditableRecord")
 
@@ -138,7 +135,7 @@ class EditableRecord(Record):
         done = self._changed(tuple(topics), lambda _, values: detrend(values, axis=0, type=kind), begin, step)
         return done._noted(f"{kind} trend removed from {', '.join(topics)}")
 
-    def remove_outliers(self: Edited, threshold: float = 8.0, *, window: int = 7, topics: Sequence[str] = MEASUREMENT) -> Edited:
+    def remove_outliers(self: Edited, threshold: float = THRESHOLD, *, window: int = WINDOW, topics: Sequence[str] = MEASUREMENT) -> Edited:
         """Replace samples that jump away from both neighbors and from the running median by the line between their neighbors.
 
         Steps and turning points stay: the median follows the former, and the latter are no steeper than the motion around them.
@@ -157,8 +154,6 @@ class EditableRecord(Record):
         Record
             The record without outliers; the history has their number.
         """
-        from scipy.ndimage import maximum_filter, median_filter, percentile_filter
-
         if window < 3 or window % 2 == 0 or not threshold > 0:
             raise InputError(f"window, threshold: must be odd and >= 3, and > 0, got {window!r} and {threshold!r}")
         step, begin = self._clock()
@@ -166,17 +161,10 @@ class EditableRecord(Record):
 
         def cleaned(_: str, values: Array) -> Array:
             nonlocal found
-            distance = np.abs(values - median_filter(values, size=(window, 1), mode="nearest"))
-            jump = np.zeros_like(values)
-            jump[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
-            nearby = percentile_filter(jump, 75, size=(NEARBY, 1), mode="nearest") / NORMAL_75
-            deviation = np.maximum(nearby, np.quantile(jump, 0.95, axis=0) / NORMAL_95)
-            steepness = percentile_filter(np.abs(np.diff(values, axis=0, append=values[-1:])), 75, size=(NEARBY, 1), mode="nearest")
-            least = np.maximum(threshold * deviation, 2.0 * steepness) + 1e-12 * np.ptp(values, axis=0)
-            outlying = (np.minimum(distance, jump) > least) & (jump == maximum_filter(jump, size=(3, 1)))
-            found += int(outlying.any(axis=1).sum())
+            standing_out = outlying(values, threshold, window)
+            found += int(standing_out.any(axis=1).sum())
             done, rows = values.copy(), np.arange(len(values))
-            for axis, bad in enumerate(outlying.T):
+            for axis, bad in enumerate(standing_out.T):
                 done[bad, axis] = np.interp(rows[bad], rows[~bad], values[~bad, axis])
             return done
 

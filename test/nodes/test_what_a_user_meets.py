@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from scipy.special import betainc
 from std_srvs.srv import Trigger
 
+from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes.execution import command_line
@@ -201,10 +202,10 @@ def test_lists_have_their_range_in_the_descriptor(bench):
 
 
 class Log:
-    """Logger of a node that keeps its lines."""
+    """Node whose logger keeps its lines."""
 
-    def __init__(self):
-        self.lines = []
+    def __init__(self, **remedies):
+        self.lines, self.REMEDIES = [], remedies
 
     def get_logger(self):
         return self
@@ -217,8 +218,8 @@ class Log:
 
 
 def test_a_node_says_what_it_does_once_for_every_state():
-    log = Log()
-    state = StateLog(log, {"recorded": "is a recorder running?"})
+    log = Log(recorded="is a recorder running?")
+    state = StateLog(log)
     waiting = NodeHealth(waits=[Wait("recorded", 0, 2.5)])
     for health in (
         NodeHealth(unheard=["measurement"]),
@@ -228,6 +229,7 @@ def test_a_node_says_what_it_does_once_for_every_state():
         NodeHealth(),
         NodeHealth(slow="844 of 1000 Hz: 156 ticks missed"),
         NodeHealth(slow="850 of 1000 Hz: 150 ticks missed"),
+        NodeHealth(),
         NodeHealth(enabled=False),
         NodeHealth(),
         waiting,
@@ -238,6 +240,7 @@ def test_a_node_says_what_it_does_once_for_every_state():
         (logging.INFO, "waiting for recorded, tick 0: is a recorder running?"),
         (logging.INFO, "running"),
         (logging.WARNING, "844 of 1000 Hz: 156 ticks missed"),
+        (logging.INFO, "running again, after: 844 of 1000 Hz: 156 ticks missed"),
         (logging.WARNING, "stopped"),
         (logging.INFO, "running again, after: stopped"),
         (logging.WARNING, "waiting for recorded, tick 0: is a recorder running?"),
@@ -317,6 +320,41 @@ def test_help_lists_every_parameter_with_unit_and_default(name, capsys):
 def test_a_parameter_file_that_is_missing_is_one_line(capsys):
     assert main(PiFeedback, args=["pi_feedback", "--ros-args", "--params-file", "nowhere.yaml"]) == 2
     assert capsys.readouterr().err == "--params-file nowhere.yaml: there is no such file\n"
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("/**/pi_feedback: {kp: 1.0}", "/**/pi_feedback: has no ros__parameters: put the parameters below it"),
+        ("a: [", "is not valid YAML"),
+        ("3", "must be nodes with their ros__parameters"),
+    ],
+)
+def test_a_parameter_file_of_another_form_is_one_line(text, said, tmp_path, capsys):
+    (tmp_path / "p.yaml").write_text(text)
+    assert main(PiFeedback, args=["pi_feedback", "--ros-args", "--params-file", str(tmp_path / "p.yaml")]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
+
+
+def test_a_section_for_no_node_is_told(tmp_path):
+    """Limits of a loop are in such sections: with a misspelled name they would act nowhere."""
+    file = tmp_path / "p.yaml"
+    file.write_text("/**: {ros__parameters: {}}\n/**/pi_feedbak: {ros__parameters: {}}\nlab: {second: {ros__parameters: {}}}\n")
+    given = ["--ros-args", "--params-file", str(file)]
+    assert command_line.check(given) == [
+        f"{file}: /**/pi_feedbak: no node of this package has this name: did you mean pi_feedback?",
+        f"{file}: lab/second: no node of this package has this name",
+    ]
+    assert len(command_line.check([*given, "-r", "__node:=second"])) == 1
+    for shipped in sorted(config_path("nodes/tracking.yaml").parent.glob("*.yaml")):
+        assert command_line.check(["--params-file", str(shipped)]) == []
+
+
+def test_a_feedforward_that_looks_ahead_says_what_lead_it_waits_for(bench):
+    node = bench.add(HampiFeedforward, model=MODEL, rate_hz=RATE)
+    ahead = node.status()["preview [ticks]"]
+    assert ahead > 0 and f"a lead of {ahead} at least" in node.REMEDIES["reference"]
 
 
 def test_arguments_that_nobody_looks_at_are_refused():

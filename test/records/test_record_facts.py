@@ -11,7 +11,15 @@ from scipy.signal import bilinear, butter, lfilter, sosfilt
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.validity.beside_model import REFUTABLE, refutes
 from hyst_control.records.validity.checks import check_records, examined
-from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
+from hyst_control.records.validity.facts import (
+    copied_gain,
+    held_samples,
+    implausible,
+    longest_stand,
+    outliers,
+    rails,
+    simultaneous_gaps,
+)
 from hyst_control.records.validity.findings import Trial
 
 STEP = 1e-3
@@ -229,3 +237,42 @@ def test_a_model_refutes_what_it_explains_less(limit):
     assert not refutes(backwards, 0, "reversed_time")
     assert not refutes(made(COMMAND[::-1].copy(), sound.measurement[:, 0]), 0, "reversed_command")
     assert not refutes(made(sound.measurement[:, 0], COMMAND), 0, "swapped_signals")
+
+
+def followed(command: np.ndarray) -> np.ndarray:
+    """A lag of the command, with noise."""
+    return lfilter([0.05], [1.0, -0.95], command) + 1e-3 * np.random.default_rng(1).standard_normal(len(command))
+
+
+SMOOTH = 50.0 + lfilter([0.1], [1.0, -0.9], 30.0 * np.random.default_rng(5).standard_normal(6000))
+SWITCHED = np.repeat(np.random.default_rng(2).choice([20.0, 80.0], 60), 100)
+
+
+def test_samples_that_jump_out_of_the_motion_are_counted():
+    sound = followed(SMOOTH)
+    bad = sound.copy()
+    bad[[700, 1500, 4000]] += [3.0, -2.0, 5.0]
+    assert (outliers(sound), outliers(bad)) == (0, 3)
+    coarse = np.round(followed(np.linspace(0.0, 90.0, 6000)) / 0.5) * 0.5  # noise flips it between two values
+    assert outliers(coarse) == 0
+
+
+@pytest.mark.parametrize("value", [0.0, None])
+def test_a_sensor_that_drops_out_or_freezes_is_told(value):
+    stuck = followed(SMOOTH)
+    stuck[2000:2200] = stuck[2000] if value is None else value
+    assert longest_stand(SMOOTH, followed(SMOOTH)) is None
+    begin, count = longest_stand(SMOOTH, stuck)
+    assert (begin, count) == (2000, 200)
+    trial = Trial("r", SMOOTH[:, None], stuck[:, None], 1e-3, ("x",))
+    assert "stuck_measurement" in {each.name for each in examined([trial])[1]}
+
+
+def test_rounding_and_backlash_do_not_count_as_a_sensor_that_stands():
+    for command in (SMOOTH, SWITCHED):
+        assert longest_stand(command, np.round(followed(command) / 3.0) * 3.0) is None
+        play, at = np.empty(len(command)), command[0]
+        for k, u in enumerate(command):
+            play[k] = at = min(max(at, u - 8.0), u + 8.0)
+        assert longest_stand(command, lfilter([0.05], [1.0, -0.95], play)) is None
+        assert longest_stand(command, play) is None

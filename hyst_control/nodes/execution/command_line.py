@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import inspect
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import shown
+from hyst_control.base.yaml_files import read_yaml
 from hyst_control.nodes.signal_node.parameters import Setting, nearest
+from hyst_control.processes.node_list import NODES
 
 WIDTH = 100
 """Columns of the help."""
@@ -42,11 +44,34 @@ def help_text(program: str, node_classes: Sequence[Any]) -> str:
     return "\n".join(parts)
 
 
-def check(arguments: Sequence[str]) -> None:
-    """Refuse a parameter file that is missing, before ROS says less about it."""
+def check(arguments: Sequence[str]) -> list[str]:
+    """Refuse a parameter file that is missing or has another form, before ROS says less about it; warnings of sections for no node."""
+    warnings = []
+    renamed = [value.rpartition(":=")[2] for value in arguments if value.startswith("__node:=")]
     for option, value in zip(arguments, arguments[1:]):
-        if option == "--params-file" and not Path(value).is_file():
-            raise InputError(f"--params-file {value}: there is no such file")
+        if option == "--params-file":
+            if not Path(value).is_file():
+                raise InputError(f"--params-file {value}: there is no such file")
+            for section, content in _sections(value):
+                if not isinstance(content, dict) or "ros__parameters" not in content:
+                    raise InputError(f"--params-file {value}: {section}: has no ros__parameters: put the parameters below it")
+                name = section.rpartition("/")[2]
+                if name not in (*NODES, *renamed, "*", "**"):
+                    warnings.append(f"{value}: {section}: no node of this package has this name{nearest(name, NODES, '')}")
+    return warnings
+
+
+def _sections(path: str) -> Iterator[tuple[str, Any]]:
+    """Nodes of a parameter file, by their whole names, and what the file has of each."""
+    content = read_yaml(path)
+    if not isinstance(content, dict):
+        raise InputError(f"--params-file {path}: must be nodes with their ros__parameters")
+    for name, below in content.items():
+        inner = below if isinstance(below, dict) and "ros__parameters" not in below else {}
+        spaces = {key: value for key, value in inner.items() if isinstance(value, dict) and "ros__parameters" in value}
+        yield from ((f"{name}/{key}", value) for key, value in spaces.items())
+        if not spaces:
+            yield str(name), below
 
 
 def check_rest(program: str, rest: Sequence[str]) -> None:

@@ -142,7 +142,8 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         return 0
     exposed = environment.exposure()
     try:
-        command_line.check(given)
+        for warning in command_line.check(given):
+            print(warning, file=sys.stderr)
     except InputError as error:
         print(error, file=sys.stderr)
         return 2

@@ -90,7 +90,7 @@ class NodeDiagnostics:
     def __init__(self, node: Any) -> None:  # SignalNode, whose module imports this one
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._log = StateLog(node, node.REMEDIES)
+        self._log = StateLog(node)
         self._last = (time.monotonic(), 0, 0)  # s, ticks and missed ones, of the last status
         self._steps: Iterator[None] = iter(())
         self._ready_since = math.inf  # s, since when the node spins
@@ -131,7 +131,7 @@ class NodeDiagnostics:
             **schedule.health(),
         )
         for topic in health.contested:
-            node.warn(f"{topic}: sources", f"{topic}: {publishers[topic]} nodes publish this topic: was one started twice?")
+            node.warn(f"{topic}: sources", f"{topic}: {publishers[topic]} nodes publish this topic: was one started twice, or killed a moment ago?")
         values: dict[str, Any] = {
             "schedule": node.settings.schedule,
             **schedule.entries(),
@@ -192,9 +192,10 @@ class ThrottledWarnings:
 class StateLog:
     """Log of what a node does: a line whenever that changes."""
 
-    def __init__(self, node: Node, remedies: Mapping[str, str]) -> None:
-        self._node, self._remedies = node, remedies
+    def __init__(self, node: Any) -> None:  # SignalNode
+        self._node = node
         self._said = ""
+        self._before = ""  # As it was logged
         self._ran = False
 
     def tell(self, health: NodeHealth) -> None:
@@ -202,7 +203,7 @@ class StateLog:
         text, kind, waits = self._text(health)
         if kind == self._said:
             return
-        before, self._said = self._said, kind
+        self._said, before, self._before = kind, self._before, text
         logger = self._node.get_logger()
         if kind == "running":
             logger.info(f"running again, after: {before}" if self._ran else "running")
@@ -218,7 +219,7 @@ class StateLog:
             late = [wait for wait in health.waits if wait.seconds >= WAIT_WARNING]
             if late:
                 topics = [f"{wait.topic}, tick {wait.tick}" for wait in late]
-                remedies = [self._remedies[wait.topic] for wait in late if wait.topic in self._remedies]
+                remedies = [self._node.REMEDIES[wait.topic] for wait in late if wait.topic in self._node.REMEDIES]
                 return ": ".join([f"waiting for {' and '.join(topics)}", *remedies]), _names(wait.topic for wait in late), True
             if health.unheard:
                 return f"{_names(health.unheard)}: nothing has come yet", _names(health.unheard), True

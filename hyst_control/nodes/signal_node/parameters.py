@@ -170,8 +170,8 @@ def _refuse_unknown(node: Node, elsewhere: Collection[str]) -> None:
             raise InputError(f"{node.get_name()}: parameter {name}: there is no such parameter{nearest(name, declared)}")
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, known: Iterable[str], otherwise: str = ": --help lists them") -> str:
     """Question after the name that was meant."""
     plain = {each.lower().replace("_", ""): each for each in known}
     found = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1)
-    return f": did you mean {plain[found[0]]}?" if found else ": --help lists them"
+    return f": did you mean {plain[found[0]]}?" if found else otherwise

@@ -19,7 +19,15 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra
 from hyst_control.records.validity.beside_model import model_findings, refutes
 from hyst_control.records.validity.causality import direction_findings
-from hyst_control.records.validity.facts import copied_gain, held_samples, implausible, rails, simultaneous_gaps
+from hyst_control.records.validity.facts import (
+    copied_gain,
+    held_samples,
+    implausible,
+    longest_stand,
+    outliers,
+    rails,
+    simultaneous_gaps,
+)
 from hyst_control.records.validity.findings import NOTES, Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, linear_reference
 from hyst_control.records.validity.rows import MAX_PAIRED, CondensedRows
@@ -95,6 +103,12 @@ def _facts(trial: Trial, index: int) -> Iterator[Finding]:
         yield Finding("copied_command", trial.name, axis, gain, 0.0, f"({gain:.4g} times the command)")
     if gaps := simultaneous_gaps(command, measured):
         yield Finding("lost_rows", trial.name, axis, gaps, 0.0, f"(command and measurement jump together in {gaps} places)")
+    if (count := outliers(measured)) > 0:
+        yield Finding("single_outliers", trial.name, axis, count, 0.0, f"({count} of {len(measured)})")
+    if (stands := longest_stand(command, measured)) is not None:
+        begin, count = stands
+        detail = f"on {measured[begin]:.4g} {trial.unit} for {count} samples from {begin * trial.sample_time:.4g} s on"
+        yield Finding("stuck_measurement", trial.name, axis, count, 0.0, detail)
     if (odd := implausible(command, measured, trial.unit)) is not None:
         what, smaller = odd
         yield Finding("implausible_range", trial.name, axis, 0.0, 0.0, f"({what})", f"check the unit: is it in {smaller}?")

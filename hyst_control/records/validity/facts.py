@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.records.outliers import ROUNDED, outlying
 from hyst_control.records.stream.row_store import blocks
 
 LONGEST = 2**20
@@ -27,6 +28,10 @@ MIN_GAPS = 5
 """Simultaneous jumps of command and measurement that are gaps."""
 JUMP = 8.0
 """Size of a jump relative to the median second difference of its neighborhood."""
+MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
+"""Outliers that are told, and the share of the samples from which they are none."""
+MIN_STAND, MOVES_FAR = 10, 0.05
+"""Samples on which a measurement stands still, and the share of its range by which the command moves meanwhile."""
 LARGEST_RANGE = {"V": 5e3, "um": 5e3, "mrad": 1e3}
 """Ranges of command (V) and measurement from which they are implausible for a piezo stage."""
 LARGEST_GAIN = {"um": 3e3, "mrad": 1e3}
@@ -55,6 +60,30 @@ def rails(command: Array, measured: Array) -> tuple[float, float] | None:
         if sum(step > MOVES_ON * span for step in beyond) >= min(2, len(beyond)) and beyond and max(beyond) > MOVES_ON * span:
             found.append((extreme, share))
     return max(found, key=lambda rail: rail[1], default=None)
+
+
+def outliers(measured: Array) -> int:
+    """Samples of a measurement (N,) that stand alone; 0 where they are so many that they are no outliers."""
+    count = int(np.count_nonzero(outlying(measured[:LONGEST, None])))
+    return count if MIN_OUTLIERS <= count < MOST_OUTLIERS * len(measured) else 0
+
+
+def longest_stand(command: Array, measured: Array) -> tuple[int, int] | None:
+    """First sample and length of the stretch on which a measurement (N,) repeats one value while the command moves far.
+
+    Coarse steps of a sensor, and backlash, repeat values as well: here the measurement jumps into them, or to where the motion has gone on to.
+    """
+    measured = measured[:LONGEST]
+    steps = np.abs(np.diff(measured))
+    edges = np.flatnonzero(np.diff(measured)) + 1
+    begins, ends = np.append(0, edges), np.append(edges, len(measured))
+    longest = int(np.argmax(ends - begins))
+    begin, count = int(begins[longest]), int(ends[longest] - begins[longest])
+    if count < MIN_STAND or not 0 < begin < len(measured) - count:
+        return None
+    jump, usual = float(max(steps[begin - 1], steps[begin + count - 1])), max(float(np.quantile(steps, 0.99)), ROUNDED * float(np.min(steps[steps > 0.0])))
+    moved = float(np.median(np.abs(np.diff(command[begin : begin + count])))) * count / max(float(np.ptp(command)), 1e-300)
+    return (begin, count) if jump > usual and moved > MOVES_FAR else None
 
 
 def held_samples(command: Array) -> int:

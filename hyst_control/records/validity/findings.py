@@ -74,6 +74,8 @@ NOTES = (
     "copied_command",
     "held_command",
     "implausible_range",
+    "single_outliers",
+    "stuck_measurement",
     "slow_sampling",
 )
 """Findings with which a record is used all the same."""
