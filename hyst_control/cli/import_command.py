@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--hold",
         choices=("zoh", "foh"),
-        help="command between samples: zoh, held by a DAC (default, but for a bag that states it); foh, a sampled smooth source",
+        help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: as a bag states it, else found later)",
     )
     add_shift(parser)
     add("--variable", help="array of an .npz or .mat file that columns are numbered in, or sheet of a workbook")

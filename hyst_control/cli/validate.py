@@ -49,7 +49,7 @@ def add_hold_and_start(parser: argparse.ArgumentParser) -> None:
         "--hold",
         choices=("auto", "zoh", "foh"),
         help="command between samples: zoh, held by a DAC; foh, a sampled smooth source (default: auto, as "
-        "stated in the bag, else what explains held-out rows)",
+        "stated in the bag, else the model's, or what explains held-out rows)",
     )
     parser.add_argument(
         "--start",

@@ -69,7 +69,9 @@ class Feedforward(SignalNode):
         self._compensator.settle(np.zeros(len(self.axes)))  # compiled before the first tick
         self._compensator.process(np.zeros((1, len(self.axes))))
         if ahead := self._compensator.preview:
-            self.REMEDIES = {"reference": f"the inverse looks {ahead} ticks ahead: give reference_generator a lead of {ahead} at least"}
+            self.REMEDIES = {
+                "reference": f"the inverse looks {ahead} ticks ahead: give reference_generator a lead of {ahead} at least"
+            }
         self._next: int | None = None  # tick of the next row out of the compensator
         self._due = 0
         self._demand = SlopeDemand()

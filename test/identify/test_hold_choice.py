@@ -11,8 +11,8 @@ from scipy import signal
 from hyst_control.api.record import from_arrays, read_bag
 from hyst_control.identify import identify
 from hyst_control.identify.data.hold_choice import hold_errors
-from hyst_control.identify.workflow import MAX_NOTES, Result, gapless_records, identify_records, with_one_hold
 from hyst_control.identify.validation import validate_record
+from hyst_control.identify.workflow import MAX_NOTES, Result, gapless_records, identify_records, with_one_hold
 from hyst_control.records.record import Record, Signal, sampled_record
 
 

@@ -241,15 +241,18 @@ def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thre
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
     So it is where one of its effects becomes a simpler one at an end of its ranges, which leaves hardly more than noise. Beside a great
-    effect what its stage and the physics differ by is many times the noise. But the share does not count where the coefficients had to leave their tolerance for a part, and
-    need not for the combination.
+    effect what its stage and the physics differ by is many times the noise. But it does not count where the coefficients had to leave
+    their tolerance for a part, and need not for the combination.
     """
     one = evidence.hypotheses[index]
     ends = [{simpler, *one.names} - {name} for name, simpler in evidence.ends_as if name in one.names]
     plainer = [
         other
         for other in (evidence.hypotheses[i] for i in claims)
-        if other.names and set(other.names) < set(one.names) or set(other.names) in ends and not leaves_more(evidence, other, thresholds)
+        if other.names
+        and set(other.names) < set(one.names)
+        or set(other.names) in ends
+        and not leaves_more(evidence, other, thresholds)
     ]
     if not plainer:
         return False
@@ -286,7 +289,9 @@ def _listed(
     for index in claims:
         best.setdefault(key(evidence.hypotheses[index]), index)
     least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
-    same = {name for name in best for effect, plain in evidence.ends_as if effect in name and {plain, *name} - {effect} == set(chosen)}
+    same = {
+        name for name in best for effect, plain in evidence.ends_as if effect in name and {plain, *name} - {effect} == set(chosen)
+    }
     return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
 
 

@@ -131,7 +131,8 @@ class NodeDiagnostics:
             **schedule.health(),
         )
         for topic in health.contested:
-            node.warn(f"{topic}: sources", f"{topic}: {publishers[topic]} nodes publish this topic: was one started twice, or killed a moment ago?")
+            said = f"{publishers[topic]} nodes publish this topic: was one started twice, or killed a moment ago?"
+            node.warn(f"{topic}: sources", f"{topic}: {said}")
         values: dict[str, Any] = {
             "schedule": node.settings.schedule,
             **schedule.entries(),

@@ -71,7 +71,7 @@ def outliers(measured: Array) -> int:
 def longest_stand(command: Array, measured: Array) -> tuple[int, int] | None:
     """First sample and length of the stretch on which a measurement (N,) repeats one value while the command moves far.
 
-    Coarse steps of a sensor, and backlash, repeat values as well: here the measurement jumps into them, or to where the motion has gone on to.
+    Coarse steps of a sensor, and backlash, repeat values as well: here the measurement jumps before or behind.
     """
     measured = measured[:LONGEST]
     steps = np.abs(np.diff(measured))
@@ -81,7 +81,8 @@ def longest_stand(command: Array, measured: Array) -> tuple[int, int] | None:
     begin, count = int(begins[longest]), int(ends[longest] - begins[longest])
     if count < MIN_STAND or not 0 < begin < len(measured) - count:
         return None
-    jump, usual = float(max(steps[begin - 1], steps[begin + count - 1])), max(float(np.quantile(steps, 0.99)), ROUNDED * float(np.min(steps[steps > 0.0])))
+    jump = max(steps[begin - 1], steps[begin + count - 1])
+    usual = max(np.quantile(steps, 0.99), ROUNDED * np.min(steps[steps > 0.0]))
     moved = float(np.median(np.abs(np.diff(command[begin : begin + count])))) * count / max(float(np.ptp(command)), 1e-300)
     return (begin, count) if jump > usual and moved > MOVES_FAR else None
 
