@@ -187,6 +187,8 @@ class Evidence:
     carried: bool = False
     # Effects that become a simpler one at an end of their ranges, each with that one
     ends_as: tuple[tuple[str, str], ...] = ()
+    # Effects that simpler ones may stand for, each with one of these
+    plainer: tuple[tuple[str, str], ...] = ()
     # Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range
     moved: float = 0.0
 

@@ -133,8 +133,10 @@ class Effect:
     exercised: Callable[[Surroundings], bool] = lambda _: True  # Whether a record could show the effect at all
     # Whether the measurement repeats a value while the effect holds it, which is then no sample that was held
     repeats_values: bool = False
-    # Simpler effects that it becomes at an end of its ranges: no explanation unless it explains a good deal more than these do
-    ends_as: tuple[str, ...] = ()
+    # Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better
+    ends_as: str | None = None
+    # Simpler effects that do the same where the command does not reach what it adds: named where they leave hardly more than noise
+    plainer: tuple[str, ...] = ()
     # Whether it has a waveform that a simulation can be compared with; noise, lattices and repeated samples have none and are found
     # by looking at the record
     waveform: bool = True

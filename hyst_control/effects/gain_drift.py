@@ -226,7 +226,7 @@ EFFECT = Effect(
     parameters,
     lambda values, around: GainDrift(**stage_values({"span": around.duration, **values})),
     variants=drift_variants,
-    ends_as=("gain",),
+    ends_as="gain",
     summary=in_the_end,
     also_at=("drive",),
     phrase="a gain drift of {change}",

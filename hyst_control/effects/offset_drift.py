@@ -55,7 +55,7 @@ EFFECT = Effect(
     # A straight one over the whole record is the drift of a session, which every explanation has.
     variants=lambda around: (drift_variants(around)[0], *drift_variants(around)[2:]),
     summary=in_the_end,
-    ends_as=("offset",),
+    ends_as="offset",
     companion=Companion(1, "change", 2.0),
     phrase="an offset drift of {change}",
 )

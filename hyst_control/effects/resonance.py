@@ -153,7 +153,7 @@ EFFECT = Effect(
     parameters,
     stage,
     coupled_parameters=coupled_parameters,
-    ends_as=("gain", "cross_coupling"),  # beyond all that the command drives
+    plainer=("gain", "cross_coupling"),  # beyond all that the command drives
     summary=gain,
     phrase="a resonance at {frequency}",
 )

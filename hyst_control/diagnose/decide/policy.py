@@ -170,7 +170,9 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
     return tuple(
         index
         for index in found
-        if not _adds_too_little(index, found, evidence, thresholds) and not _is_known_effect(index, found, evidence, thresholds)
+        if not _adds_too_little(index, found, evidence, thresholds)
+        and not _is_known_effect(index, found, evidence, thresholds)
+        and not _has_plainer_one(index, found, evidence, thresholds)
     )
 
 
@@ -240,29 +242,40 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
 def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
-    So it is where one of its effects becomes a simpler one at an end of its ranges, which leaves hardly more than noise. Beside a great
-    effect what its stage and the physics differ by is many times the noise. But it does not count where the coefficients had to leave
-    their tolerance for a part, and need not for the combination.
+    Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
+    coefficients had to leave their tolerance for a part, and need not for the combination.
     """
     one = evidence.hypotheses[index]
-    ends = [{simpler, *one.names} - {name} for name, simpler in evidence.ends_as if name in one.names]
-    plainer = [
-        other
-        for other in (evidence.hypotheses[i] for i in claims)
-        if other.names
-        and set(other.names) < set(one.names)
-        or set(other.names) in ends
-        and not leaves_more(evidence, other, thresholds)
-    ]
-    if not plainer:
+    if len(one.names) < 2:
         return False
-    best = min(plainer, key=lambda other: other.misfit)
+    parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
+    if not parts:
+        return False
+    best = min(parts, key=lambda part: part.misfit)
     better = best.misfit - one.misfit
     relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
         one.strain, evidence.coefficients, thresholds
     )
     small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
     return not exceeds(best, one, evidence, thresholds) or (small and not relieved)
+
+
+def _has_plainer_one(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True where a simpler effect leaves hardly more than noise, and next to nothing makes a hypothesis the sure one of the two.
+
+    So much a stage and the physics of the simpler effect may differ by. What is not sure is told beside it.
+    """
+    one = evidence.hypotheses[index]
+    plainer = [{plain, *one.names} - {name} for name, plain in evidence.plainer if name in one.names]
+    most = one.misfit + thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    sure = np.log(thresholds.sure_probability / (1.0 - thresholds.sure_probability)) / thresholds.sharpness
+    return any(
+        set(other.names) in plainer
+        and not leaves_more(evidence, other, thresholds)
+        and other.misfit <= most
+        and one.score - other.score > sure
+        for other in (evidence.hypotheses[i] for i in claims)
+    )
 
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
@@ -289,9 +302,8 @@ def _listed(
     for index in claims:
         best.setdefault(key(evidence.hypotheses[index]), index)
     least = min(thresholds.listed_probability, first)  # of very many the best is named, though improbable
-    same = {
-        name for name in best for effect, plain in evidence.ends_as if effect in name and {plain, *name} - {effect} == set(chosen)
-    }
+    simpler = dict(evidence.ends_as)
+    same = {name for name in best if name != chosen and sorted(simpler.get(effect, effect) for effect in name) == sorted(chosen)}
     return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
 
 

@@ -115,7 +115,9 @@ def excess_noise(noise: float, stated: float, others: Sequence[Finding], axis: i
     return Finding(RecordCheck.WHITE_SPECTRUM, axis, rms, (max(rms - error, 0.0), rms + error), rms, float(gain))
 
 
-def outliers(residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks, step: float = 0.0) -> tuple[int, float]:
+def outliers(
+    residual: Annotated[Array, "N"], settings: CheckSettings = CONFIGURATION.checks, step: float = 0.0
+) -> tuple[int, float]:
     """Single samples of a residual that stand out of their neighbors as no white noise does, and no rounding to some step.
 
     Against the mean of both neighbors, in robust standard deviations: what is smooth, steps or falls with frequency stands out little.

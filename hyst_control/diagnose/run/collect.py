@@ -82,7 +82,8 @@ def collect(
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
-        tuple((name, simpler) for name, effect in EFFECTS.items() for simpler in effect.ends_as),
+        tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
+        tuple((name, plain) for name, effect in EFFECTS.items() for plain in effect.plainer),
         _moved(found, stated),
     )
     return Collected(evidence, hypotheses)

@@ -42,6 +42,8 @@ from hyst_control.effects.gain_drift import EFFECT as GAIN_DRIFT
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
+OUTSIDE = 5e-4
+"""Share of a command outside the model's range from which a note says it."""
 RULES, LIKELIHOOD = "rules", "likelihood"
 """Cores that weigh hypotheses."""
 
@@ -255,7 +257,7 @@ def problem_of(
     if valid:
         commands = np.concatenate([piece.command for piece in pieces])
         outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
-        if outside > 0:
+        if outside >= OUTSIDE:
             notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
     if not model.uncertainty and (idle := idle_tolerances(model)):
         notes.append(f"tolerance of {', '.join(idle)}: no parameter of the model's chain scatters by this name; see the model file")
