@@ -69,8 +69,8 @@ def make_fleet(
     folder: Path, seed: int, units: int, runs: int, changed: float = 0.1, note: Callable[[str], None] = lambda line: None
 ) -> Path:
     """Draw a fleet, record its runs, and write manifest and labels."""
-    if units < 1 or runs < CLEAN_RUNS + 2:
-        raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_RUNS + 2} runs, got {units} and {runs}")
+    if units < 1 or runs < CLEAN_RUNS + 3:  # a run without effect follows the clean ones, and an effect lasts two runs at least
+        raise InputError(f"--fleet: must be at least 1 unit and {CLEAN_RUNS + 3} runs, got {units} and {runs}")
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: holds files already: choose another folder")
     (folder / "bags").mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from hyst_control import model_file
 from hyst_control.api.record import Record, from_arrays
-from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, table_frame
+from hyst_control.api.shown import Shown, check_seed, drawn, pandas, promoted, rows_of, table_frame
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -139,6 +139,7 @@ class Model(model_file.Model, Shown):
 
         The command (N,) or (N, A) in V, at a rate in Hz, the model's by default. A seed adds the model's noise, drawn with it.
         """
+        check_seed(seed)
         rows = rows_of("command", command)
         if rows.shape[1] != len(self.axes):
             raise InputError(f"command: has {rows.shape[1]} columns, the model {len(self.axes)} axes")

@@ -8,6 +8,7 @@ import html
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields
+from numbers import Integral
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -53,6 +54,12 @@ def drawn(panels: Sequence[Panel], title: str, path: str | Path | None) -> list[
 def promoted(kind: type[Kind], found: Any, **more: Any) -> Kind:
     """A dataclass of the package as one of the front door, which adds methods, and the fields `more`, to it."""
     return kind(**{each.name: getattr(found, each.name) for each in fields(found)}, **more)
+
+
+def check_seed(seed: int | None) -> None:
+    """Refuse a seed from which nothing can be drawn."""
+    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0):
+        raise InputError(f"seed: must be a whole number >= 0, got {seed!r}")
 
 
 def rows_of(name: str, values: ArrayLike) -> Array:

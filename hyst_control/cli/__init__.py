@@ -160,6 +160,9 @@ def _open_what_is_closed() -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run a subcommand, print its result, and write it as JSON where requested."""
+    seed = getattr(arguments, "seed", None)  # of every command that has one
+    if isinstance(seed, int) and seed < 0:
+        raise InputError(f"--seed: must be >= 0, got {seed}")
     read = [getattr(arguments, name) for name in arguments.reads]
     check_outputs(
         {f"--{name}": getattr(arguments, name) for name in arguments.writes},

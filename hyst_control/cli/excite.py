@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
     add("--list", action="store_true", help="print every kind with its parameters")
-    add("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, otherwise a bag; it must not exist")
+    add("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, or a bag (no ending, or .bag); it must not exist")
     add("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
     add(
         "--plant",

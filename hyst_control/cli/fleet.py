@@ -75,6 +75,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.base.errors import InputError
     from hyst_control.base.parallel import Workers
     from hyst_control.fleet.manifest import read_manifest
+    from hyst_control.fleet.overview import check_limits
     from hyst_control.fleet.study import run_study
 
     if arguments.kind == "score":
@@ -97,6 +98,11 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         raise InputError(f"--of: goes with population, not with {arguments.kind}")
     options: dict[str, object] = {"namespace": arguments.namespace, "unit": arguments.unit}
     if arguments.kind == "identify":
+        from hyst_control.identify.families.estimator import estimators
+        from hyst_control.identify.workflow import AUTO
+
+        if arguments.family not in (None, AUTO, *estimators()):
+            raise InputError(f"--family: must be one of {', '.join(estimators())}, got {arguments.family}")
         options["family"] = arguments.family
     elif arguments.family:
         raise InputError(f"--family: goes with identify, not with {arguments.kind}")
@@ -108,9 +114,10 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         raise InputError(f"--only: goes with diagnose, not with {arguments.kind}")
     if arguments.only:
         options["only"] = arguments.only
+    limits = _limits(arguments.limit)
+    check_limits(arguments.kind, limits)
     entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)
     workers = Workers(arguments.workers, arguments.cluster)
-    limits = _limits(arguments.limit)
     return run_study(arguments.kind, entries, arguments.output, options, workers, progress.step, limits, arguments.split_axes)
 
 

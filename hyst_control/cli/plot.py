@@ -125,17 +125,19 @@ def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...
     compared = arguments.bode or arguments.model
     if compared and (xy is not None or arguments.spectrum or arguments.signals):
         raise InputError("--bode, --model: are about command and measurement: leave --xy, --spectrum and --signals out")
-    wanted = ("command", "measurement", "applied") if compared else arguments.signals
-    if xy is not None and not wanted:
-        wanted = [name.partition(".")[0] for name in xy]
+    named = [*(arguments.signals or ()), *(name.partition(".")[0] for name in xy or ())]
+    wanted = ("command", "measurement", "applied") if compared else named or None
     bags = bags_in(arguments.files)
     if compared and len(bags) > 1:
         raise InputError("--bode, --model: are of one bag: give one")
     if arguments.color and xy is None:
         raise InputError("--color: is of loops: give --xy too")
-    record, *others = records = [
-        read_bag(bag, arguments.namespace, topics=wanted).between(arguments.begin, arguments.end) for bag in bags
-    ]
+    read = [read_bag(bag, arguments.namespace, topics=wanted) for bag in bags]
+    for bag, each in zip(bags, read, strict=True):
+        for name in named:
+            if name not in each.signals:
+                read_bag(bag, arguments.namespace).signal(name)  # refuses it, naming all topics that are there
+    record, *others = records = [each.between(arguments.begin, arguments.end) for each in read]
     notes = tuple(note for each in records for note in each.notes)
     if arguments.model:
         from hyst_control.control.model_figures import beside, bode_of  # with every stage, for which the others need not wait

@@ -50,8 +50,6 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 
     if bool(arguments.bag) == bool(arguments.excitation):
         raise InputError("give either a bag or --excitation")
-    if arguments.seed is not None and arguments.seed < 0:
-        raise InputError(f"--seed: must be >= 0, got {arguments.seed}")
     model = load_model(arguments.model)
     hold, notes = model.hold, []
     if arguments.bag:

@@ -68,6 +68,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     model = load_model(arguments.model)
     if arguments.rate is not None and not 0 < arguments.rate < 1e12:
         raise InputError(f"--rate: must be > 0 Hz and < 1e12 Hz, got {arguments.rate!r}")
+    if arguments.loop_delay < 0:
+        raise InputError(f"--loop-delay: must be >= 0 ticks, got {arguments.loop_delay}")
     try:
         roll_off = "auto" if arguments.roll_off == "auto" else float(arguments.roll_off)
     except ValueError:

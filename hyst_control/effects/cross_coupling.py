@@ -88,6 +88,7 @@ EFFECT = Effect(
     exercised=lambda around: around.axes > 1,
     couples=True,
     separate_sizes=True,
+    static=True,
     phrase="cross coupling of {coupling}",
     coupled_parameters=coupled_parameters,
     summary=at_rest,

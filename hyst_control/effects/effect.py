@@ -135,8 +135,9 @@ class Effect:
     repeats_values: bool = False
     # Simpler effect that it becomes at an end of its ranges: no second explanation where that one explains a record better
     ends_as: str | None = None
-    # Simpler effects that do the same where the command does not reach what it adds: named where they leave hardly more than noise
-    plainer: tuple[str, ...] = ()
+    static: bool = False  # Whether it is a share of a motion, the same at every frequency
+    # Whether it is such a share where the command does not reach a frequency of its own: one that leaves hardly more than noise is named
+    static_elsewhere: bool = False
     # Whether it has a waveform that a simulation can be compared with; noise, lattices and repeated samples have none and are found
     # by looking at the record
     waveform: bool = True

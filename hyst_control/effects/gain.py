@@ -24,5 +24,6 @@ EFFECT = Effect(
     lambda values, around: Gain(factor(values["gain"])),
     also_at=("drive",),
     separate_sizes=True,
+    static=True,
     phrase="a gain error of {gain}",
 )

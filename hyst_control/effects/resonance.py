@@ -153,7 +153,7 @@ EFFECT = Effect(
     parameters,
     stage,
     coupled_parameters=coupled_parameters,
-    plainer=("gain", "cross_coupling"),  # beyond all that the command drives
+    static_elsewhere=True,
     summary=gain,
     phrase="a resonance at {frequency}",
 )

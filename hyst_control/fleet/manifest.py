@@ -90,6 +90,8 @@ def read_manifest(
 
 
 def _of_table(path: Path) -> Iterator[Entry]:
+    if not path.exists():
+        raise InputError(f"{path}: does not exist: give the path of a manifest")
     rows = _parquet_rows(path) if path.suffix == ".parquet" else _csv_rows(path)
     for number, row in enumerate(rows, start=1):
         if not row.get("bag"):

@@ -44,6 +44,8 @@ def score_study(study: str | Path, labels: str | Path) -> Table:
         table.add("common causes", truth["driver"]["driver"], truth["driver"]["effect"], "driver named", "1", float(hit))
         others = sum(column == "driver" for column, _ in causes) - hit
         table.add("common causes", "all", "all", "other drivers named", "1", float(others))
+    if not table.rows:
+        table.notes.append(f"{labels}: nothing to score: no effect begins in this fleet, and none was found")
     return table
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
+from hyst_control.effects import EFFECTS
 from hyst_control.fleet.change_points import Onset, Trend, find_changes
 from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
 from hyst_control.fleet.covariates import CovariateEffect, take_out
@@ -100,6 +103,19 @@ def overview(
     trends.sort(key=lambda trend: -trend.probability)
     outliers = find_outliers(units, list(whole), means)
     return Overview(kind, units, moments, series, verdicts, pages, onsets, trends, causes, influences, outliers)
+
+
+def check_limits(kind: str, limits: Mapping[str, float]) -> None:
+    """Refuse a limit of a quantity that no study of this kind has."""
+    # which coefficients a model has and which sizes an effect, only the records say
+    pattern, words = {
+        "identify": (r"\d+\..+", "INDEX.STAGE.COEFFICIENT of the models, as 0.delay.tau"),
+        "validate": (r"nrmse .+", "'nrmse AXIS', as 'nrmse x'"),
+        "diagnose": (rf"{GAP}|({'|'.join(EFFECTS)})\..+", f"{GAP}, or EFFECT.SIZE, as gain.gain, of {', '.join(EFFECTS)}"),
+    }[kind]
+    for name in limits:
+        if not re.fullmatch(pattern, name):
+            raise InputError(f"--limit {name}: is no quantity that {kind} finds: give {words}")
 
 
 def _matters(verdicts: NDArray[np.object_]) -> bool:

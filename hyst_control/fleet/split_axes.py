@@ -15,7 +15,7 @@ from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.record_jobs import bag_stamp
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bags.bag_reader import read_bag
-from hyst_control.records.record import Record, Signal
+from hyst_control.records.record import Signal
 from hyst_control.records.tables.importing import write_bag
 
 AXIS = "x"

@@ -54,6 +54,20 @@ def test_noise_is_drawn_by_its_seed():
     assert np.std(first - silent) == pytest.approx(0.1, rel=0.1) and not np.array_equal(first, other)
 
 
+@pytest.mark.parametrize("seed", [-1, 1.5, "one"])
+def test_a_seed_that_is_none_is_refused(seed):
+    stage = model(LAG)
+    with pytest.raises(hc.InputError, match="seed: must be a whole number >= 0"):
+        stage.simulate(COMMAND, seed=seed)
+    with pytest.raises(hc.InputError, match="seed: must be a whole number >= 0"):
+        hc.diagnose(stage.simulate(COMMAND), stage, seed=seed, verbose=False)
+
+
+def test_a_loop_delay_below_zero_is_named():
+    with pytest.raises(hc.InputError, match="loop_delay: must be >= 0 ticks, got -3"):
+        hc.tune(model(LAG), loop_delay=-3)
+
+
 @pytest.mark.parametrize("rate", [None, 400.0])
 def test_a_linear_model_is_its_linear_system(rate):
     stage = model(LAG, Gain(0.5))

@@ -111,7 +111,15 @@ def test_bag_and_excitation_give_the_same_and_the_seed_adds_the_stated_noise(tmp
         (["simulate", "MODEL", "--output", "OUT"], "either a bag or --excitation"),
         (["simulate", "MODEL", "nowhere.bag", "--output", "OUT"], "nowhere.bag"),
         (["simulate", "MODEL", "--excitation", *SINE, "--rate", "-1", "--output", "OUT"], "rate"),
-        (["simulate", "MODEL", "--excitation", *SINE, "--seed", "-1", "--output", "OUT"], "seed"),
+        (["simulate", "MODEL", "--excitation", *SINE, "--seed", "-1", "--output", "OUT"], "--seed: must be >= 0, got -1"),
+        (["learn", "MODEL", "--reference", *SINE, "--plant", "pea", "--seed", "-1"], "--seed: must be >= 0, got -1"),
+        (["diagnose", "record", "--model", "MODEL", "--seed", "-1"], "--seed: must be >= 0, got -1"),
+        (["blind-test", "--seed", "-1"], "--seed: must be >= 0, got -1"),
+        (["cases", "make", "--seed", "-1", "--count", "1", "--output", "OUT"], "--seed: must be >= 0, got -1"),
+        (["tune", "MODEL", "--loop-delay", "-3"], "--loop-delay: must be >= 0 ticks, got -3"),
+        (["excite", "sine", "frequency=abc", "amplitude=1", "--output", "OUT"], "frequency: must be a number, got 'abc'"),
+        (["excite", *SINE, "--rate", "20", "--output", "OUT"], "frequency: must be below half the sample rate, 10 Hz"),
+        (["excite", *SINE, "--output", "OUT.xyz"], "OUT.xyz: its ending says what is written"),
     ],
 )
 def test_bad_input_is_refused_in_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, model, words, said):

@@ -101,7 +101,11 @@ def test_a_spectrum_of_what_is_no_number_is_refused_in_one_line(record, tmp_path
     [
         (["--output", "a.bmp"], "its ending says"),
         (["--xy", "command"], "takes two signals"),
-        (["--xy", "command", "reference"], "has no topic reference"),
+        (["--xy", "command", "reference"], "has no topic reference (topics: command, measurement)"),
+        (["--xy", "foo", "bar"], "has no topic foo (topics: command, measurement)"),
+        (["--signals", "foo"], "has no topic foo (topics: command, measurement)"),
+        (["--signals", "command", "foo"], "has no topic foo (topics: command, measurement)"),
+        (["--signals", "foo", "--spectrum"], "has no topic foo (topics: command, measurement)"),
         (["--xy", "measurement.x", "command.q"], "has no axis q"),
         (["--from", "50"], "no samples from 50"),
     ],

@@ -19,6 +19,7 @@ from one_process import one_process
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.fleet.manifest import moment, read_manifest
+from hyst_control.fleet.overview import check_limits
 from hyst_control.model_file import load_model, simulate
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
@@ -179,6 +180,19 @@ def test_a_manifest_that_is_none(tmp_path, text, said):
         read_manifest([str(tmp_path / "m.csv")])
 
 
+@pytest.mark.parametrize(
+    ("kind", "quantity"),
+    [
+        ("diagnose", "gap_rms"),
+        ("diagnose", "creep.gamma"),
+        ("validate", "nrmse x"),
+        ("identify", "0.prandtl_ishlinskii.weights[3]"),
+    ],
+)
+def test_quantities_that_a_study_may_find_have_limits(kind, quantity):
+    check_limits(kind, {quantity: 1.0})
+
+
 def test_columns_of_the_manifest_have_any_name(fleet):
     """Those that a study has itself stand beside its own."""
     path = fleet / "manifest.csv"
@@ -207,6 +221,15 @@ def test_columns_of_the_manifest_have_any_name(fleet):
         ("validate fleet.csv --pages --output out", "--pages: goes with diagnose"),
         ("validate fleet.csv --only gaps --output out", "--only: goes with diagnose"),
         ("validate fleet.csv --limit gap_rms=none --output out", "--limit gap_rms=none: must be QUANTITY=VALUE"),
+        ("validate fleet.csv --limit gap_rms=1 --output out", "--limit gap_rms: is no quantity that validate finds"),
+        ("identify fleet.csv --limit foo=1 --output out", "--limit foo: is no quantity that identify finds"),
+        (
+            "diagnose fleet.csv --limit foo=1 --output out",
+            "--limit foo: is no quantity that diagnose finds: give gap_rms, or EFFECT.SIZE",
+        ),
+        ("identify fleet.csv --family foo --output out", "--family: must be one of "),
+        ("diagnose nope.csv --output out", "nope.csv: does not exist: give the path of a manifest\n"),
+        ("diagnose nope.parquet --output out", "nope.parquet: does not exist: give the path of a manifest\n"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused_in_one_line(words, said, tmp_path, monkeypatch, capsys):

@@ -58,8 +58,23 @@ def test_the_same_seed_gives_the_same_fleet(fleet, tmp_path):
     assert np.array_equal(measured(again, "u0003", 5), measured(fleet, "u0003", 5))
     with pytest.raises(InputError, match="holds files already"):
         make_fleet(again, 5, UNITS, RUNS)
-    with pytest.raises(InputError, match="at least 1 unit and 4 runs"):
+    with pytest.raises(InputError, match="at least 1 unit and 5 runs"):
         make_fleet(tmp_path / "none", 5, 3, 2)
+
+
+def test_too_few_runs_are_refused_before_anything_is_written(tmp_path, capsys):
+    folder = tmp_path / "made"
+    words = ["cases", "make", "--seed", "7", "--output", str(folder), "--fleet"]
+    assert main([*words, "3", "4"]) == 2
+    assert "--fleet: must be at least 1 unit and 5 runs, got 3 and 4" in capsys.readouterr().err and not folder.exists()
+    assert main([*words, "1", "5"]) == 0
+
+
+def test_a_fleet_without_effects_has_nothing_to_score(tmp_path, capsys):
+    (tmp_path / "labels.json").write_text(json.dumps({"units": [{"name": "u0", "effect": {}}], "runs": 5, "driver": None}))
+    (tmp_path / "fleet.json").write_text(json.dumps({"onsets": [], "trends": [], "common_causes": []}))
+    assert main(["fleet", "score", str(tmp_path), "--labels", str(tmp_path / "labels.json")]) == 0
+    assert "nothing to score" in capsys.readouterr().out
 
 
 def test_scores(tmp_path, capsys):

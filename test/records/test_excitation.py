@@ -16,6 +16,8 @@ from hyst_control.records.excitation.parameters import declarations, described
 from hyst_plant_sim.physics import PLANTS, load_plant
 
 STEP = 1e-4
+SUM = {"signal": "multi_frequency", "frequencies": [1.0, 2.0], "amplitudes": [1.0, 1.0]}
+LEVELS = {"signal": "steps", "lowest": 0.0, "highest": 1.0, "hold": 0.1, "count": 3}
 
 
 def test_a_multisine_has_power_on_its_lines_only():
@@ -192,7 +194,13 @@ def test_a_sine_grows():
         ({"signal": "sine", "frequency": 10.0, "amplitude": 1.0, "freq": 2.0}, "sine: freq: no such parameter"),
         ({"signal": "sine", "frequency": 10.0, "amplitude": 60.0, "upper": 50.0}, "runs from -60 to 60, 10 beyond"),
         ({"signal": "sine", "frequency": 100.0, "amplitude": 1.0, "slew_limit": 100.0}, "rate reaches 6"),
-        ({"signal": "sine", "frequency": "ten", "amplitude": 1.0}, "sine: its parameters are not the numbers"),
+        ({"signal": "sine", "frequency": "ten", "amplitude": 1.0}, "sine: frequency: must be a number, got 'ten'"),
+        ({**SUM, "frequencies": [1.0, "ten"]}, "multi_frequency: frequencies: must be a number, got 'ten'"),
+        ({**LEVELS, "highest": 10**400}, "steps: highest: must be a number, got 1000"),
+        ({**SUM, "frequencies": 10.0}, "multi_frequency: frequencies: must be a list of numbers"),
+        ({**LEVELS, "seed": -1}, "steps: seed: must be a whole number >= 0, got -1"),
+        ({**LEVELS, "count": 2.5}, "steps: count: must be a whole number >= 0, got 2.5"),
+        ({**LEVELS, "count": float("inf")}, "steps: count: must be a whole number >= 0, got inf"),
         ({"signal": "rest", "duration": 1e12}, "too long for memory"),
         ({"signal": "rest", "duration": 0.0}, "shorter than a sample"),
         (
@@ -206,6 +214,29 @@ def test_a_sine_grows():
 def test_unusable_descriptions_are_named(spec, words):
     with pytest.raises(InputError, match=words):
         build(spec, STEP)
+
+
+@pytest.mark.parametrize(
+    "spec, name",
+    [
+        ({"signal": "sine", "frequency": 900.0, "amplitude": 1.0}, "frequency"),
+        ({"signal": "sine", "frequency": -900.0, "amplitude": 1.0}, "frequency"),
+        ({"signal": "triangle", "frequency": 500.0, "amplitude": 1.0}, "frequency"),
+        ({"signal": "loops", "frequency": 900.0, "peak": 1.0, "cycles": 9}, "frequency"),
+        ({**SUM, "frequencies": [1.0, 900.0]}, "frequencies"),
+        ({"signal": "multisine", "period": 0.1, "lower_frequency": 10.0, "upper_frequency": 900.0, "rms": 1.0}, "upper_frequency"),
+        ({"signal": "sweep", "start_frequency": 1.0, "stop_frequency": 900.0, "amplitude": 1.0}, "stop_frequency"),
+        ({"signal": "hampi_identification", "frequencies": [10.0, 500.0]}, "frequencies"),
+    ],
+)
+def test_frequencies_that_the_rate_cannot_show_are_refused(spec, name):
+    with pytest.raises(InputError, match=f"^{spec['signal']}: {name}: must be below half the sample rate, 500 Hz"):
+        build(spec, 1e-3)
+
+
+def test_frequencies_by_default_are_those_that_the_rate_can_show():
+    shown = {"signal": "hampi_identification", "frequencies": [10.0, 20.0, 50.0, 100.0, 200.0, 300.0]}
+    np.testing.assert_array_equal(build({"signal": "hampi_identification"}, 1e-3), build(shown, 1e-3))
 
 
 def test_every_kind_says_what_it_is():

@@ -83,7 +83,9 @@ def collect(
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
         problem.is_carried,
         tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
-        tuple((name, plain) for name, effect in EFFECTS.items() for plain in effect.plainer),
+        tuple(
+            (name, plain) for name, rich in EFFECTS.items() if rich.static_elsewhere for plain in EFFECTS if EFFECTS[plain].static
+        ),
         _moved(found, stated),
     )
     return Collected(evidence, hypotheses)

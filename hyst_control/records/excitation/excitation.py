@@ -23,8 +23,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.broadband_signals import multisine, multisine_lines, sweep
 from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, mhl_identification
+from hyst_control.records.excitation.parameters import described
 from hyst_control.records.excitation.scan_patterns import raster, spiral
-from hyst_control.records.excitation.signal_size import check_size, max_samples, number
+from hyst_control.records.excitation.signal_size import check_size, is_shown, max_samples, number
 from hyst_control.records.excitation.waveforms import (
     cosine_ramp,
     decaying_sine,
@@ -106,6 +107,9 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     for key, parameter in known.items():
         if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
             raise InputError(f"{kind}: {key}: is missing")
+    given = {key: _usable(kind, key, value, str(known[key].annotation)) for key, value in given.items()}
+    for key, value in given.items():
+        _check_frequency(kind, key, value, sample_time)
     if "duration" in given and number(given["duration"], "duration") / sample_time > max_samples():
         raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
     extra = {"axes": axes} if "axes" in known else {}
@@ -128,6 +132,33 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     rows = _jumps_spread(rows, slew_limit * sample_time)
     _check_bounds(kind, rows, sample_time, lower, upper, slew_limit)
     return np.ascontiguousarray(rows)
+
+
+def _usable(kind: str, key: str, value: Any, declared: str) -> Any:
+    """A parameter's value, checked to be the number, whole number or list of numbers that its kind declares."""
+    if declared.startswith("Sequence[float]") and value is not None:
+        if not isinstance(value, (list, tuple, np.ndarray)):
+            raise InputError(f"{kind}: {key}: must be a list of numbers, such as [1, 2], got {value!r}")
+        return [number(each, f"{kind}: {key}") for each in value]
+    if declared == "float":
+        return number(value, f"{kind}: {key}")
+    if declared == "int":
+        if not number(value, f"{kind}: {key}").is_integer() or value < 0:
+            raise InputError(f"{kind}: {key}: must be a whole number >= 0, got {value!r}")
+        return int(value)
+    return value
+
+
+def _check_frequency(kind: str, key: str, value: Any, sample_time: float) -> None:
+    """Refuse a frequency that the sample rate cannot show: it would appear as another one."""
+    if key in LIMITED_BY_RATE or described(kind, key).unit != "Hz":
+        return
+    for frequency in np.atleast_1d(value):
+        if not is_shown(frequency, sample_time):
+            raise InputError(
+                f"{kind}: {key}: must be below half the sample rate, {0.5 / sample_time:g} Hz, got {frequency:g} Hz: lower it, or raise "
+                "the rate"
+            )
 
 
 def _jumps_spread(rows: Array, most: float) -> Array:
@@ -196,5 +227,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
 
 CURVES = (rest, sine, cosine_ramp, decaying_sine, multi_frequency, triangle, staircase, step, steps, loops)
 OTHERS = (multisine, sweep, spiral, raster, sequence, hampi_identification, mhl_identification, diagnostic)
+LIMITED_BY_RATE = ("band", "highest")
+"""Frequencies that their kinds lower to what the sample rate can show."""
 KINDS: dict[str, Callable[..., Array]] = {function.__name__: function for function in (*CURVES, *OTHERS)}
 """Every kind of signal by name."""

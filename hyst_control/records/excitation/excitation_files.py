@@ -54,8 +54,8 @@ def write_excitation(
 ) -> None:
     """Write an excitation in the format that the ending of the file name selects.
 
-    .csv, .npy and .yaml (the description, for the reference generator) are known; any other name is a bag. A bag holds the rows as
-    `command` when their unit is V, as `reference` otherwise; time starts at 0.
+    .csv, .npy and .yaml (the description, for the reference generator) are known; a name without an ending, or with .bag, is a bag,
+    which holds the rows as `command` when their unit is V, as `reference` otherwise; time starts at 0.
     """
     path = Path(path)
     axes, time = axis_names(rows.shape[1]), np.asarray(np.arange(len(rows)) * sample_time, dtype=np.float64)
@@ -71,5 +71,7 @@ def write_excitation(
             np.save(file, rows)
     elif path.suffix in (".yaml", ".yml"):
         write_text(path, yaml.safe_dump(dict(spec), sort_keys=False))
+    elif path.suffix[1:2].isalpha() and path.suffix != ".bag":  # a bag may be named run_0.5
+        raise InputError(f"{path}: its ending says what is written: .csv, .npy, .yaml, or none or .bag for a bag")
     else:
         write_bag(path, Record({"command" if unit == "V" else "reference": Signal(time, rows, axes, unit)}, str(path)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.excitation.broadband_signals import multisine, sweep
-from hyst_control.records.excitation.signal_size import check_size, number
+from hyst_control.records.excitation.signal_size import check_size, is_shown, number
 from hyst_control.records.excitation.waveforms import cosine_ramp, loops, rest, staircase, triangle
 
 
@@ -29,12 +29,13 @@ def hampi_identification(
     A step; quasi-static loops to the peak and to 0.6 of it; loops at every frequency to the peak, and at every second one to 0.45
     of it as well, so that rate and amplitude can be told apart.
     """
-    longest = [1.0 / number(quasi_static, "quasi_static"), *(max(3.0 / float(f), time) for f in frequencies)]
+    frequencies = [float(f) for f in frequencies if is_shown(f, sample_time)]  # of those by default at a low rate
+    longest = [1.0 / number(quasi_static, "quasi_static"), *(max(3.0 / f, time) for f in frequencies)]
     check_size(2 * (sum(map(abs, longest)) + len(longest) * abs(number(pause, "pause"))) / sample_time)
     pieces = [rest(sample_time, pause), rest(sample_time, 0.15, step_height), rest(sample_time, 0.1)]
     for share in (1.0, 0.6):
         pieces += [loops(sample_time, quasi_static, share * peak, 1), rest(sample_time, pause)]
-    for index, frequency in enumerate(sorted(float(f) for f in frequencies)):
+    for index, frequency in enumerate(sorted(frequencies)):
         share = fast_share if frequency > 300 else 1.0
         cycles = max(3, int(round(time * frequency)))
         pieces += [loops(sample_time, frequency, share * peak, cycles), rest(sample_time, pause)]
@@ -59,7 +60,7 @@ def mhl_identification(
     check_size((5.0 / number(slow, "slow") + 3 * number(sweep_time, "sweep_time")) * axes**2 / sample_time)
     small = 0.1 * peak
     centre = 0.5 * peak
-    highest = min(highest, 0.4 / sample_time)
+    highest, full = min(highest, 0.4 / sample_time), min(100.0, 0.4 / sample_time)
     own = np.concatenate(
         [
             rest(sample_time, 0.02),
@@ -67,10 +68,8 @@ def mhl_identification(
             rest(sample_time, 0.1),
             *(loops(sample_time, slow, share * peak, 1) for share in (1.0, 0.8, 0.6, 0.4, 0.2)),
             rest(sample_time, 0.05),
-            sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False),
-            cosine_ramp(
-                sample_time, _last(sweep(sample_time, 1.0, 100.0, centre, centre, sweep_time, False)), centre - small, 0.05
-            ),
+            sweep(sample_time, 1.0, full, centre, centre, sweep_time, False),
+            cosine_ramp(sample_time, _last(sweep(sample_time, 1.0, full, centre, centre, sweep_time, False)), centre - small, 0.05),
             rest(sample_time, 0.05, centre - small),
             sweep(sample_time, 20.0, highest, small, centre, sweep_time, True),
         ]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from functools import cache
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,18 @@ def max_samples() -> float:
 
 def number(value: Any, name: str) -> float:
     """`value` as a number, or an InputError that names the parameter where it is none."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or np.isnan(value):
+    try:
+        found = float(value) if isinstance(value, Real) and not isinstance(value, bool) else np.nan
+    except OverflowError:  # a whole number of hundreds of digits
+        found = np.nan
+    if np.isnan(found):
         raise InputError(f"{name}: must be a number, got {value!r}")
-    return float(value)
+    return found
+
+
+def is_shown(frequency: float, sample_time: float) -> bool:
+    """True for a frequency below half the sample rate; any other would appear as one that is."""
+    return bool(abs(frequency) < (1.0 - 1e-9) * 0.5 / sample_time)
 
 
 def check_size(samples: float) -> None:
