@@ -129,10 +129,10 @@ class Record:
     """The command between samples: "zoh" (a DAC holds it) or "foh" (a smooth source was sampled)."""
     history: tuple[str, ...] = ()
     """Steps of its preparation, in their order."""
-    states_hold: bool = False
-    """True where the source says how the command is held; of others "zoh" is what is usual."""
     start: str | Beginning = "auto"
     """State at the first row: "settled" (at rest at the first command, reached from 0 V), "unknown", or "auto" (found from the record)."""
+    states_hold: bool = False
+    """True where the source says how the command is held; of others "zoh" is what is usual."""
 
     def __len__(self) -> int:
         return len(self.time)

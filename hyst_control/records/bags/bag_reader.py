@@ -112,7 +112,7 @@ def read_bag(
                 regular, more = on_one_clock(str(path), received, bag.hold or "zoh", allow_gaps=True)
                 signals |= regular
                 notes += more
-    record = Record(signals, str(path), tuple(notes), bag.hold or "zoh", bag.history, bag.hold is not None)
+    record = Record(signals, str(path), tuple(notes), bag.hold or "zoh", bag.history, states_hold=bag.hold is not None)
     return replace(record, notes=(*record.notes, *_not_followed(record)))
 
 

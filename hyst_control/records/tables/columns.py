@@ -18,11 +18,13 @@ TIME = "time"
 RESPONSE = ("frequency", "magnitude", "phase", "real", "imaginary", "coherence")
 """Names that stand for the columns of a frequency response."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 """Unit of a column of times, in s."""
 
 _TOPIC = re.compile(r"(?P<topic>\w+)=")
-_GROUP = re.compile(r"(?P<columns>[^\[\]=]+)\[(?P<unit>[^\]]+)\]")
+_GROUP = re.compile(r"(?P<columns>[^=]+?)\[(?P<unit>[^\[\]]+)\](?=\+|[,\s]*(?:$|\w+=))")
+"""The unit is what stands in the last brackets before the next column: a name may have brackets of its own ("u [V][V]")."""
+_WITHOUT_UNIT = re.compile(r"(?P<columns>[^=]+?)(?P<unit>)(?=,\s*\w+=|$)")
 _PLUS = re.compile(r"\+(?![^()]*\))")
 
 
@@ -44,13 +46,15 @@ def parse_columns(text: str) -> list[Column]:
     """Columns in the order of a text such as "command=1[V],measurement=5+6[um]". Raises `InputError` where it has another form.
 
     Axes are joined with +. A number before the unit is what one in the file stands for: the volts of a sensor of 5 um/V are
-    "measurement=5[5um/V]". A time may be the sum of columns with units of their own: "time=ts[s]+tus[us]".
+    "measurement=5[5um/V]". A time may be the sum of columns with units of their own: "time=ts[s]+tus[us]". A coherence needs no unit.
     """
     found: list[Column] = []
     rest = text.strip()
     while rest:
         match = _TOPIC.match(rest)
         groups = [match and _GROUP.match(rest, match.end())]
+        if match and match["topic"] == "coherence":
+            groups = [groups[0] or _WITHOUT_UNIT.match(rest, match.end())]
         while groups[-1] and rest.startswith("+", groups[-1].end()):
             groups.append(_GROUP.match(rest, groups[-1].end() + 1))
         if not match or not groups[-1]:

@@ -13,7 +13,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.tables.columns import Column
-from hyst_control.records.tables.units import unit_of
+from hyst_control.records.tables.units import NAMES, unit_of
 
 FREQUENCY_UNITS = {"Hz": 1.0, "kHz": 1e3, "rad/s": 0.5 / np.pi}
 ANGLES = {"deg": np.pi / 180.0, "rad": 1.0, "mrad": 1e-3}
@@ -104,10 +104,21 @@ def _steady(frequency: Array, response: np.ndarray, rate: float, count: int) -> 
     return scale * command, scale * measurement
 
 
+def check_response_unit(topic: str, unit: str) -> None:
+    """Raise `InputError` where a column of a frequency response may not be in this unit."""
+    if topic in ("frequency", "phase"):
+        _scale(topic, unit, FREQUENCY_UNITS if topic == "frequency" else ANGLES)
+    elif topic == "magnitude":
+        _magnitude(np.empty(0), unit)
+    elif topic != "coherence":
+        _ratio(unit)
+
+
 def _scale(topic: str, unit: str, known: dict[str, float]) -> float:
-    if unit not in known:
+    found = known.get(NAMES.get(unit.lower(), unit))
+    if found is None:
         raise InputError(f"columns: {topic}: unit {unit!r} is not known, must be one of {', '.join(known)}")
-    return known[unit]
+    return found
 
 
 def _magnitude(values: Array, unit: str) -> tuple[Array, tuple[str, str]]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 
+from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.units import scaled_unit
 
 SAMPLE_LINES = 1000
@@ -35,6 +36,11 @@ _LITERAL_START = re.compile(r"^\s*(\w[\w.]*\s*=\s*)?\[\s*(?=[-+.\d])")
 _LITERAL_END = re.compile(r"(?<=[\d.])[ ]*(\][ ]*;?|;)?[ ]*(\.\.\.)?[ ]*$")
 _COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?")
 _UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+)|\bin\s+(?P<word>[^\s,]+))$")
+_UNIT_AT_END = re.compile(
+    r"(?<=[^\W_])[_.](?P<clear>[nuµ\u03bcmk]?V|[nuµ\u03bcmc]m|[nuµ\u03bcm][sA]|[mk]?N|k?Hz|[uµ\u03bcm]?rad|deg|arcsec|counts|volts?|microns?|dB)$"
+    r"|(?<=[^\W_]{3})_(?P<short>[mAs])$"  # not of y_m, ch_A
+    r"|(?:(?<=\b[Tt])|(?<=[Tt]ime))_(?P<time>s|min|h)$"
+)
 _UNIT_CELL = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
 _MOMENT = re.compile(
     r"(?:(?P<day>\d{4}[-/]\d\d[-/]\d\d)|(?P<first>\d{1,2})(?P<mark>[./])(?P<second>\d{1,2})[./](?P<year>\d{4}))?[T ]?"
@@ -145,17 +151,24 @@ class Layout:
 
     def unit(self, index: int) -> str | None:
         """Unit of a column, of its name or of a line of units; None where it is not said."""
-        for cell in self.names[index]:
-            behind = _UNIT_BEHIND.search(cell)
-            unit = unit_alone(cell) or (behind and next(filter(None, behind.groups()), ""))
-            if unit and scaled_unit(unit) is not None:
-                return unit
-        return None
+        said = (unit_alone(cell) or unit_behind(cell) for cell in self.names[index])
+        return next((unit for unit in said if unit and _is_unit(unit)), None)
 
 
 def without_unit(cell: str) -> str:
     """A name without the unit behind it: "Position" of "Position [um]"."""
     return _UNIT_BEHIND.sub("", cell).strip()
+
+
+def unit_behind(cell: str) -> str | None:
+    """The unit behind a name or at its end: "um" of "Position [um]" and of "pos_um"; None where there is none."""
+    behind = _UNIT_BEHIND.search(cell) or _UNIT_AT_END.search(cell)
+    unit = next(filter(None, behind.groups()), "").strip() if behind else ""
+    return unit if _is_unit(unit) else None
+
+
+def _is_unit(text: str) -> bool:
+    return text in TIME_UNITS or scaled_unit(text) is not None
 
 
 def unit_alone(cell: str) -> str | None:

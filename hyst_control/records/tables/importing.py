@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.bags.rosbag2_writer import Rosbag2Writer, open_bag
@@ -23,6 +23,7 @@ from hyst_control.records.stream.signal_message import Encoder, label_for
 from hyst_control.records.tables.columns import TIME, Column, parse_columns
 from hyst_control.records.tables.frequency_response import response_record
 from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, without_repeated
+from hyst_control.records.tables.sample_grid import DAY, midnights
 from hyst_control.records.tables.selection import read_columns
 
 __all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
@@ -71,8 +72,8 @@ def import_records(
     if not 0 <= begin < end <= count:
         raise InputError(f"{path}: rows must be a range within 0:{count}, got {begin}:{end}")
     notes = list(selected.notes)
+    held = {name: array[begin:end] for name, array in selected.columns.items()}
     if any(column.topic == "frequency" for column in columns):
-        held = {name: array[begin:end] for name, array in selected.columns.items()}
         record = response_record(str(path), columns, held)
         return [replace(record, notes=(*notes, *record.notes))]
     if rate is None and not times:
@@ -80,12 +81,20 @@ def import_records(
             raise InputError("rate: is missing: give it in Hz, or name the column of sample times (time=1[s])")
         rate = 1.0 / selected.sample_time
         notes.append(f"{path}: the file states {rate:.6g} samples/s")
-    time = _times(path, times[0], selected.columns, begin, end) if times else None
-    values = {column.topic: _scaled(path, column, selected.columns, begin, end) for column in signal_columns}
+    numbers: Sequence[int] | Integers = range(begin, end)
+    if (resample is not None or allow_gaps) and not (whole := _whole_rows(held)).all():
+        numbers, held = begin + np.flatnonzero(whole), {name: array[whole] for name, array in held.items()}
+        notes.append(f"{path}: {end - begin - len(numbers)} rows with no finite number in a column were taken as missing")
+        if len(numbers) < 2:
+            raise InputError(f"{path}: {len(numbers)} rows hold finite numbers in all columns, at least two are needed: choose others")
+    time = _times(path, times[0], held, numbers) if times else None
+    values = {column.topic: _scaled(path, column, held, numbers) for column in signal_columns}
     for column in signal_columns:
         if column.topic == "measurement" and column.unit == "V":
             notes.append(f"{path}: measurement is in V: with a sensor of 5 um/V, say, write its unit as [5um/V]")
     units = {column.topic: column.unit for column in signal_columns}
+    if time is None and len(numbers) < end - begin:
+        time, rate = (np.asarray(numbers) - numbers[0]) / rate, None
     if time is None:
         stamps = empty_rows(end - begin)
         for part in blocks(end - begin):
@@ -93,13 +102,17 @@ def import_records(
         for topic in values:
             check_times(f"{path}: {topic}", stamps)
         return [_record(str(path), stamps, values, units, notes, hold)]
+    if passed := midnights(time):
+        for row in passed:
+            time[row:] += DAY
+        notes.append(f"{path}: time: passes midnight in row {', '.join(str(numbers[row]) for row in passed)}: a day was added")
     check_times(f"{path}: time", time)
-    found, runs = [], runs_of(str(path), time, begin, gaps=resample is not None)
+    found, runs = [], runs_of(str(path), time, numbers, gaps=resample is not None)
     for run in runs:
         parts = {topic: array[run] for topic, array in values.items()}
-        found.append(_of_run(path, time[run], parts, units, hold, rate, begin + run.start, resample, allow_gaps))
+        found.append(_of_run(path, time[run], parts, units, hold, rate, int(numbers[run.start]), resample, allow_gaps))
     if len(found) > 1:
-        starts = ", ".join(str(begin + run.start) for run in runs[1:])
+        starts = ", ".join(str(numbers[run.start]) for run in runs[1:])
         what = "starts again" if resample is None else "starts again, or goes on behind a long gap,"
         notes.append(f"{path}: time: {what} in row {starts}: {len(found)} runs, each of which is a record")
     found[0] = replace(found[0], notes=(*notes, *found[0].notes))
@@ -146,19 +159,28 @@ def _record(
     return Record(signals, source, tuple(notes), hold or "zoh", states_hold=hold is not None)
 
 
-def _scaled(path: Path, column: Column, held: dict[str, Array], begin: int, end: int) -> Array:
-    """Values (N, A) of a signal in its unit. Raises `InputError` naming the first row that holds no finite number."""
+def _whole_rows(held: dict[str, Array]) -> Mask:
+    """Mask (N,) of the rows that hold a finite number in every column."""
+    whole = np.ones(len(next(iter(held.values()))), dtype=bool)
+    for part in blocks(len(whole)):
+        for array in held.values():
+            whole[part] &= np.isfinite(array[part]).all(axis=1)
+    return whole
+
+
+def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequence[int] | Integers) -> Array:
+    """Values (N, A) of a signal in its unit. Raises `InputError` naming the first row, by its number, that holds no finite one."""
     arrays = [held[name] for name in column.columns]
     factors = [scale for array, scale in zip(arrays, column.scales, strict=True) for _ in range(array.shape[1])]
-    scaled = empty_rows(end - begin, len(factors))
+    scaled = empty_rows(len(numbers), len(factors))
     bad, first_bad, finite = 0, 0, True
-    for part in blocks(end - begin):
-        found = np.concatenate([array[begin + part.start : begin + part.stop] for array in arrays], axis=1)
+    for part in blocks(len(numbers)):
+        found = np.concatenate([array[part] for array in arrays], axis=1)
         with np.errstate(over="ignore", invalid="ignore"):  # a signalling NaN, too, is found below
             scaled[part] = found * factors
         wrong = ~np.isfinite(scaled[part]).all(axis=1)
         if wrong.any():
-            first_bad = first_bad if bad else begin + part.start + int(np.argmax(wrong))
+            first_bad = first_bad if bad else int(numbers[part.start + int(np.argmax(wrong))])
             bad, finite = bad + int(wrong.sum()), finite and bool(np.isfinite(found).all())
     if bad and finite:
         raise InputError(
@@ -166,13 +188,16 @@ def _scaled(path: Path, column: Column, held: dict[str, Array], begin: int, end:
         )
     if bad:
         which = f"row {first_bad} holds" if bad == 1 else f"row {first_bad} and {bad - 1} more hold"
-        raise InputError(f"{path}: {column.topic}: {which} no finite number: choose other rows or repair the file")
+        raise InputError(
+            f"{path}: {column.topic}: {which} no finite number: --resample interpolates such rows, --allow-gaps leaves them out, or "
+            "choose other rows (--rows) or repair the file"
+        )
     return scaled
 
 
-def _times(path: Path, column: Column, held: dict[str, Array], begin: int, end: int) -> Array:
+def _times(path: Path, column: Column, held: dict[str, Array], numbers: Sequence[int] | Integers) -> Array:
     """Sample times (N,) in s, counted from the first, of the column of times, or of the sum of those that are its parts."""
-    parts = _scaled(path, column, held, begin, end)
+    parts = _scaled(path, column, held, numbers)
     if parts.shape[1] != 1 and not column.summed:
         raise InputError(f"columns: time: {parts.shape[1]} columns, one is due")
     parts -= parts[0].copy()  # before the sum: seconds since 1970 leave few digits for the microseconds

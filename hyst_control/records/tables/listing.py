@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.records.tables.columns import TIME_UNITS
-from hyst_control.records.tables.header import without_unit
-from hyst_control.records.tables.sample_grid import find_grid
+from hyst_control.records.tables.columns import RESPONSE, TIME, TIME_UNITS, parse_columns, unit_and_scale
+from hyst_control.records.tables.frequency_response import check_response_unit
+from hyst_control.records.tables.header import unit_behind, without_unit
+from hyst_control.records.tables.sample_grid import DAY, find_grid, midnights
 from hyst_control.records.tables.selection import WIDE, open_table
 from hyst_control.records.tables.text import TextTable
 from hyst_control.records.tables.units import scaled_unit
@@ -42,10 +43,16 @@ MEASUREMENT_WORDS = (
     "strain",
 )
 RESPONSE_WORDS = (
-    ("frequency", ("freq", "frequency"), "Hz"),
-    ("magnitude", ("mag", "magnitude", "gain", "amplitude"), "dB"),
-    ("phase", ("phase", "argument"), "deg"),
+    ("frequency", ("freq", "omega", "f", "w")),
+    ("magnitude", ("magnitude", "mag", "gain", "amplitude", "abs", "g", "h")),
+    ("phase", ("phase", "argument", "arg", "angle")),
+    ("real", ("real", "re")),
+    ("imaginary", ("imag", "im")),
+    ("coherence", ("coherence", "coh")),
 )
+RESPONSE_FORMS = (("frequency", "magnitude", "phase"), ("frequency", "real", "imaginary"))
+NOT_IN_QUOTES = frozenset('"$`\\!')
+"""What a shell does not leave as it is between double quotes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +71,24 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
     if isinstance(table, TextTable):
         layout = table.layout
         rows, _ = table.columns(layout.numeric)
+        asked = [
+            str(index + 1) if layout.column(str(index + 1)) in (None, index) else layout.title(index) for index in layout.numeric
+        ]
         found = [
-            _Found(str(index + 1), layout.title(index), layout.unit(index), rows[:, place])
-            for place, index in enumerate(layout.numeric)
+            _Found(name, layout.title(index), layout.unit(index), rows[:, place])
+            for place, (name, index) in enumerate(zip(asked, layout.numeric, strict=True))
         ]
         sample_time = layout.sample_time
     else:
         sample_time = table.sample_time
-        found = [one for name, array in table.arrays.items() for one in _of_array(name, array)]
+        arrays = {"": table.arrays[variable]} if variable in table.arrays else table.arrays
+        found = [one for name, array in arrays.items() for one in _of_array(name, array)]
+        columns = [name for name, array in arrays.items() if array.ndim == 1]
+        if table.numbered and len({len(arrays[name]) for name in columns}) == 1:
+            found = [
+                one if _can_be_asked(one.asked) else replace(one, asked=str(columns.index(one.asked) + 1), title=one.asked)
+                for one in found
+            ]
     if not found:
         raise InputError(f"{path}: holds no columns of numbers: check how it was written, or save it as CSV")
     lines = [f"{path}: columns of numbers, with their ranges"]
@@ -88,13 +105,13 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
 def _of_array(name: str, array: Array) -> list[_Found]:
     """The columns of an array, or its rows where it is wide."""
     if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape):
-        return [_Found(name or "1", "", None, array.ravel())]
+        return [_Found(name or "1", "", unit_behind(name), array.ravel())]
     if array.ndim != 2 or not array.size:
         return []
     wide = len(array) * WIDE <= array.shape[1]
     parts = array if wide else array.T
     return [
-        _Found(f"{name}({number},:)" if wide else f"{name}(:,{number})" if name else str(number), "", None, part)
+        _Found(f"{name}({number},:)" if wide else f"{name}(:,{number})" if name else str(number), "", unit_behind(name), part)
         for number, part in enumerate(parts, start=1)
     ]
 
@@ -102,11 +119,9 @@ def _of_array(name: str, array: Array) -> list[_Found]:
 def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     """Options that take the columns for what their names, units and numbers say."""
     left = [one for one in found if len(one.values) > 1]
-    response = [(topic, one, unit) for topic, words, unit in RESPONSE_WORDS for one in left[:LISTED] if _named(one, words)]
-    if {"frequency", "magnitude", "phase"} <= {topic for topic, _, _ in response}:
-        first = {topic: (one, unit) for topic, one, unit in reversed(response)}
-        listed = [f"{topic}={one.asked}[{one.unit or unit}]" for topic, (one, unit) in sorted(first.items())]
-        return f'--columns "{",".join(listed)}"'
+    response = _response(left[:LISTED])
+    if response:
+        return f'--columns "{",".join(response)}"'
     longest = max((len(one.values) for one in left), default=0)
     left = [one for one in left if len(one.values) == longest]
     time = next((one for one in left if _named(one, TIME_WORDS, False) and _increasing(one)), None)
@@ -117,20 +132,69 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
         time = None  # ticks of a clock of unknown rate
     left = [one for one in left if not _counts_or_rests(one.values)] or left
     if time is None and len(left) > 2 and _is_clock(left[0].values) and not _named(left[0], COMMAND_WORDS):
-        time = None if sample_time else left[0]
+        time = None if sample_time or _counts_fast_ticks(left[0].values) else left[0]
         left = left[1:]
     others = [one for one in left if not _named(one, MEASUREMENT_WORDS)]
     command = _first(others or left, COMMAND_WORDS, ("V", "A", "%"))
     left = [one for one in left if one is not command]
     measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
-    parts = []
-    if time is not None:
-        parts.append(f"time={time.asked}[{time.unit if time.unit in TIME_UNITS else 's'}]")
-    for topic, one, usual in (("command", command, "V"), ("measurement", measurement, "um")):
-        if one is not None:
-            parts.append(f"{topic}={one.asked}[{one.unit if one.unit and scaled_unit(one.unit) else usual}]")
+    chosen = ((TIME, time, "s"), ("command", command, "V"), ("measurement", measurement, "um"))
+    parts = [_entry(topic, one, usual) for topic, one, usual in chosen if one is not None and _can_be_asked(one.asked)]
     rate = "" if time is not None or sample_time else " --rate HZ"
     return f'--columns "{",".join(parts)}"{rate}'
+
+
+def _response(left: list[_Found]) -> list[str]:
+    """The columns of a frequency response; none where these are not of one."""
+    named = {topic: one for topic, words in RESPONSE_WORDS for one in reversed(left) if _is_of_response(one, words)}
+    for form in RESPONSE_FORMS:
+        if len({named[topic] for topic in form if topic in named and _can_be_asked(named[topic].asked)}) < len(form):
+            continue
+        frequency, second, third = (named[topic] for topic in form)
+        if frequency.unit and not _is_accepted("frequency", frequency.unit):
+            continue  # a force "f [N]"
+        entries = [_entry("frequency", frequency, "rad/s" if _is_of_response(frequency, ("omega", "w")) else "Hz")]
+        if form[1] == "magnitude":
+            entries.append(_entry("magnitude", second, "dB" if (second.values < 0.0).any() else "um/V"))
+            entries.append(_entry("phase", third, "deg" if (np.abs(third.values) > 2.0 * np.pi).any() else "rad"))
+        else:
+            entries += [_entry("real", second, "um/V"), _entry("imaginary", third, "um/V")]
+        if "coherence" in named and _can_be_asked(named["coherence"].asked):
+            entries.append(f"coherence={named['coherence'].asked}")
+        return entries
+    return []
+
+
+def _is_of_response(one: _Found, words: tuple[str, ...]) -> bool:
+    """Check that a name has one of these words, short ones apart from others: "arg" is not in "target"."""
+    name = _name(one)
+    parts = re.split(r"[^a-z0-9]+", name)
+    return any(word in (name if len(word) > 3 else parts) for word in words)
+
+
+def _entry(topic: str, one: _Found, usual: str) -> str:
+    """A column as the description has it, in the unit that is said for it, or the usual one where that is none of this topic."""
+    return f"{topic}={one.asked}[{one.unit if one.unit and _is_accepted(topic, one.unit) else usual}]"
+
+
+def _is_accepted(topic: str, unit: str) -> bool:
+    """Check with what reads the description that a column may be in this unit."""
+    try:
+        unit_and_scale(topic, unit)
+        if topic in RESPONSE:
+            check_response_unit(topic, unit)
+    except InputError:
+        return False
+    return True
+
+
+def _can_be_asked(name: str) -> bool:
+    """Check that a name comes as it is through a shell's double quotes and what reads the description."""
+    try:
+        found = parse_columns(f"command={name}[V],measurement={name}[um]")
+    except InputError:
+        return False
+    return name.isprintable() and not NOT_IN_QUOTES & set(name) and [one.columns for one in found] == [(name,), (name,)]
 
 
 def _first(left: list[_Found], words: tuple[str, ...], units: tuple[str, ...]) -> _Found | None:
@@ -140,14 +204,25 @@ def _first(left: list[_Found], words: tuple[str, ...], units: tuple[str, ...]) -
     return next(iter([*(one for one in left if _named(one, words)), *by_unit, *left]), None)
 
 
+def _name(one: _Found) -> str:
+    return without_unit(one.title or one.asked.rpartition(".")[2]).lower()
+
+
 def _named(one: _Found, words: tuple[str, ...], within: bool = True) -> bool:
-    name = without_unit(one.title or one.asked.rpartition(".")[2]).lower()
+    name = _name(one)
     parts = re.split(r"[^a-z0-9]+", name) if within else name.split(" ")[:1]
     return any(name == word or word in parts or (within and len(word) > 2 and word in name) for word in words)
 
 
 def _increasing(one: _Found) -> bool:
-    return bool(np.isfinite(one.values).all() and (np.diff(one.values) >= 0.0).all())
+    return bool(np.isfinite(one.values).all() and (np.diff(_through_midnight(one.values)) >= 0.0).all())
+
+
+def _through_midnight(values: Array) -> Array:
+    """Numbers that go on where, as the time of day, they start again at midnight."""
+    days = np.zeros(len(values))
+    days[midnights(values)] = DAY
+    return values + np.cumsum(days)
 
 
 def _counts_or_rests(values: Array) -> bool:
@@ -168,6 +243,7 @@ def _counts_fast_ticks(values: Array) -> bool:
 
 def _is_clock(values: Array) -> bool:
     """Check that numbers are the ticks of a clock, and do not just count the rows."""
+    values = _through_midnight(values)
     if len(values) < 3 or not np.isfinite(values).all() or not (np.diff(values) > 0.0).all():
         return False
     grid = find_grid(values - values[0])

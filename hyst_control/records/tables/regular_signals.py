@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +30,8 @@ TOLD_DEVIATION = 0.01
 """Steps by which times may lie beside their ticks without a note."""
 
 
-def runs_of(where: str, time: Array, begin: int, gaps: bool) -> list[slice]:
-    """Rows of the runs within times (N,) that start again, and with `gaps` of those apart by long gaps; row 0 is called `begin`."""
+def runs_of(where: str, time: Array, rows: Sequence[int] | Integers, gaps: bool) -> list[slice]:
+    """The runs within times (N,) that start again, and with `gaps` those apart by long gaps; `rows` (N,) are the rows' numbers."""
     longest = LONGEST_FILLED * commonest_step(time) if gaps and len(time) > 1 else np.inf
     edges: list[int] = []
     for part in blocks(max(len(time) - 1, 0)):
@@ -41,7 +41,7 @@ def runs_of(where: str, time: Array, begin: int, gaps: bool) -> list[slice]:
     if len(bounds) > 2 and (len(bounds) - 1 > MAX_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
         more = f" and {len(edges) - 1} more" if len(edges) > 1 else ""
         raise InputError(
-            f"{where}: time: does not increase in row {begin + bounds[1]}{more}: choose rows in which it does, or leave the time out and "
+            f"{where}: time: does not increase in row {rows[bounds[1]]}{more}: choose rows in which it does, or leave the time out and "
             "give the rate"
         )
     return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]

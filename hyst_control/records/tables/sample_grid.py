@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers
+from hyst_control.records.record import commonest_step
 from hyst_control.records.stream.row_store import blocks
 
 WINDOW = 2**10
@@ -28,6 +29,8 @@ ENDS = 2**16
 
 SEARCHED = 0.03
 """Relative width about a mean step within which the step of few times is searched."""
+
+DAY = 86400.0
 
 LONGEST_FILLED = 10
 """Steps of a gap up to which values between its ends are interpolated."""
@@ -107,6 +110,18 @@ def _windows(count: int) -> list[slice]:
     """Windows that cover all rows; a short last one is joined to that before it."""
     begins = list(range(0, max(count - WINDOW // 2, 1), WINDOW))
     return [slice(begin, end) for begin, end in zip(begins, [*begins[1:], count], strict=True)]
+
+
+def midnights(time: Array) -> list[int]:
+    """Rows of times (N,) in s before which a time of day starts again at midnight: it falls by a day less a few steps."""
+    if len(time) < 2:
+        return []
+    most = min(LONGEST_FILLED * max(commonest_step(time), _resolution(time)[1]), 0.5 * DAY)
+    rows: list[int] = []
+    for part in blocks(len(time) - 1):
+        steps = np.diff(time[part.start : part.stop + 1]) + DAY
+        rows += (part.start + 1 + np.flatnonzero((steps > 0.0) & (steps < most))).tolist()
+    return rows
 
 
 def _resolution(time: Array) -> tuple[bool, float]:
