@@ -18,7 +18,9 @@ TIME = "time"
 RESPONSE = ("frequency", "magnitude", "phase", "real", "imaginary", "coherence")
 """Names that stand for the columns of a frequency response."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME_UNITS = {
+    "s": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "µs": 1e-6, "\u03bcs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0,
+}  # fmt: skip
 """Unit of a column of times, in s."""
 
 _TOPIC = re.compile(r"(?P<topic>\w+)=")

@@ -84,9 +84,9 @@ def import_records(
     numbers: Sequence[int] | Integers = range(begin, end)
     if (resample is not None or allow_gaps) and not (whole := _whole_rows(held)).all():
         numbers, held = begin + np.flatnonzero(whole), {name: array[whole] for name, array in held.items()}
-        notes.append(f"{path}: {end - begin - len(numbers)} rows with no finite number in a column were taken as missing")
+        notes.append(f"{path}: rows with no finite number in a column were taken as missing: {end - begin - len(numbers)}")
         if len(numbers) < 2:
-            raise InputError(f"{path}: {len(numbers)} rows hold finite numbers in all columns, at least two are needed: choose others")
+            raise InputError(f"{path}: fewer than two rows hold finite numbers in all columns: choose other columns or rows")
     time = _times(path, times[0], held, numbers) if times else None
     values = {column.topic: _scaled(path, column, held, numbers) for column in signal_columns}
     for column in signal_columns:

@@ -139,9 +139,13 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     left = [one for one in left if one is not command]
     measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
     chosen = ((TIME, time, "s"), ("command", command, "V"), ("measurement", measurement, "um"))
-    parts = [_entry(topic, one, usual) for topic, one, usual in chosen if one is not None and _can_be_asked(one.asked)]
-    rate = "" if time is not None or sample_time else " --rate HZ"
-    return f'--columns "{",".join(parts)}"{rate}'
+    parts = {topic: _entry(topic, one, usual) for topic, one, usual in chosen if one is not None and _can_be_asked(one.asked)}
+    if not {"command", "measurement"} & set(parts):
+        return (
+            "command=NAME[V],measurement=NAME[um], of columns of several rows whose names have no quotes, +, = or spaces at an end"
+        )
+    rate = "" if TIME in parts or sample_time else " --rate HZ"
+    return f'--columns "{",".join(parts.values())}"{rate}'
 
 
 def _response(left: list[_Found]) -> list[str]:
