@@ -268,14 +268,18 @@ def _has_plainer_one(index: int, claims: Sequence[int], evidence: Evidence, thre
     one = evidence.hypotheses[index]
     plainer = [{plain, *one.names} - {name} for name, plain in evidence.plainer if name in one.names]
     most = one.misfit + thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
-    sure = np.log(thresholds.sure_probability / (1.0 - thresholds.sure_probability)) / thresholds.sharpness
     return any(
         set(other.names) in plainer
         and not leaves_more(evidence, other, thresholds)
         and other.misfit <= most
-        and one.score - other.score > sure
+        and _is_sure_beside(one, other, thresholds)
         for other in (evidence.hypotheses[i] for i in claims)
     )
+
+
+def _is_sure_beside(one: HypothesisEvidence, other: HypothesisEvidence, thresholds: Thresholds) -> bool:
+    odds = np.exp(min(thresholds.sharpness * (other.score - one.score), 0.0))
+    return bool(1.0 / (1.0 + odds) >= thresholds.sure_probability)
 
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
