@@ -54,6 +54,7 @@ RULES: dict[str, Rule] = {
     "vetoes": (settle, "VETOES", 0),  # type: ignore[dict-item]
     "_adds_too_little": (policy, "_adds_too_little", lambda *_: False),
     "_is_known_effect": (policy, "_is_known_effect", lambda *_: False),
+    "_has_plainer_one": (policy, "_has_plainer_one", lambda *_: False),
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
     "strained": (policy, "strained", lambda *_: False),
