@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
@@ -196,3 +197,13 @@ def test_the_references_are_held_against_the_rows_where_the_model_is_worst():
     sound = sampled_record("sound", DRIVE[:, None], 0.4 * HELD[:, None], STEP, ("x",), "um", start="settled")
     [poor] = poorly_explained([sound], [sound.measurement - 0.3 * HELD[:, None]])
     assert poor.reference < 1e-3 < poor.left and poor.follows
+
+
+def test_a_hum_does_not_follow_the_command():
+    """A reference whose poles ring through the record would make a hum of any beginning, and blame the command's frequency."""
+    random = np.random.default_rng(3)
+    command = np.repeat(random.uniform(10.0, 90.0, 800), 10)
+    answer = 0.1 * lfilter([0.0, 0.2], [1.0, -0.8], command)
+    hum = 0.3 * np.sin(2 * np.pi * 50.0 * np.arange(len(command)) * 1e-4 + 0.4)
+    record = sampled_record("hum", command[:, None], (answer + hum)[:, None], 1e-4, ("x",), "um", "zoh", "unknown")
+    assert poorly_explained([record], [hum[:, None]]) == []

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from hyst_control.base.errors import InputError
-from hyst_control.identify import Fit
+from hyst_control.identify import Fit, workflow
 from hyst_control.identify.assess.model_choice import POOR, USELESS, best_family
 from hyst_control.identify.workflow import identified
 from hyst_control.model_file import simulate
@@ -94,6 +94,13 @@ def modes(command, gains, step=1e-4):
     return answer
 
 
+@pytest.fixture
+def one_family_of_play_operators(monkeypatch):
+    """The quickest of those that are compared: the others take half a minute."""
+    monkeypatch.setattr(workflow, "chosen_families", lambda *_: ["pi"])
+
+
+@pytest.mark.usefixtures("one_family_of_play_operators")
 def test_a_stage_without_hysteresis_gets_the_linear_family_unasked():
     random = np.random.default_rng(2)
     command = 50.0 + 40.0 * np.repeat(random.uniform(-1.0, 1.0, 700), 5)
@@ -107,6 +114,7 @@ def test_a_stage_without_hysteresis_gets_the_linear_family_unasked():
     assert np.std(left) < 2e-3
 
 
+@pytest.mark.usefixtures("one_family_of_play_operators")
 def test_axes_that_move_each_other_get_the_linear_family_unasked():
     random = np.random.default_rng(3)
     command = 50.0 + 40.0 * np.repeat(random.uniform(-1.0, 1.0, (700, 2)), 5, axis=0)
