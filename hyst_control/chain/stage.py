@@ -133,7 +133,7 @@ class Stage:
     ROLES: ClassVar[Role] = Role.NONE
     """Answers of the properties below that are the same for every stage of the class; a stage may override a property instead."""
     sees_means: ClassVar[bool] = False
-    """Whether the stage has internal dynamics that respond to a fractional delay of a held command."""
+    """True for a stage with internal dynamics that respond to a fractional delay of a held command."""
     only_limits: ClassVar[bool] = False
     """True for a stage that only limits or rounds what it else passes unchanged: inverses and linear descriptions leave it out."""
 

@@ -44,7 +44,7 @@ from hyst_control.records.tables.units import refusal_of_unit
 from hyst_control.records.validity.checks import examined, refuse_invalid
 from hyst_control.records.validity.findings import Trial
 
-AUTO, LINEAR = "auto", "linear"
+AUTO = "auto"
 """In place of a family: the best one."""
 BY_THEMSELVES = (
     "the axes were fitted by themselves: where the command of one moves another, name a family that couples axes, such as --model mhl "
@@ -204,6 +204,7 @@ def identify_records(
     poor = [] if useless(shares) else poorly_explained(begun, errors)
     differing = [each.text() for each in disagreements(fit.model, begun, errors)]
     verdict = INVALID if found else NOTHING if useless(shares) else DISAGREE if differing else POORLY if poor else EXPLAINS
+    mixed = any(stage.mixes_axes for stage in fit.model.chain.stages)
     notes = [
         *(each.text() for each in found),
         *(sentence(row) for row in useless(shares)),
@@ -211,7 +212,7 @@ def identify_records(
         *notes,
         *differing,
         *fit.report["notes"],
-        *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 and fit.report["family"] != LINEAR else []),
+        *([BY_THEMSELVES] if family in (None, AUTO) and len(fit.model.axes) > 1 and not mixed else []),
     ]
     report: Report = {**fit.report, "verdict": verdict, "explained": shares, "losses": lost, "notes": notes}
     return with_delay(replace(fit, report=report), late * begun[0].sample_time)
@@ -224,12 +225,12 @@ def identified(records: Sequence[Record], family: str | None = None, method: str
     if family not in (None, AUTO):
         fit = identify(begun, chosen[0], method, **options)
     else:
-        second = [name for name, each in estimators().items() if each.second_choice and each.has(options)]
 
         def further(best: Fit) -> list[str]:
-            coupled = len(begun[0].axes) > 1
-            linear = coupled or any(each.linear for each in poorly_explained(begun, residuals_of(best, begun)))
-            return [*([LINEAR] if linear and estimator_of(LINEAR).has(options) else []), *second]
+            linear = any(each.linear for each in poorly_explained(begun, residuals_of(best, begun)))
+            return [
+                name for name, each in estimators().items() if each.is_promising(len(begun[0].axes), linear) and each.has(options)
+            ]
 
         def explains(fit: Fit) -> bool:
             return not useless(explained_shares(begun, residuals_of(fit, begun)))

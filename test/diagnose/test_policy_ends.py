@@ -30,7 +30,7 @@ def test_an_effect_that_becomes_the_better_one_at_an_end_of_its_ranges_is_no_sec
 
 
 def test_a_plainer_effect_that_leaves_noise_is_named_before_one_that_gains_next_to_nothing():
-    """What a stage and the physics differ by is many times the noise's own scatter beside a great effect."""
+    """Beside a large effect, the difference between its stage and the physics is much larger than the scatter of the noise."""
     pairs = (("mode", "share"), ("mode", "gain"))
     mode = effect("mode", 1000.0, left=0.95)
     both = evidence(mode, effect("share", 900.0), plainer=pairs)

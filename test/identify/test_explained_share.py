@@ -165,9 +165,9 @@ def test_a_choice_between_families_says_that_none_of_them_couples_axes(named, tm
     notes = identify_bags([tmp_path / "bag"], named, tmp_path / "model.yaml").fit.report["notes"]
     told = [note for note in notes if "fitted by themselves" in note]
     assert len(told) == (0 if named == "linear" else 1)
-    # None of the families that are compared couples axes, and those that do are named.
+    # None of the families that are compared first couples axes, and those that do are named.
     coupling = {family for name in ("coupled", "cross_coupling") for family in every_option()[name]}
-    assert coupling and not any(estimators()[family].suggested or estimators()[family].second_choice for family in coupling)
+    assert coupling and not any(estimators()[family].suggested for family in coupling)
     assert all(f"--model {family}" in workflow.BY_THEMSELVES for family in coupling)
 
 

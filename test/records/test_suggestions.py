@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What hyst import suggests for a file is what it takes for the same file; days, missing numbers and units that files state."""
+"""`hyst import` accepts what it suggests for a file; times across midnight, missing numbers, and units in names."""
 
 import csv
 

@@ -98,7 +98,7 @@ def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
 
 
 def leaves_more(evidence: Evidence, one: HypothesisEvidence, thresholds: Thresholds) -> bool:
-    """True where a hypothesis leaves more than it is due to, by an excess that counts."""
+    """True where a hypothesis leaves significantly more energy than the model is expected to leave."""
     return one.energy - evidence.stated > _noticed(evidence, thresholds)
 
 

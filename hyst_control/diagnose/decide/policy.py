@@ -261,9 +261,9 @@ def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thre
 
 
 def _has_plainer_one(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where a simpler effect leaves hardly more than noise, and next to nothing makes a hypothesis the sure one of the two.
+    """True where a simpler effect leaves hardly more than noise, though a hypothesis with another one fits a very little better.
 
-    So much a stage and the physics of the simpler effect may differ by. What is not sure is told beside it.
+    A stage may differ from the physics by as much. Where neither of the two is sure, both are reported.
     """
     one = evidence.hypotheses[index]
     plainer = [{plain, *one.names} - {name} for name, plain in evidence.plainer if name in one.names]

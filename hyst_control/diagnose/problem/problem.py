@@ -65,7 +65,7 @@ class Problem:
     hold: str
     sigma: Array
     beside_error: bool = False
-    """Whether the model discrepancy is known, from baseline records or from the model file."""
+    """True where the model discrepancy is known, from baseline records or from the model file."""
     own_error: Array | None = None
     """Rms (A,) of what the model leaves on baseline records, measurement unit; None where it is not known."""
     own_correlation: float = 1.0

@@ -334,7 +334,7 @@ def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]])
 def _with_fewer_limits(
     linearized: Linearized, found: Sequence[tuple[Candidate, Solution]], without: float, share: float
 ) -> list[tuple[Candidate, Solution]]:
-    """Fits, the best one without those of several limits of an effect that take off no more than a share of all that it does."""
+    """Fits, where the best one has lost the limits that remove no more than a share of what the effect with several limits removes."""
     found = list(found)
     if not found:
         return found

@@ -103,7 +103,7 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
 
 
 def _linear_reference(window: Window) -> Partial:
-    """A linear model without poles that ring through the rows: such a one makes a hum of any beginning."""
+    """A linear model without poles that ring through all rows: these would imitate a hum."""
     rows = len(window.command)
     found = vector_fit([window], spread_poles(min(ORDER, rows // 16), rows), 0.0, True, relocations=4)
     dying = found.poles[(found.poles.imag == 0.0) | (-found.poles.real * rows > DIES)]

@@ -68,7 +68,7 @@ def with_state(model: Model, data: Record) -> Record:
         return float(np.sum(without_zero(error)[0] ** 2))
 
     def spoils(start: Beginning) -> bool:
-        """Whether the estimated motion increases the error of the rows that follow, as a slow one that resembles a drift does."""
+        """True where the estimated motion increases the error of the rows that follow, as a slow one that resembles a drift does."""
         longer = data.rows(0, begin + MOTION_ROWS)
         with_it, without = (float(np.sum(residual_from(model, replace(longer, start=each)) ** 2)) for each in (start, still))
         return with_it > without

@@ -26,7 +26,7 @@ ROWS, MIN_ROWS, PARTS = 2**15, 64, 60
 PAIRS, LINEAR_ROWS, ROWS_OF_A_PAIR = (1, 2, 4, 6), 2**12, 16
 """Pairs of poles of the linear dynamics, rows to which they are fitted (where an axis' command moves fastest), and fewest for each pair."""
 LATEST = 3
-"""Rows before its own whose command a measurement may answer: what a delay takes, no few poles have to."""
+"""Largest number of rows by which a measurement may answer late, so that the few poles need not imitate a delay."""
 ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
 CLEAR, CLEAR_AT_NOISE = 0.7, 0.95
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken; and where nothing but white noise is left."""

@@ -69,6 +69,10 @@ class Estimator(Generic[O]):
         """Ways in which the family can be identified, the default one first."""
         return next(each.choices for each in self.declared if each.name == "method")
 
+    def is_promising(self, axes: int, linear: bool) -> bool:
+        """Report whether to compare a family where no suggested one does well; `linear`: whether a linear reference does better."""
+        return self.second_choice
+
     def has(self, values: Iterable[str]) -> bool:
         """Report whether the family has options of all these names, `values`."""
         return set(values) <= {each.name for each in self.declared}

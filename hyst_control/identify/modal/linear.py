@@ -115,6 +115,9 @@ class Linear(Estimator[LinearOptions]):
     frees_states = True
     Options = LinearOptions
 
+    def is_promising(self, axes: int, linear: bool) -> bool:
+        return linear or axes > 1  # which may drive each other
+
     def fit(self, records: Sequence[Record], options: LinearOptions) -> Fit:
         first = checked(records)
         axes = len(first.axes)

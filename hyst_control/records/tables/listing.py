@@ -52,7 +52,7 @@ RESPONSE_WORDS = (
 )
 RESPONSE_FORMS = (("frequency", "magnitude", "phase"), ("frequency", "real", "imaginary"))
 NOT_IN_QUOTES = frozenset('"$`\\!')
-"""What a shell does not leave as it is between double quotes."""
+"""Characters that a shell changes between double quotes."""
 
 
 @dataclass(frozen=True, eq=False)

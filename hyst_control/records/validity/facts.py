@@ -29,7 +29,7 @@ MIN_GAPS = 5
 JUMP = 8.0
 """Size of a jump relative to the median second difference of its neighborhood."""
 MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
-"""Outliers that are told, and the share of the samples from which they are none."""
+"""Fewest outliers that are reported, and the share of the samples from which they count as something else."""
 MIN_STAND, MOVES_FAR = 10, 0.05
 """Samples on which a measurement stands still, and the share of its range by which the command moves meanwhile."""
 LARGEST_RANGE = {"V": 5e3, "um": 5e3, "mrad": 1e3}
