@@ -297,7 +297,8 @@ def _axis(
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
-    with forked([linearized, problem, linearized.scatter, linearized.scatter.model, configuration, *members]):
+    known = [linearized, problem, linearized.scatter, linearized.scatter.model, configuration, *EFFECTS.values(), *members]
+    with forked(known):  # effects hold functions, which cannot be sent
         found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
         collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
         tests = ContenderTests(prepared, found, collected, baseline, configuration)
