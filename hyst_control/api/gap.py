@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hyst_control import model_file
 from hyst_control.api.model import Model
 from hyst_control.api.record import Record
-from hyst_control.api.shown import Shown, check_seed, drawn, pandas, promoted
+from hyst_control.api.shown import Shown, check_seed, drawn, needed, promoted
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
 from hyst_control.chain.external_simulator import Simulate
@@ -69,7 +69,7 @@ class Gap(GapResult, Shown):
             for name, row in effect["parameters"].items()
         ]
         columns = ["effect", "axis", "probability", "parameter", "value", "lower", "upper", "unit"]
-        return pandas().DataFrame(rows, columns=columns)
+        return needed("pandas").DataFrame(rows, columns=columns)
 
     def plot(self, path: str | Path | None = None) -> list[Axes]:
         """Draw measured against simulated signals and the gap, with and without the effects; written to `path` where one is given."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from hyst_control import model_file
 from hyst_control.api.record import Record, from_arrays
-from hyst_control.api.shown import Shown, check_seed, drawn, pandas, promoted, rows_of, table_frame
+from hyst_control.api.shown import Shown, check_seed, drawn, needed, promoted, rows_of, table_frame
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -130,9 +130,10 @@ class Model(model_file.Model, Shown):
     def to_frame(self) -> Any:
         """The parameters as a pandas DataFrame: those of the fit with their standard errors, or all numbers of the chain."""
         if self.report is not None:
-            return pandas().DataFrame(self.report["parameters"])
+            return needed("pandas").DataFrame(self.report["parameters"])
         numbers = chain_coordinates(self.chain.stages, self.axes)
-        return pandas().DataFrame([{"name": name, "value": each.value, "unit": each.unit} for name, each in numbers.items()])
+        rows = [{"name": name, "value": each.value, "unit": each.unit} for name, each in numbers.items()]
+        return needed("pandas").DataFrame(rows)
 
     def simulate(self, command: ArrayLike, rate: float | None = None, *, seed: int | None = None) -> Record:
         """Simulate the stage, at rest at the first command.
@@ -290,11 +291,7 @@ class Inverse(Shown):
         wanted = rows_of("reference", reference)
         predicted = self.model.simulate(self(wanted), 1.0 / self.sample_time)
         motion = predicted.signal("measurement")
-        signals = {
-            "reference": replace(motion, values=wanted),
-            "predicted": motion,
-            "command": predicted.signal("command"),
-        }
+        signals = {"reference": replace(motion, values=wanted), "predicted": motion, "command": predicted.signal("command")}
         return drawn(over_time(replace(predicted, signals=signals)), f"inverse of {self.model.name}", path)
 
     def __call__(self, reference: ArrayLike) -> Array:

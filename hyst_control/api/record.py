@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyst_control.api.shown import Shown, drawn, pandas, promoted, rows_of, xarray
+from hyst_control.api.shown import Shown, drawn, needed, promoted, rows_of
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records import record as records
@@ -25,7 +25,7 @@ from hyst_control.records.tables.importing import import_table, write_bag
 from hyst_control.records.tables.selection import column_indices
 from hyst_control.records.tables.units import unit_of
 from hyst_control.reporting.frequency_figures import bode_of_record
-from hyst_control.reporting.signal_figures import over_each_other, over_time, spectra
+from hyst_control.reporting.signal_figures import columns_of, over_each_other, over_time, spectra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,24 +150,19 @@ class Record(EditableRecord, Shown):
     def to_frame(self) -> Any:
         """The signals as a pandas DataFrame over time in s, a column an axis: "command [V]", or "command.x [V]" of several axes."""
         columns = [
-            pandas().Series(values, index=signal.time, name=f"{name} [{signal.unit}]")
+            needed("pandas").Series(values, index=signal.time, name=f"{name} [{signal.unit}]")
             for topic, signal in self.signals.items()
-            for name, values in zip(_names(topic, signal), signal.values.T, strict=True)
+            for name, values in columns_of(topic, signal)
         ]
-        return pandas().concat(columns, axis=1).rename_axis("time [s]")
+        return needed("pandas").concat(columns, axis=1).rename_axis("time [s]")
 
     def to_xarray(self) -> Any:
         """The signals as an xarray Dataset over time and axis, with their units as attributes."""
-        of = xarray()
-        arrays = {
-            topic: of.DataArray(
-                signal.values,
-                coords={"time": signal.time, "axis": list(signal.axes)},
-                dims=("time", "axis"),
-                attrs={"units": signal.unit},
-            )
-            for topic, signal in self.signals.items()
-        }
+        of = needed("xarray")
+        arrays = {}
+        for topic, signal in self.signals.items():
+            places = {"time": signal.time, "axis": list(signal.axes)}
+            arrays[topic] = of.DataArray(signal.values, places, tuple(places), attrs={"units": signal.unit})
         return of.Dataset(arrays, attrs={"source": self.source, **({"hold": self.hold} if self.states_hold else {})})
 
     def save(self, path: str | Path) -> None:
@@ -522,7 +517,3 @@ def _array(topic: str, given: str | Sequence[str]) -> Column:
     return replace(
         column, columns=tuple(match["name"] if (match := _WITH_UNIT.fullmatch(name)) else name for name in column.columns)
     )
-
-
-def _names(topic: str, signal: records.Signal) -> list[str]:
-    return [f"{topic}.{axis}" if len(signal.axes) > 1 else topic for axis in signal.axes]

@@ -8,9 +8,9 @@ import html
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields
+from importlib import import_module
 from numbers import Integral
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -76,22 +76,11 @@ def rows_of(name: str, values: ArrayLike) -> Array:
 
 def table_frame(table: Table) -> Any:
     """A result table as a pandas DataFrame."""
-    return pandas().DataFrame([vars(row) for row in table.rows])
+    return needed("pandas").DataFrame([vars(row) for row in table.rows])
 
 
-def pandas() -> Any:
-    """The package pandas, which is needed where tables go in or out."""
-    return _package("pandas")
-
-
-def xarray() -> Any:
-    """The package xarray, likewise."""
-    return _package("xarray")
-
-
-def _package(name: str) -> ModuleType:
-    from importlib import import_module
-
+def needed(name: str) -> Any:
+    """The package pandas or xarray, which is needed where tables go in or out."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:

@@ -17,10 +17,8 @@ from hyst_control.base.errors import InputError
 
 LOCAL = "local"
 LOOPBACK = "127.0.0.1"
-CONNECT_TIMEOUT = 20.0
-"""Seconds that a scheduler has to answer."""
-LOOK_AGAIN = 3.0
-"""Seconds after which the workers are counted again."""
+CONNECT_TIMEOUT = 20.0  # Seconds that a scheduler has to answer
+LOOK_AGAIN = 3.0  # Seconds after which the workers are counted again
 
 
 @contextmanager

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-LONGEST = 2000
-"""Characters of a line; a value out of a file may be as long as the file."""
+LONGEST = 2000  # Characters of a line; a value out of a file may be as long as the file
 
 
 class InputError(ValueError):

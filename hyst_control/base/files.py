@@ -16,12 +16,13 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 from hyst_control.base.errors import InputError
+from hyst_control.base.foreign_readers import first_line
 
-LINKS = 40
-"""Symbolic links that are followed one after the other, as the kernel does."""
+LINKS = 40  # Symbolic links that are followed one after the other, as the kernel does
 
 
 def check_writable(path: str | Path) -> None:
@@ -96,19 +97,28 @@ def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
             os.unlink(part)
 
 
+@contextmanager
+def appearing(path: Path) -> Iterator[Path]:
+    """Provide a place for a new file or folder, which appears as `path` only when the block has ended without an exception."""
+    if os.path.lexists(path):
+        raise InputError(f"{path}: exists already: choose another name or remove it")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
+        part = Path(temporary) / path.name
+        yield part
+        part.rename(path)
+
+
 def read_json(path: str | Path) -> dict[str, Any]:
     """JSON object in the file at `path`. Raises `InputError` where the file cannot be read, or holds anything else."""
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read as JSON ({_first_line(error)}): remove it, or choose another one") from None
+        reason = getattr(error, "strerror", None) or first_line(error)
+        raise InputError(f"{path}: cannot be read as JSON ({reason}): remove it, or choose another one") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: must hold a JSON object, holds {type(document).__name__}: remove it, or choose another one")
     return document
-
-
-def _first_line(error: Exception) -> str:
-    return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]
 
 
 def write_text(path: str | Path, text: str, private: bool = False) -> None:

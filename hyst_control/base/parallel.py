@@ -44,8 +44,7 @@ LOST_WORKER = "a worker process was killed, possibly for lack of memory: free me
 _Answer: TypeAlias = tuple[object, Exception | None, str]
 
 _serial = False
-_team: _Team | None = None
-"""Processes of `forked`."""
+_team: _Team | None = None  # Processes of `forked`
 
 
 class WaitingThread(threading.Thread):
@@ -322,8 +321,7 @@ class Outcome(Generic[Job, Result]):
     reason: str = ""  # Why it failed; "" where it did not
 
 
-ATTEMPTS = 2
-"""Times that a job is tried."""
+ATTEMPTS = 2  # Times that a job is tried
 AHEAD = 3
 """Jobs submitted for every one that can be computed at a time: what waits keeps the workers busy, and memory flat."""
 REOPENED = 5

@@ -35,8 +35,7 @@ class Bar(Protocol):
 
 _bar: Bar | None = None
 _within = ""
-_lines = False
-"""True when the standard error is no terminal, and parts are printed as lines."""
+_lines = False  # True when the standard error is no terminal, and parts are printed as lines
 
 
 @contextmanager

@@ -111,11 +111,9 @@ class Quantity:
     @property
     def values(self) -> str:
         """The bounds or all choices in words; empty where every value of the kind is allowed."""
-        return (
-            ", ".join(self.choices)
-            if self.kind is TEXT and self.choices
-            else " or ".join(filter(None, [self.bounds, *self.choices]))
-        )
+        if self.kind is TEXT and self.choices:
+            return ", ".join(self.choices)
+        return " or ".join(filter(None, [self.bounds, *self.choices]))
 
     @property
     def requirement(self) -> str:

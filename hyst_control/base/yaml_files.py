@@ -17,20 +17,11 @@ import yaml
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import first_line
 
-MAX_BYTES = 4 * 2**20
-"""Length of a text."""
-
-MAX_DEPTH = 64
-"""Lists and mappings within each other."""
-
-MAX_NODES = 200_000
-"""Values, every alias counted as all that it stands for."""
-
-MAX_KEYS = 10_000
-"""Keys of one mapping."""
-
-MAX_CHARACTERS = 2**16
-"""Length of one value: a number of a million digits takes minutes to read."""
+MAX_BYTES = 4 * 2**20  # Length of a text
+MAX_DEPTH = 64  # Lists and mappings within each other
+MAX_NODES = 200_000  # Values, every alias counted as all that it stands for
+MAX_KEYS = 10_000  # Keys of one mapping
+MAX_CHARACTERS = 2**16  # Length of one value: a number of a million digits takes minutes to read
 
 EXPONENT = ("tag:yaml.org,2002:float", re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789"))
 """Texts that are numbers everywhere but in YAML 1.1, as the rule that loader and dumper take."""
@@ -75,12 +66,10 @@ def _check(text: str) -> None:
     if len(text) > MAX_BYTES:
         raise _LimitExceeded(f"is longer than {MAX_BYTES >> 20} MiB: split it, or keep large arrays in .npy files")
     nodes = 0
-    anchors: dict[str, int] = {}
-    """Nodes of everything anchored so far."""
+    anchors: dict[str, int] = {}  # Nodes of everything anchored so far
     open_nodes: list[tuple[str | None, int]] = []
     """Anchor and count at the beginning of the lists and mappings that are not closed yet."""
-    room = [1]
-    """Number of values that each of them may still take."""
+    room = [1]  # Number of values that each of them may still take
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.NodeEvent):
             room[-1] -= 1

@@ -10,11 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
-KEPT = 512
-"""Results per function; when there are more, the one that was not asked for longest is dropped."""
+KEPT = 512  # Results per function; when there are more, the one that was not asked for longest is dropped
 
-PLAIN = frozenset({float, int, bool, str, type(None)})
-"""Types of what cannot be changed, and is compared and hashed as it is."""
+PLAIN = frozenset({float, int, bool, str, type(None)})  # Types of what cannot be changed, and is compared and hashed as it is
 
 Result = TypeVar("Result")
 

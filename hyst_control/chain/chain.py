@@ -2,17 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chains: stages in signal order, and stages in parallel.
 
-Starting a chain first *arranges* it, with three identities that change nothing in continuous time and make the sampled
-result exact instead of approximate:
-
-- a delay commutes with every time-invariant stage, so it moves to the nearest linear stage, which carries its fraction of a
-  sample exactly;
-- a linear stage distributes over parallel branches, so that a branch's own dynamics are not sampled in between;
-- neighboring linear stages merge into one system;
-- a lag of a held signal in front of a hysteresis (`effects.amplifier_lowpass`) bends it between the samples, and the hysteresis'
-  output alike: it is followed at the samples, and bent on the way to what is linear behind.
-
-Before that, stages that change others (`Modifier`) are applied to the stages before them.
+Starting a chain first *arranges* it, which changes nothing in continuous time and makes the sampled result exact: delays move to the
+nearest linear stage, linear stages into parallel branches, and neighboring linear stages merge (docs/architecture.md). A lag of a held
+signal in front of a hysteresis (`effects.amplifier_lowpass`) bends it between the samples, and the hysteresis' output alike: it is
+followed at the samples, and bent on the way to what is linear behind.
 """
 
 from __future__ import annotations
@@ -220,15 +213,10 @@ def _pass_bends(stages: Sequence[Stage]) -> list[Stage]:
     for index, stage in enumerate(stages):
         following = next((other for other in stages[index + 1 :] if not isinstance(other, Delay)), None)
         bends = isinstance(stage, Averaged) and not any(_is_system(before) for before in passed)
+        ends = following is None or _is_system(following) or following.mixes_axes
         if bends and isinstance(following, Parallel):
             waiting = (*waiting, stage)
-        elif (
-            bends
-            and isinstance(stage, Averaged)
-            and following is not None
-            and not _is_system(following)
-            and not following.mixes_axes
-        ):
+        elif bends and isinstance(stage, Averaged) and not ends:
             passed.append(stage.at_samples())
             waiting = (*waiting, *stage.between_samples())
         elif waiting and isinstance(stage, Parallel):

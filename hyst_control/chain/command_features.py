@@ -25,10 +25,8 @@ PLAYS = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Half widths of the play operators, as shares of the command's range; together they approximate the memory of any hysteresis."""
 LAGS = (1.0, 4.0, 16.0)
 """Times of the command's lagged copies, as multiples of the time in which its fastest part crosses a 64th of its range."""
-CREEPS = (0.3, 3.0)
-"""Time constants of low-passed copies, as shares of the longest record."""
-MIN_REVERSAL = 0.01
-"""Share of the range by which a command has to come back before its turning point counts as a reversal."""
+CREEPS = (0.3, 3.0)  # Time constants of low-passed copies, as shares of the longest record
+MIN_REVERSAL = 0.01  # Share of the range by which a command has to come back before its turning point counts as a reversal
 LONGEST, BLOCK = 2**20, 2**18
 """Samples of a command from which quantiles of its rate are taken; samples whose features are computed at a time."""
 
@@ -65,13 +63,11 @@ class CommandFeatures:
         """Compute the features of a command."""
         # causal: whether the rate is one of past samples alone, as a stage has it that runs along with the command; else it is
         # centered
+        if not causal:
+            return np.concatenate([rows for _, rows in self.blocks(command, sample_time)])
         running = FeatureFilter(self, sample_time)
         running.settle(float(command[0]))
-        if causal:
-            return running.process(command)
-        u, width = (command - self.center) / self.span, running.width
-        ahead, behind = _late(u[::-1], width)[::-1], _late(u, width)
-        return running.process(command, (ahead - behind) / running.crossing)
+        return running.process(command)
 
     def blocks(self, command: Annotated[Array, "N"], sample_time: float) -> Iterator[tuple[slice, Array]]:
         """Compute the features of a command of any length block by block: those of `rows`, the rate being centered."""
@@ -93,19 +89,14 @@ def rate_quantile(command: Annotated[Array, "N"], sample_time: float, share: flo
     return float(np.quantile(np.abs(command[rows + 1] - command[rows - 1]), share)) / (2.0 * sample_time)
 
 
-POWERS, FIRST_PLAY = 3, 15
-"""Features that are powers of the level, and the place of the first play operator."""
-FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)
-"""Number of features."""
+POWERS, FIRST_PLAY = 3, 15  # Features that are powers of the level, and the place of the first play operator
+FEATURES = FIRST_PLAY + len(PLAYS) + len(LAGS) + len(CREEPS)  # Number of features
 SIZES = {"PLAY_COUNT": len(PLAYS), "LAG_COUNT": len(LAGS), "CREEP_COUNT": len(CREEPS), "FIRST_PLAY": FIRST_PLAY}
 FEATURES_IN_C = c_texts(__file__, **SIZES, MIN_REVERSAL=MIN_REVERSAL)["FEATURES_IN_C"]
 
-Constants = tuple[Integers, Array, Array]
-"""Lags, half widths of the play operators, and what the low-passes keep in a tick."""
-Past = tuple[Annotated[Array, "L"], Integers]
-"""Ring of past commands, and the place of the newest."""
-Memory = tuple[Annotated[Array, "3"], Array, Array]
-"""Turning point, play operators, low-passes."""
+Constants = tuple[Integers, Array, Array]  # Lags, half widths of the play operators, and what the low-passes keep in a tick
+Past = tuple[Annotated[Array, "L"], Integers]  # Ring of past commands, and the place of the newest
+Memory = tuple[Annotated[Array, "3"], Array, Array]  # Turning point, play operators, low-passes
 
 
 @njit(cache=True, error_model="numpy")
@@ -187,16 +178,14 @@ class FeatureFilter:
         self.ring, self.position = np.full(int(self.ticks.max()) + 1, u), np.zeros(1, dtype=np.int64)
         self.turning = np.array([u, u, 1.0])
         self.plays, self.slow = np.full(len(PLAYS), u), np.full(len(CREEPS), u)
-        features: Array = at_rest(np.array([u]))[0]
-        return features
+        return np.asarray(at_rest(np.array([u]))[0])
 
     def process(self, command: Annotated[Array, "N"], rate: Array | None = None) -> Annotated[Array, "N F"]:
         """Compute the features of the next samples."""
         u = (command - self.features.center) / self.features.span
         given = np.zeros(0) if rate is None else rate
         constants, memory = (self.ticks, np.array(PLAYS), self.keeps), (self.turning, self.plays, self.slow)
-        rows: Array = feature_rows(u, given, self.crossing, constants, (self.ring, self.position), memory)
-        return rows
+        return np.asarray(feature_rows(u, given, self.crossing, constants, (self.ring, self.position), memory))
 
 
 def at_rest(u: Annotated[Array, "A"]) -> Array:
@@ -205,11 +194,6 @@ def at_rest(u: Annotated[Array, "A"]) -> Array:
     found[:, 0], found[:, 1], found[:, 2] = u, u * u, u * u * u
     found[:, FIRST_PLAY : FIRST_PLAY + len(PLAYS)] = u[:, None]
     return found
-
-
-def _late(u: Array, count: int) -> Array:
-    count = min(count, len(u))
-    return np.concatenate([np.full(count, u[0]), u[: len(u) - count]])
 
 
 @njit(cache=True, error_model="numpy")

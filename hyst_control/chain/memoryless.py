@@ -18,7 +18,7 @@ from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, each_axis
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, register
+from hyst_control.chain.stage import Filter, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 
 C = c_texts(__file__)
 
@@ -138,9 +138,7 @@ class Saturation(Stage):
             raise InputError(f"lower: {self.lower} is not below upper {self.upper}")
 
     def filter(self, sampling: Sampling) -> Filter:
-        lower = per_axis_scalar(self.lower, sampling.axes, "lower")
-        upper = per_axis_scalar(self.upper, sampling.axes, "upper")
-        knee = per_axis_scalar(self.knee, sampling.axes, "knee")
+        lower, upper, knee = per_axis_scalars(self, sampling.axes, "lower", "upper", "knee")
         limits = {"lower": (lower, "signal unit, least output"), "upper": (upper, "signal unit, greatest output")}
         if knee.any():
             code = each_axis(

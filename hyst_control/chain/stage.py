@@ -27,15 +27,15 @@ from hyst_control.base.arrays import Array as Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.plugins import Registry
 from hyst_control.chain import stage_coordinates
-from hyst_control.chain.axis_values import depth as depth
-from hyst_control.chain.axis_values import frozen as frozen
-from hyst_control.chain.axis_values import per_axis as per_axis
-from hyst_control.chain.axis_values import per_axis_scalar as per_axis_scalar
-from hyst_control.chain.axis_values import per_axis_scalars as per_axis_scalars
-from hyst_control.chain.axis_values import scaled as scaled
-from hyst_control.chain.axis_values import thawed as thawed
 from hyst_control.chain.c_code.c_code import CCode, each_axis
-from hyst_control.chain.parameter import Coordinate, Parameter, declared, undeclared
+from hyst_control.chain.parameter import Coordinate, Parameter, declared
+from hyst_control.chain.parameter import depth as depth
+from hyst_control.chain.parameter import frozen as frozen
+from hyst_control.chain.parameter import per_axis as per_axis
+from hyst_control.chain.parameter import per_axis_scalar as per_axis_scalar
+from hyst_control.chain.parameter import per_axis_scalars as per_axis_scalars
+from hyst_control.chain.parameter import scaled as scaled
+from hyst_control.chain.parameter import thawed as thawed
 
 HOLDS = ("zoh", "foh")
 
@@ -361,13 +361,13 @@ def register(stage: Registered) -> Registered:
     InputError
         Its name is another stage's.
     """
-    for field in undeclared(stage):
-        raise TypeError(f"{stage.__name__}.{field.name}: declares no parameter: see hyst_control.chain.parameter")
+    for field in fields(stage):
+        if "parameter" not in field.metadata:
+            raise TypeError(f"{stage.__name__}.{field.name}: declares no parameter: see hyst_control.chain.parameter")
     other = STAGES.added(stage.name)
-    if other is not None and (other.__module__, other.__qualname__) != (
-        stage.__module__,
-        stage.__qualname__,
-    ):  # a module loaded again
+    if (
+        other is not None and f"{other.__module__}.{other.__qualname__}" != f"{stage.__module__}.{stage.__qualname__}"
+    ):  # not loaded again
         raise InputError(f"{stage.name}: {other.__module__} has a stage of this name: choose another one")
     STAGES[stage.name] = stage
     return stage

@@ -13,8 +13,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain.parameter import Coordinate, Form, Parameter, Scattering
 
 UNCERTAIN = (Scattering.RELATIVE, Scattering.ABSOLUTE, Scattering.POLES)
-NEXT = 1e-3
-"""Share of the nominal value that is left of a number with an open bound at 0 which scatters beyond it."""
+NEXT = 1e-3  # Share of the nominal value that is left of a number with an open bound at 0 which scatters beyond it
 
 
 def of_parameters(known: Mapping[str, Parameter], values: Mapping[str, Any], axes: int) -> dict[tuple[str, int | None], Coordinate]:

@@ -107,29 +107,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         _interrupted_by(signal.default_int_handler, argv)
         return run(arguments)
     except InputError as error:
-        print(f"hyst {arguments.command}: {error}", file=sys.stderr)
-        return 2
+        reason = str(error)
     except ModuleNotFoundError as error:
-        if not (missing := ros_missing(error)):
+        if not (reason := ros_missing(error)):
             raise
-        print(f"hyst {arguments.command}: {missing}", file=sys.stderr)
-        return 2
     except BrokenPipeError:  # `hyst … | head` has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
         return 0
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        print(f"hyst {arguments.command}: {where}{error.strerror or error}: check the path and its permissions", file=sys.stderr)
-        return 2
+        reason = f"{where}{error.strerror or error}: check the path and its permissions"
     except MemoryError as error:
-        reason = f"not enough memory ({error})" if str(error) else "not enough memory"
-        print(f"hyst {arguments.command}: {reason}: free memory, or take shorter records", file=sys.stderr)
-        return 2
+        reason = f"not enough memory{f' ({error})' if str(error) else ''}: free memory, or take shorter records"
     except KeyboardInterrupt:
         print(f"hyst {arguments.command}: interrupted", file=sys.stderr)
         return 130
     finally:
         _interrupted_by(signal.SIG_DFL, argv)  # while the interpreter ends
+    print(f"hyst {arguments.command}: {reason}", file=sys.stderr)
+    return 2
 
 
 def _interrupt_again(dropped: sys.UnraisableHookArgs) -> None:

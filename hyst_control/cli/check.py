@@ -49,12 +49,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             lost = f", {one.missing} ticks missing (at most {one.longest} in a row)" if one.missing else ""
             bad = f", {one.invalid} rows that are no numbers" if one.invalid else ""
             made.lines.append(f"  {one.topic:<12} {one.rows} rows{rate} by the {one.clock}{lost}{bad}")
-            for quantity, value in (
-                ("rows", one.rows),
-                ("missing", one.missing),
-                ("longest gap", one.longest),
-                ("invalid", one.invalid),
-            ):
+            counts = {"rows": one.rows, "missing": one.missing, "longest gap": one.longest, "invalid": one.invalid}
+            for quantity, value in counts.items():
                 made.add(case, quantity, "", value)
             made.add(case, "largest jitter", "steps", one.irregular)
         made.lines += [f"  note: {note}" for note in record.notes]

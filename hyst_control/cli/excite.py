@@ -72,19 +72,13 @@ def run(arguments: argparse.Namespace) -> CommandResult | Kinds:
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     unit, duration = arguments.unit, len(rows) / arguments.rate
     slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
-    made = Artifacts(
-        "excite",
-        [arguments.output],
-        lines=[f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"],
-    )
+    line = f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"
+    made = Artifacts("excite", [arguments.output], lines=[line])
     made.add("", "samples", "", len(rows))
-    for quantity, of, value in (
-        ("duration", "s", duration),
-        ("minimum", unit, rows.min()),
-        ("maximum", unit, rows.max()),
-        ("slope", f"{unit}/s", slope),
-    ):
-        made.add("", quantity, of, value)
+    made.add("", "duration", "s", duration)
+    made.add("", "minimum", unit, rows.min())
+    made.add("", "maximum", unit, rows.max())
+    made.add("", "slope", f"{unit}/s", slope)
     return made
 
 
@@ -130,10 +124,5 @@ class Kinds:
         for name, kind in listed["kinds"].items():
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
             lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
-        lower, upper, slew_limit, *others = listed["common_parameters"]
-        return "\n".join(
-            [
-                *lines,
-                f"Parameters of every kind: {lower}, {upper}, {slew_limit} (bounds that it is checked against), {', '.join(others)}.",
-            ]
-        )
+        bounds, others = (", ".join(part) for part in (listed["common_parameters"][:3], listed["common_parameters"][3:]))
+        return "\n".join([*lines, f"Parameters of every kind: {bounds} (bounds that it is checked against), {others}."])

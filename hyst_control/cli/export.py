@@ -117,13 +117,10 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         try:
             if given.kind:
                 chosen_filter = FROM_MODEL if given.rate_filter is None else given.rate_filter
+                same = ("inverse", "discretisation", "iterations", "smoothing", "inverse_model")
                 options = programs.FeedforwardOptions(
                     given.kind,
-                    given.inverse,
-                    given.discretisation,
-                    given.iterations,
-                    given.smoothing,
-                    given.inverse_model,
+                    **{name: getattr(given, name) for name in same},
                     rate_filter=tuple(chosen_filter) if any(chosen_filter) else None,
                     limits=tuple(given.limits) if given.limits else None,
                     preview=not given.causal,
@@ -150,15 +147,12 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     written = write_folder(exported, given.output, files, plant)
     program, size = exported.program, sizes(exported.program)
     flash = "unknown without a compiler" if size.flash is None else f"{size.flash} bytes (this machine, -Os)"
-    made = Artifacts(
-        "export",
-        written,
-        lines=[
-            f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, {program.real}, tick {program.sample_time:g} s",
-            f"state {size.state} bytes, flash {flash}",
-            f"make -C {given.output} test compiles it and compares it with Python",
-        ],
-    )
+    lines = [
+        f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, {program.real}, tick {program.sample_time:g} s",
+        f"state {size.state} bytes, flash {flash}",
+        f"make -C {given.output} test compiles it and compares it with Python",
+    ]
+    made = Artifacts("export", written, lines=lines)
     made.add("", "state", "byte", size.state)
     if size.flash is not None:
         made.add("", "flash", "byte", size.flash)

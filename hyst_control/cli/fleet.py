@@ -94,8 +94,9 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         if len(arguments.manifest) > 1:
             raise InputError(f"{arguments.manifest[1]}: a population is made of one study: give one folder")
         return population_of_study(arguments.manifest[0], arguments.output, arguments.of)
-    if arguments.of:
-        raise InputError(f"--of: goes with population, not with {arguments.kind}")
+    for name, kind in (("of", "population"), ("family", "identify"), ("pages", "diagnose"), ("only", "diagnose")):
+        if getattr(arguments, name) and arguments.kind != kind:
+            raise InputError(f"--{name}: goes with {kind}, not with {arguments.kind}")
     options: dict[str, object] = {"namespace": arguments.namespace, "unit": arguments.unit}
     if arguments.kind == "identify":
         from hyst_control.identify.families.estimator import estimators
@@ -104,16 +105,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         if arguments.family not in (None, AUTO, *estimators()):
             raise InputError(f"--family: must be one of {', '.join(estimators())}, got {arguments.family}")
         options["family"] = arguments.family
-    elif arguments.family:
-        raise InputError(f"--family: goes with identify, not with {arguments.kind}")
-    if arguments.pages and arguments.kind != "diagnose":
-        raise InputError(f"--pages: goes with diagnose, not with {arguments.kind}")
-    if arguments.pages:
-        options["pages"] = True
-    if arguments.only and arguments.kind != "diagnose":
-        raise InputError(f"--only: goes with diagnose, not with {arguments.kind}")
-    if arguments.only:
-        options["only"] = arguments.only
+    options |= {name: value for name in ("pages", "only") if (value := getattr(arguments, name))}
     limits = _limits(arguments.limit)
     check_limits(arguments.kind, limits)
     entries = read_manifest(arguments.manifest, arguments.names, arguments.model, arguments.baseline)

@@ -51,15 +51,8 @@ def run(arguments: argparse.Namespace) -> CommandResult | int:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e12:
             raise InputError(f"--{name}: must be > 0 and < 1e12, got {value!r}")
-    parameters = {
-        "output": arguments.output,
-        "topics": arguments.topics,
-        "rate_hz": arguments.rate,
-        "schedule": arguments.schedule,
-        "duration": arguments.duration,
-        "ticks": arguments.ticks,
-        "merge": arguments.merge,
-    }
+    same = ("output", "topics", "schedule", "duration", "ticks", "merge")
+    parameters = {"rate_hz": arguments.rate} | {name: getattr(arguments, name) for name in same}
     given = [word for name, value in parameters.items() if value is not None for word in ("-p", f"{name}:={json.dumps(value)}")]
     remaps = ["-r", f"__ns:=/{arguments.namespace.strip('/')}"] if arguments.namespace else []
     progress.step(f"record to {arguments.output}; Ctrl-C ends it")

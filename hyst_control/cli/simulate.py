@@ -87,17 +87,12 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             )
         lowest, highest = min(lowest, float(measurement[part].min())), max(highest, float(measurement[part].max()))
     time = regular_times(len(commands), sample_time)
-    signals = {
-        "command": Signal(time, commands, tuple(model.axes), model.units["command"]),
-        "measurement": Signal(time, measurement, tuple(model.axes), model.units["measurement"]),
-    }
+    rows = {"command": commands, "measurement": measurement}
+    signals = {topic: Signal(time, values, tuple(model.axes), model.units[topic]) for topic, values in rows.items()}
     write_bag(arguments.output, Record(signals, arguments.output, (), hold, states_hold=True))
     unit, rate = model.units["measurement"], 1.0 / sample_time
-    made = Artifacts(
-        "simulate",
-        [arguments.output],
-        lines=[*notes, f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}"],
-    )
+    line = f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}"
+    made = Artifacts("simulate", [arguments.output], lines=[*notes, line])
     made.add("", "samples", "", len(commands))
     made.add("", "rate", "Hz", rate)
     made.add("measurement", "minimum", unit, lowest)

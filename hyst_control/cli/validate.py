@@ -15,6 +15,8 @@ from hyst_control.reporting.result import CommandResult
 NAME = "validate"
 HELP = "score a model on recorded bags"
 READS = ("model", "bags")
+PASSED_ON = ("hold", "start", "namespace", "unit", "columns", "shift", "strict")
+"""Arguments that `validate_bags` takes under the same names."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,15 +78,5 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.identify.validation import validate_bags
 
     models = arguments.models if hasattr(arguments, "models") else [arguments.model]
-    return validate_bags(
-        models,
-        arguments.bags,
-        arguments.command,
-        arguments.hold,
-        arguments.start,
-        arguments.namespace,
-        arguments.unit,
-        arguments.columns,
-        shift=arguments.shift,
-        strict=arguments.strict,
-    )
+    given = {name: getattr(arguments, name) for name in PASSED_ON}
+    return validate_bags(models, arguments.bags, arguments.command, **given)

@@ -19,8 +19,7 @@ ROLL_OFFS = tuple(np.geomspace(0.4, 0.004, 11).tolist())
 """Corners of the roll-off that are tried, relative to the sample rate; beside other filters every fourth of them."""
 DERIVATIVES = tuple(product(np.geomspace(1.0, 1000.0, 10).tolist(), (0.1, 0.25, 0.5), (0.1, 0.4)))
 """Integral time in samples, derivative time over it, and corner of the derivative's low-pass relative to the sample rate."""
-NOTCHES = tuple(product((0.3, 0.7, 1.5), (0.03, 0.1, 0.3)))
-"""Damping ratio of the poles, and depth."""
+NOTCHES = tuple(product((0.3, 0.7, 1.5), (0.03, 0.1, 0.3)))  # Damping ratio of the poles, and depth
 DAMPINGS = tuple(product((0.15, 0.25, 0.35), (0.3, 0.5, 0.8, 1.2, 2.0)))
 """Gain times the plant's static gain, which the gain margin keeps below 1/2, and corner over the first resonance."""
 

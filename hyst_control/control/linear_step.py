@@ -15,13 +15,11 @@ from hyst_control.chain import Stage
 from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.control.feedback.filters import Section
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.state_space import Discrete, state_space, then
+from hyst_control.control.state_space import Discrete, beside, state_space, then
 
-DENSE = 1024
-"""Samples of the first stretch; every further one, twice as long, has half as many at twice the distance."""
+DENSE = 1024  # Samples of the first stretch; every further one, twice as long, has half as many at twice the distance
 STRETCHES = 50
-SETTLED, DIVERGED, CONSTANT = 1e-4, 1e6, 1e-9
-"""Errors, and motion, of a whole stretch at which the step is over."""
+SETTLED, DIVERGED, CONSTANT = 1e-4, 1e6, 1e-9  # Errors, and motion, of a whole stretch at which the step is over
 
 
 @dataclass(frozen=True)
@@ -76,17 +74,10 @@ def law_sections(law: PI) -> tuple[list[Section], list[Section]]:
 
 def _autonomous(plant: Discrete, axes: int, law: PI) -> tuple[Array, Array, Array]:
     """Matrix, first state and output rows of the loop with the reference 1 as its last state."""
-    before, beside = law_sections(law)
+    in_series, parallel = law_sections(law)
     unchanged = Discrete(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1))
-    passed = reduce(then, [_realized(section) for section in before], unchanged)
-    parts = [_realized(section) for section in beside]
-    size = 2 * len(parts)
-    a = np.zeros((size, size))
-    for index, part in enumerate(parts):
-        a[2 * index : 2 * index + 2, 2 * index : 2 * index + 2] = part.a
-    together = Discrete(
-        a, np.vstack([part.b for part in parts]), np.hstack([part.c for part in parts]), np.sum([part.d for part in parts], axis=0)
-    )
+    passed = reduce(then, map(_realized, in_series), unchanged)
+    together = beside([_realized(section) for section in parallel])
     control = Discrete._make(np.kron(np.eye(axes), matrix) for matrix in then(passed, together))
     one = np.ones((axes, 1))
     pushed = plant.b @ control.d

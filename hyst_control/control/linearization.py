@@ -13,7 +13,7 @@ from scipy.linalg import schur
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
-from hyst_control.chain.chain import ParallelFilter, SeriesFilter, resolved
+from hyst_control.chain.chain import ParallelFilter, SeriesFilter, at_rest, resolved
 from hyst_control.chain.linear.linear_stages import (
     LinearFilter,
     LinearStage,
@@ -24,14 +24,13 @@ from hyst_control.chain.linear.linear_stages import (
     transfer_function_system,
 )
 from hyst_control.chain.stage import Filter
-from hyst_control.control.feedforward.quasi_static import hysteretic, quasi_static_stages
 from hyst_control.model_file import Model
 
 
 def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     """Mean and greatest local slope (A,) of the hysteresis at rest over the valid range, without the first percent after a reversal."""
     axes = len(model.axes)
-    core = next((stage for stage in model.chain.stages if hysteretic(stage)), None)
+    core = next((stage for stage in model.chain.stages if stage.has_compensator), None)
     if core is None:
         return np.ones(axes), np.ones(axes)
     valid = model.valid.get("command", [0.0, 100.0])
@@ -39,11 +38,11 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     turns = [0.0, 1.0, 0.0, 1.0, 0.1, 0.9, 0.2, 0.8, 0.3, 0.7]
     shares = np.concatenate([np.linspace(a, b, 201)[1:] for a, b in zip(turns, turns[1:])])
     command = lower + (upper - lower) * shares[:, None]
-    output = quasi_static_stages([core], command, axes).reshape(-1, 200, axes)
+    output = at_rest([core], command).reshape(-1, 200, axes)
     command = command.reshape(-1, 200, axes)
     rise = (output[:, 10:] - output[:, :-10]) / (command[:, 10:] - command[:, :-10])
     mean = (output[0, -1] - output[1, -1]) / (command[0, -1] - command[1, -1])
-    greatest = rise[..., :].reshape(-1, axes)
+    greatest = rise.reshape(-1, axes)
     return mean, greatest[np.abs(greatest).argmax(axis=0), np.arange(axes)]
 
 
@@ -57,7 +56,7 @@ def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
     for stage in stages:
         if stage.inner_chains:
             kept.append(stage.with_inner_chains([_replaced(chain, slope) for chain in stage.inner_chains]))
-        elif hysteretic(stage):
+        elif stage.has_compensator:
             kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
         else:
             linear = stage.linearized(len(slope))
@@ -81,8 +80,7 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
             total = _response(part, axes, z) @ total
         return total
     if isinstance(running, ParallelFilter):
-        together: Complex = sum((_response(part, axes, z) for part in running.filters), np.zeros((len(z), axes, axes), complex))
-        return together
+        return np.asarray(sum((_response(part, axes, z) for part in running.filters), np.zeros((len(z), axes, axes), complex)))
     if not isinstance(running, LinearFilter):
         raise InputError("chain: has a stage without a linear description")
     systems, n, _ = running.a.shape
@@ -118,21 +116,27 @@ def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     return (*stages[:index], stage, *stages[index + 1 :])
 
 
+def modes(stages: Sequence[Stage], axes: int) -> Complex:
+    """Poles (rad/s) of all resonances of a linear chain, one of each pair, the slowest first."""
+    within = [modes(chain, axes) for stage in stages for chain in stage.inner_chains]
+    poles = np.concatenate(
+        [np.empty(0), *within, *(_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage))]
+    )
+    return np.asarray(poles[np.argsort(np.abs(poles))], dtype=np.complex128)
+
+
 def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
     """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
-    poles = [_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage)]
-    found = np.concatenate(poles) if poles else np.empty(0)
-    return complex(found[np.argmin(np.abs(found))]) if len(found) else None
+    found = modes([stage for stage in stages if isinstance(stage, LinearStage)], axes)
+    return complex(found[0]) if len(found) else None
 
 
 def _resonances(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
-    resonances: Complex = poles[poles.imag > 1e-6 * np.abs(poles)]
-    return resonances
+    return np.asarray(poles[poles.imag > 1e-6 * np.abs(poles)])
 
 
-NOTCH_WIDTH = 0.15
-"""Relative distance in frequency up to which a pair of zeros is a notch against a mode."""
+NOTCH_WIDTH = 0.15  # Relative distance in frequency up to which a pair of zeros is a notch against a mode
 
 
 def notched(system: LinearSystem, w: float) -> bool:

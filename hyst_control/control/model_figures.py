@@ -20,14 +20,10 @@ from hyst_control.records.record import Record
 from hyst_control.reporting.frequency_figures import Response, bode, measured_responses
 from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel, axis_title, thinned
 
-DECADES, LINES = 4.0, 400
-"""Decades below half the sample rate, and frequencies, that a response is computed at."""
-OF_DELAYS = 0.05
-"""Size of a root of a sampled system below which it belongs to a delay."""
-CANCELED = 1e-6
-"""Distance of a pole and a zero that cancel."""
-LAGS = 200
-"""Samples of the residual's correlations on either side."""
+DECADES, LINES = 4.0, 400  # Decades below half the sample rate, and frequencies, that a response is computed at
+OF_DELAYS = 0.05  # Size of a root of a sampled system below which it belongs to a delay
+CANCELED = 1e-6  # Distance of a pole and a zero that cancel
+LAGS = 200  # Samples of the residual's correlations on either side
 
 
 def frequencies(sample_time: float) -> Array:
@@ -103,25 +99,18 @@ def beside(model: Model, record: Record) -> list[Panel]:
     measured, command = data.measurement[begin:], data.command[begin:]
     panels = []
     for index, axis in enumerate(data.axes):
-        name = f".{axis}" if len(data.axes) > 1 else ""
+        name, label = (f".{axis}", axis) if len(data.axes) > 1 else ("", "")
         y, simulated, rest = measured[:, index], measured[:, index] - error[:, index], error[:, index]
         step = max(1, len(y) // (10 * MAX_POINTS))  # a loop has no order: none of its points may be moved
         u = command[::step, index]
         correlations, bound = _correlations(rest, command[:, index])
         reach = len(correlations[0]) // 2
         lags: Array = np.arange(-reach, reach + 1, dtype=float) * data.sample_time * 1e3
+        drive, output = axis_title("command", "V", label), axis_title("measurement", data.unit, label)
         panels += [
-            Panel(
-                "time [s]",
-                axis_title("measurement", data.unit, axis if len(data.axes) > 1 else ""),
-                (Line("measured", *thinned(time, y)), Line("simulated", *thinned(time, simulated))),
-            ),
+            Panel("time [s]", output, (Line("measured", *thinned(time, y)), Line("simulated", *thinned(time, simulated)))),
             Panel("time [s]", f"residual{name} [{data.unit}]", (Line("residual", *thinned(time, rest)),)),
-            Panel(
-                axis_title("command", "V", axis if len(data.axes) > 1 else ""),
-                axis_title("measurement", data.unit, axis if len(data.axes) > 1 else ""),
-                (Line("measured", u, y[::step]), Line("simulated", u, simulated[::step])),
-            ),
+            Panel(drive, output, (Line("measured", u, y[::step]), Line("simulated", u, simulated[::step]))),
             Panel(
                 "lag [ms]",
                 "correlation",

@@ -18,8 +18,7 @@ from hyst_control.chain.chain import ParallelFilter, SeriesFilter
 from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.stage import Filter
 
-ABSORBED = 1e-12
-"""Relative residual up to which a delay of the output is one of the states."""
+ABSORBED = 1e-12  # Relative residual up to which a delay of the output is one of the states
 
 
 class Discrete(NamedTuple):
@@ -47,13 +46,7 @@ def _realized(running: Filter, axes: int) -> Discrete:
     if isinstance(running, SeriesFilter):
         return reduce(then, [_realized(part, axes) for part in running.filters], _delay(np.zeros(axes, np.int64)))
     if isinstance(running, ParallelFilter):
-        parts = [_realized(part, axes) for part in running.filters]
-        return Discrete(
-            block_diag(*[each.a for each in parts]),
-            np.vstack([each.b for each in parts]),
-            np.hstack([each.c for each in parts]),
-            np.asarray(sum(each.d for each in parts)),
-        )
+        return beside([_realized(part, axes) for part in running.filters])
     if not isinstance(running, LinearFilter):
         raise InputError("chain: has a stage without a linear description")
     systems = [_system(running, index) for index in range(len(running.a))]
@@ -77,6 +70,12 @@ def _delay(ticks: Integers) -> Discrete:
     """Delays of channels by whole numbers of ticks."""
     parts = [(np.eye(n, k=-1), np.eye(n, 1), np.eye(1, n, k=n - 1), np.full((1, 1), float(n == 0))) for n in ticks.tolist()]
     return Discrete(*(block_diag(*matrices) for matrices in zip(*parts, strict=True)))
+
+
+def beside(parts: Sequence[Discrete]) -> Discrete:
+    """Systems fed alike, outputs added."""
+    a, b, c, d = zip(*parts, strict=True)
+    return Discrete(block_diag(*a), np.vstack(b), np.hstack(c), np.sum(d, axis=0))
 
 
 def then(first: Discrete, second: Discrete) -> Discrete:

@@ -10,6 +10,9 @@ error after a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 
 its gains, the one whose step has the least integral of the absolute error is taken: the greatest ki of all belongs to a low corner
 and a great kp, which overshoot.
 
+Where the plant mixes its axes, which all have the same feedback, the loops are the characteristic loci: the eigenvalues of P times
+the feedback. The closed loop is stable exactly where Nyquist's criterion holds for these (MacFarlane and Postlethwaite, 1977).
+
 The model discrepancy is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
 frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
 margins hold for the worst of these plants.
@@ -17,8 +20,9 @@ margins hold for the worst of these plants.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +35,12 @@ from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedback_shapes import STRUCTURES, Shape, shapes
 from hyst_control.control.linear_step import Step, law_sections, linear_step
-from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, sampled_response, with_first_mode
+from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, modes, sampled_response, with_first_mode
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
+AROUND = 60
+"""Points of a response on either side of a resonance, in equal ratios from a tenth of its half width to a tenth of its frequency."""
 LOWEST_SCALE = 1e-15
 """Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""
 
@@ -113,17 +119,12 @@ class Tuning:
         where = f"{model.name} at {1.0 / self.sample_time:g} Hz"
         symbols = {"kp": f"V/{unit}", "ki": f"V/({unit} s)", "kd": f"V s/{unit}", "damping_gain": f"V/{unit}"}
         symbols |= dict.fromkeys(("roll_off", "derivative_corner", "notch_frequency", "damping_corner"), "Hz")
+        of_margins = {"gain_margin": "dB", "phase_margin": "deg", "peak_sensitivity": "", "crossover": "Hz", "bandwidth": "Hz"}
         for name, value in self.parameters.items():
             for number in value if isinstance(value, list) else [value]:
                 table.add("PI feedback", where, "controller", name, symbols.get(name, ""), number)
         for subject, case in (("nominal", self.nominal), ("worst case", self.worst)):
-            for quantity, symbol in (
-                ("gain_margin", "dB"),
-                ("phase_margin", "deg"),
-                ("peak_sensitivity", ""),
-                ("crossover", "Hz"),
-                ("bandwidth", "Hz"),
-            ):
+            for quantity, symbol in of_margins.items():
                 table.add("PI feedback", where, subject, quantity, symbol, getattr(case, quantity))
         table.add("PI feedback", where, "nominal", "settling_time", "s", self.settling_time)
         table.add("PI feedback", where, "nominal", "overshoot", "%", self.overshoot)
@@ -204,55 +205,54 @@ def tune(
         raise InputError(f"roll_off: must be a corner in Hz, 0 for none, or {AUTOMATIC!r}, got {roll_off!r}")
     if structure not in (*STRUCTURES, AUTOMATIC):
         raise InputError(f"structure: {structure!r} is not one of {', '.join((*STRUCTURES, AUTOMATIC))}")
-    z = np.exp(1j * np.geomspace(1e-5, 1.0, 1500) * np.pi)
+    mean, greatest = hysteresis_slopes(model)
+    stages, axes = linearized(model, mean), len(model.axes)
+    z = _points(modes(stages, axes), mode_spread, sample_time)
     plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
     static = float(np.abs(plants[:, 0]).max())
     if np.any(plants[:, 0].real <= 0.0):
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
-    mean, greatest = hysteresis_slopes(model)
-    stages, axes = linearized(model, mean), len(model.axes)
     mode = first_mode(linearized(model, greatest), axes)
     given = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
 
     def step(law: PI) -> Step:
         return linear_step(stages, axes, law, loop_delay)
 
-    ranked = given if len(given) == 1 else _ranked(given, plants, static, sample_time, z, limits, step)
-    for shape in ranked:
-        law = _greatest_integral(plants, static, sample_time, shape, z, limits)
-        if law is not None:
-            break
-    else:
+    def law_of(shape: Shape, every: int = 1) -> PI | None:
+        return _greatest_integral(plants[:, ::every], static, sample_time, shape, z[::every], limits)
+
+    if len(given) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
+        coarse = [(shape, law) for shape in given if (law := law_of(shape, 3))]
+        given = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
+    law = next((law for shape in given if (law := law_of(shape))), None)
+    if law is None:
         raise InputError("margins: no controller of this structure keeps them for this model: ask for less, or sample faster")
     controller = controller_response(law, z)
     nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
     cases = [margins(plant * controller, z, sample_time, model_error) for plant in plants]
     found = step(law)
     settling = found.settling_ticks() * sample_time
+    if np.isnan(settling):
+        raise InputError(
+            "margins: hold at all frequencies that were computed, but a step does not settle: check the model's dynamics"
+        )
     return Tuning(law.kp, law.ki, sample_time, _worst(nominal), _worst(cases), settling, found.overshoot, law.roll_off, law.filters)
+
+
+def _points(poles: Complex, mode_spread: float, sample_time: float) -> Complex:
+    """Points of the unit circle up to half the sampling rate: evenly, and close by every resonance, the first one where it may be."""
+    angles = [np.geomspace(1e-5, 1.0, 1500) * np.pi]
+    for index, pole in enumerate(poles):
+        steps = np.geomspace(min(-0.1 * pole.real / abs(pole), 0.1) + 1e-9, 0.1, AROUND)
+        places = np.concatenate([1.0 - steps, [1.0], 1.0 + steps]) * pole.imag * sample_time
+        angles += [places * factor for factor in ((1.0 - mode_spread, 1.0, 1.0 + mode_spread) if index == 0 else (1.0,))]
+    every = np.unique(np.concatenate(angles))
+    return np.asarray(np.exp(1j * every[(every > 0.0) & (every <= np.pi)]), dtype=np.complex128)
 
 
 Limits = tuple[float, float, float, float]
 """Least gain margin as a factor, phase margin in rad, greatest peak of the sensitivity, relative model error."""
-
-
-def _ranked(
-    given: Sequence[Shape],
-    plants: Complex,
-    static: float,
-    sample_time: float,
-    z: Complex,
-    limits: Limits,
-    step: Callable[[PI], Step],
-) -> list[Shape]:
-    """Shapes that have gains, the one with the least absolute error of its step first; a third of the frequencies ranks them."""
-    ranked = []
-    for index, shape in enumerate(given):
-        law = _greatest_integral(plants[:, ::3], static, sample_time, shape, z[::3], limits)
-        if law is not None:
-            ranked.append((step(law).absolute_error, index))
-    return [given[index] for _, index in sorted(ranked)]
 
 
 def _greatest_integral(plants: Complex, static: float, sample_time: float, shape: Shape, z: Complex, limits: Limits) -> PI | None:
@@ -272,12 +272,10 @@ def _greatest_integral(plants: Complex, static: float, sample_time: float, shape
         advance = shape.derivative * time**2
         scaled = (time + sample_time * z / (z - 1.0) + advance * response(derivative, z)) / (static * sample_time)
         loops, above = rolled * scaled, best[1] * static * sample_time
-        if shape.damping_gain:
-            scale = _largest_scale(loops, *limits, above=above, fixed=fixed)
-        else:
-            if filtered and above and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
-                continue  # no greater integral gain than the best so far
-            scale = _largest_scale(loops, *limits, above=above)
+        compared = filtered and above and not shape.damping_gain
+        if compared and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
+            continue  # no greater integral gain than the best so far
+        scale = _largest_scale(loops, limits, above, fixed if shape.damping_gain else None)
         slope = static * sample_time
         gains = (scale * time / slope, scale / slope, scale * advance / slope)
         if gains[1] > best[1]:
@@ -308,7 +306,8 @@ def spread_responses(
 ) -> Complex:
     """Responses (cases · A, F) of every axis at points of the z plane, the nominal model first, measurement unit per V.
 
-    The others are at the ends of the relative spreads of the gain and of the first resonance's frequency.
+    Of axes that are mixed the characteristic loci. The others are at the ends of the relative spreads of the gain and of the first
+    resonance's frequency.
     """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
@@ -316,21 +315,28 @@ def spread_responses(
     responses = []
     for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
         response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
-        response = response[:, np.arange(axes), np.arange(axes)].T * z**-loop_delay
+        response = _loci(response) * z**-loop_delay
         responses += [gain * response for gain in (1.0, 1.0 - gain_spread, 1.0 + gain_spread)]
     return np.concatenate(responses)
 
 
-def _largest_scale(
-    loops: Complex,
-    gain_margin: float,
-    phase_margin: float,
-    peak_sensitivity: float,
-    error: float,
-    above: float,
-    fixed: Complex | None = None,
-) -> float:
+def _loci(responses: Complex) -> Complex:
+    """Eigenvalues (A, F) of responses (F, A, A), each continued from point to point; the diagonal where no axis drives another."""
+    axes = responses.shape[1]
+    diagonal = responses[:, np.arange(axes), np.arange(axes)]
+    if not np.any(responses * (1.0 - np.eye(axes))):
+        return diagonal.T
+    from scipy.optimize import linear_sum_assignment  # only here: nodes of the loop load this module
+
+    found = np.linalg.eigvals(responses)
+    for before, here in pairwise(found):
+        here[:] = here[linear_sum_assignment(np.abs(before[:, None] - here))[1]]
+    return np.asarray(found.T, dtype=np.complex128)
+
+
+def _largest_scale(loops: Complex, limits: Limits, above: float, fixed: Complex | None) -> float:
     """The largest factor on loops (M, F), added to `fixed` ones, up to which all keep the margins; 0 when not larger than `above`."""
+    gain_margin, phase_margin, peak_sensitivity, error = limits
     ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
     if fixed is not None:  # the damping may allow more than the plant does
@@ -399,12 +405,9 @@ def _courses(loops: Complex) -> _Courses:
     return _Courses(np.log(np.abs(loops)), np.angle(loops[:, :-1]), np.angle(loops[:, 1:] / loops[:, :-1]))
 
 
-def _phase_margin(courses: _Courses, error: float = 0.0, scale: float = 1.0) -> Array:
-    """Least distance (M,) in rad of the phase from -180 degrees where |L| of `scale` times the loops crosses 1; pi where it never does.
-
-    A relative error turns the phase by its arc sine, and moves the crossing to where |L| is between 1 / (1 + error) and
-    1 / (1 - error).
-    """
+def _phase_margin(courses: _Courses, error: float, scale: float = 1.0) -> Array:
+    """Least distance (M,) in rad of the phase from -180 degrees where |L| of `scale` times the loops crosses 1; pi where it never does."""
+    # A relative error turns the phase by its arc sine, and moves the crossing to where |L| is 1 / (1 + error) to 1 / (1 - error).
     least = np.full(len(courses.size), np.pi)
     for factor in (1.0 - error, 1.0, 1.0 + error) if error else (1.0,):
         size = courses.size + np.log(factor * scale)
@@ -450,10 +453,5 @@ def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -
 
 
 def _worst(cases: list[Margins]) -> Margins:
-    return Margins(
-        min(case.gain_margin for case in cases),
-        min(case.phase_margin for case in cases),
-        max(case.peak_sensitivity for case in cases),
-        min(case.crossover for case in cases),
-        min(case.bandwidth for case in cases),
-    )
+    least = {name: min(getattr(case, name) for case in cases) for name in vars(cases[0])}
+    return Margins(**{**least, "peak_sensitivity": max(case.peak_sensitivity for case in cases)})

@@ -16,13 +16,9 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 
-SETBACK = 0.5
-"""s by which a time goes back when a loop was started anew; less is a row that came twice."""
-LOST_AFTER = 5.0
-"""s after which a node that says nothing is called lost: diagnostics come once a second."""
-
-MAX_EVENTS = 200
-"""Events that are kept."""
+SETBACK = 0.5  # s by which a time goes back when a loop was started anew; less is a row that came twice
+LOST_AFTER = 5.0  # s after which a node that says nothing is called lost: diagnostics come once a second
+MAX_EVENTS = 200  # Events that are kept
 NUMBER = re.compile(r"[0-9][0-9.e+-]*")
 
 
@@ -69,10 +65,8 @@ class Trace:
 
     def __init__(self, window: float) -> None:
         self.window = window
-        self.columns: tuple[str, ...] = ()
-        """Names of the columns, the time first."""
-        self.epoch = 0
-        """Number of times that the table began anew."""
+        self.columns: tuple[str, ...] = ()  # Names of the columns, the time first
+        self.epoch = 0  # Number of times that the table began anew
         self._lock = threading.Lock()
         self._blocks: deque[tuple[int, Array]] = deque()  # index of the first row, rows
         self._end = 0
@@ -114,14 +108,10 @@ class LiveState:
     """All that a page shows of a loop."""
 
     def __init__(self, window: float = 10.0) -> None:
-        self.signals = Trace(window)
-        """Signals over time, decimated."""
-        self.gap = Trace(6.0 * window)
-        """Gap of every judged window, in % of the range, and its alarm (0 or 1)."""
-        self.answers: deque[str] = deque(maxlen=5)
-        """Requests to the nodes and their answers, the newest last."""
-        self.events: deque[LoopEvent] = deque(maxlen=MAX_EVENTS)
-        """Faults of the nodes and their ends, the newest last."""
+        self.signals = Trace(window)  # Signals over time, decimated
+        self.gap = Trace(6.0 * window)  # Gap of every judged window, in % of the range, and its alarm (0 or 1)
+        self.answers: deque[str] = deque(maxlen=5)  # Requests to the nodes and their answers, the newest last
+        self.events: deque[LoopEvent] = deque(maxlen=MAX_EVENTS)  # Faults of the nodes and their ends, the newest last
         self._faults: dict[str, tuple[str, float]] = {}  # of each node: its fault with "…" for numbers, and since when
         self._lock = threading.Lock()
         self._turn: tuple[tuple[str, ...], Array] = ((), np.zeros((0, 1)))

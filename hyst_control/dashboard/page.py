@@ -24,10 +24,8 @@ from hyst_control.reporting.templates import render
 INTERVAL = 150  # ms, between two looks at the state
 REST = 3.0
 """Pause after an update, in the time that the browser took to draw it: drawing keeps a quarter of a core busy at most."""
-SILENT_AFTER = 1.0
-"""s without a row after which the page says so."""
-MAX_ROWS = 20_000
-"""Rows of a curve that a browser keeps."""
+SILENT_AFTER = 1.0  # s without a row after which the page says so
+MAX_ROWS = 20_000  # Rows of a curve that a browser keeps
 NEUTRAL = "#7f8896"
 """Color of the reference and of axes, legible on a light and on a dark ground."""
 SUBJECTS = {"reference": NEUTRAL, "measurement": COLORS[1], "error": COLORS[2], "command": COLORS[3], "gap": COLORS[4]}
@@ -36,13 +34,10 @@ ALARM = "#d62728"
 NO_GAP = "No gap is shown: run the node diagnosis with a model of the stage."
 CONFIRM = "requestAnimationFrame(() => setTimeout(() => { drawn.tags = [...cb_obj.tags] }, 0))"
 """Script of the page that says which update was drawn."""
-DASHES = ("solid", "dashed", "dotdash", "dotted")
-"""Lines of the axes, in order."""
-PANELS = (("reference", "measurement"), ("error",), ("command",))
-"""Subjects that share a figure over time."""
+DASHES = ("solid", "dashed", "dotdash", "dotted")  # Lines of the axes, in order
+PANELS = (("reference", "measurement"), ("error",), ("command",))  # Subjects that share a figure over time
 WRAP = {"flex-wrap": "wrap"}
-WIDE = "1 1 20rem"
-"""Width of a figure in a row: as wide as there is room, below the others where that is too little."""
+WIDE = "1 1 20rem"  # Width of a figure in a row: as wide as there is room, below the others where that is too little
 TEMPLATE = Path(__file__).parent / "templates" / "dashboard.html"
 
 
@@ -117,25 +112,12 @@ class _Window:
         self._beside = row(Div(text=""), Div(text=NO_GAP), name="beside", sizing_mode="stretch_width", styles=WRAP)
         self._record = Button(label="record", name="record", width=110)
         self._record.on_click(actions.record)
-        buttons = [
-            self._button("enable", "success"),
-            self._button("stop", "danger"),
-            self._button("reset", "default"),
-            self._record,
-        ]
-        document.add_root(
-            column(
-                row(*buttons, name="buttons", styles=WRAP),
-                self._status,
-                self._answers,
-                row(self._over_time, self._numbers, name="curves", sizing_mode="stretch_width", styles=WRAP),
-                self._beside,
-                self._events,
-                self._nodes,
-                sizing_mode="stretch_width",
-                name="dashboard",
-            )
-        )
+        kinds = {"enable": "success", "stop": "danger", "reset": "default"}
+        buttons = [*(self._button(what, kind) for what, kind in kinds.items()), self._record]
+        top = row(*buttons, name="buttons", styles=WRAP), self._status, self._answers
+        curves = row(self._over_time, self._numbers, name="curves", sizing_mode="stretch_width", styles=WRAP)
+        below = self._beside, self._events, self._nodes
+        document.add_root(column(*top, curves, *below, sizing_mode="stretch_width", name="dashboard"))
         self._sent, self._drawn = 0, -1  # number of the newest update, and of the newest one that the browser has drawn
         self._sent_at = self._rested_at = 0.0  # s, of the monotonic clock
         document.on_event(DocumentReady, self._ready)
@@ -204,22 +186,11 @@ class _Window:
             drawn.name = subjects[-1]
             for name in names:
                 subject, axis = name.partition("[")[0].split("_", 1)
-                dash = DASHES[
-                    [each.split("_", 1)[1] for each in names if each.startswith(subject)].index(name.split("_", 1)[1]) % 4
-                ]
-                drawn.line(
-                    "t",
-                    name,
-                    source=self._signals.source,
-                    color=SUBJECTS[subject],
-                    line_dash=dash,
-                    legend_label=f"{subject} {axis}",
-                )
-            drawn.x_range = (
-                figures[0].x_range
-                if figures
-                else DataRange1d(follow="end", follow_interval=self._state.signals.window, range_padding=0.0)
-            )
+                dash = DASHES[[each for each in names if each.startswith(subject)].index(name) % 4]
+                look = {"color": SUBJECTS[subject], "line_dash": dash, "legend_label": f"{subject} {axis}"}
+                drawn.line("t", name, source=self._signals.source, **look)
+            newest = DataRange1d(follow="end", follow_interval=self._state.signals.window, range_padding=0.0)
+            drawn.x_range = figures[0].x_range if figures else newest
             _quiet_legend(drawn)
             figures.append(drawn)
         self._over_time.children = figures

@@ -25,8 +25,7 @@ from hyst_control.base.errors import InputError
 
 LOOPBACK = "127.0.0.1"
 TOKEN_BYTES = 32
-HTTP_PORT = 80
-"""Port that browsers leave out of an address."""
+HTTP_PORT = 80  # Port that browsers leave out of an address
 REMEDY = "set --port to a free one, or leave it out"
 
 

@@ -31,16 +31,13 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
-MAX_POINTS = 700
-"""Points of a curve on the page, about; the curves are smooth."""
+MAX_POINTS = 700  # Points of a curve on the page, about; the curves are smooth
 PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "PI", "reference")
 """Every subject has one color in all figures; what is asked for has that of what was measured."""
-SMALLEST = 1e-3
-"""um, of the errors that are drawn, on a logarithmic scale on which the controllers differ."""
+SMALLEST = 1e-3  # um, of the errors that are drawn, on a logarithmic scale on which the controllers differ
 
 
-Loops = Mapping[float, Mapping[str, tuple[Array, Array]]]
-"""By frequency and source, command and displacement of a loop."""
+Loops = Mapping[float, Mapping[str, tuple[Array, Array]]]  # By frequency and source, command and displacement of a loop
 
 
 @dataclass(frozen=True)
@@ -137,13 +134,8 @@ def report_page(
     page.table(
         ["model", "dynamics", "NRMSE, record", "NRMSE, held out"],
         [
-            [
-                name.upper(),
-                fit.report["structure"][0],
-                f"{fit.report['records'][0]['nrmse']:.3f} %",
-                f"{fit.report['held_out_nrmse'][0]:.3f} %",
-            ]
-            for name, fit in fits.items()
+            [name.upper(), of["structure"][0], f"{of['records'][0]['nrmse']:.3f} %", f"{of['held_out_nrmse'][0]:.3f} %"]
+            for name, of in ((name, fit.report) for name, fit in fits.items())
         ],
     )
     page.section(

@@ -12,9 +12,8 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -39,8 +38,7 @@ from hyst_control.reporting.tables import Table
 SAMPLE_TIME = 5e-5
 PLANT = "pea"
 SEED = 20261
-PEAK = 60.0
-"""V, of the excitation: what a 4 um reference on a 1 um offset needs, and a little more."""
+PEAK = 60.0  # V, of the excitation: what a 4 um reference on a 1 um offset needs, and a little more
 BLOCK = 500
 OFFSET, STROKE = 1.0, 4.0
 FREQUENCIES = (10.0, 50.0, 100.0, 150.0)
@@ -54,19 +52,15 @@ CONTROLLERS = {
     "HAMPI + PI": ("hampi", "hampi", True),
 }
 """Model, kind of its feedforward (proportional of gain 0: none at all), and whether there is feedback, by controller."""
-PUBLISHED = {"HAPI": (3.92, 3.86, 6.71, 8.75), "HAMPI": (1.50, 1.28, 1.61, 2.25)}
-"""NRMSE in %, HAMPI paper Table 5."""
+PUBLISHED = {"HAPI": (3.92, 3.86, 6.71, 8.75), "HAMPI": (1.50, 1.28, 1.61, 2.25)}  # NRMSE in %, HAMPI paper Table 5
 SLEW_LIMIT = 2e6
-WITHHELD = {"name": "slew_limit", "rate": 3e4}
-"""Effect in the actuator that the diagnosis has to find."""
+WITHHELD = {"name": "slew_limit", "rate": 3e4}  # Effect in the actuator that the diagnosis has to find
 RATING = (0.0, 150.0)
 
-Runner = Callable[..., Path]
-"""Function that runs the loop into a bag: `run_processes`, or without ROS `run_composed`."""
+Runner = Callable[..., Path]  # Function that runs the loop into a bag: `run_processes`, or without ROS `run_composed`
 
 
-@dataclass(frozen=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Rows of the tracking record that count for one frequency."""
 
     frequency: float
@@ -121,7 +115,7 @@ def _run(work: Path, progress: Callable[[str], None], runner: Runner) -> Table:
     progress("figures and report")
     measured = {controller: aligned(bag) for controller, bag in tracked.items()}
     table = score(measured, reference, stretches)
-    drawn = demo_figures.Tracked(SAMPLE_TIME, reference, measured, [(s.frequency, s.begin, s.end) for s in stretches])
+    drawn = demo_figures.Tracked(SAMPLE_TIME, reference, measured, stretches)
     origins = provenance(
         [("records", sorted(bags.iterdir())), ("models", sorted(models.glob("*.yaml")))],
         [("plant", f"{PLANT}, seed {SEED}; while tracking seed {SEED + 1}")],
@@ -192,14 +186,8 @@ def track(
     if closed:
         tuned = tune(model, sample_time=SAMPLE_TIME)
         feedback |= {"kp": tuned.kp, "ki": tuned.ki}
-    return runner(
-        folder,
-        reference,
-        SAMPLE_TIME,
-        {"hampi_feedforward": feedforward, "pi_feedback": feedback, "plant": {"plant": plant, "seed": SEED + 1}},
-        block=1 if closed else BLOCK,
-        lead=preview + 1,
-    )
+    nodes = {"hampi_feedforward": feedforward, "pi_feedback": feedback, "plant": {"plant": plant, "seed": SEED + 1}}
+    return runner(folder, reference, SAMPLE_TIME, nodes, block=1 if closed else BLOCK, lead=preview + 1)
 
 
 def aligned(bag: Path) -> dict[str, Array]:
@@ -217,16 +205,8 @@ def score(measured: dict[str, dict[str, Array]], reference: Annotated[Array, "N 
             error = signals["measurement"][rows] - reference[rows]
             rmse = float(np.sqrt(np.mean(error**2)))
             span = float(np.ptp(reference[rows]))
-            published = PUBLISHED.get(controller)
-            table.add(
-                "HAMPI Table 5",
-                f"{stretch.frequency:g} Hz",
-                controller,
-                "nrmse",
-                "%",
-                100 * rmse / span,
-                published=published[index] if published else None,
-                n=1,
-            )
-            table.add("HAMPI Table 5", f"{stretch.frequency:g} Hz", controller, "rmse", "um", rmse, n=1)
+            published = PUBLISHED[controller][index] if controller in PUBLISHED else None
+            place = "HAMPI Table 5", f"{stretch.frequency:g} Hz", controller
+            table.add(*place, "nrmse", "%", 100 * rmse / span, published=published, n=1)
+            table.add(*place, "rmse", "um", rmse, n=1)
     return table

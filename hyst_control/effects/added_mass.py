@@ -11,15 +11,15 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, stacked, transfer_function_system
+from hyst_control.chain.linear.linear_stages import LinearStage
+from hyst_control.chain.linear.linear_system import THROUGH, LinearSystem, stacked, transfer_function_system
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import mechanics_index
 
-SEEN = 0.1
-"""A pair of poles belongs to an axis if its share of the static deflection is this much of the largest one's."""
+SEEN = 0.1  # A pair of poles belongs to an axis if its share of the static deflection is this much of the largest one's
 
 
 @register
@@ -63,16 +63,12 @@ def _heavier(system: LinearSystem, ratio: Array, growth: Array) -> LinearSystem:
     ratios = []
     for output, (share, more) in enumerate(zip(ratio, growth, strict=True)):
         if not (share or more):
-            ratios.append(_nothing())
+            ratios.append(THROUGH)
             continue
         damping, stiffness = main_mode(system, output)
         mode = np.array([1.0, damping, stiffness])
         ratios.append(transfer_function_system(mode, np.array([1.0 + share, (1.0 + more) * damping, stiffness])))
     return system.then(stacked(ratios))
-
-
-def _nothing() -> LinearSystem:
-    return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
 
 
 def main_mode(system: LinearSystem, output: int) -> tuple[float, float]:

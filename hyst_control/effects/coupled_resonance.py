@@ -68,9 +68,8 @@ class CoupledResonance(CoupledModifier):
         # A mode per input, in position and velocity / ω.
         mode = np.kron(eye, [[0.0, w], [-w, -2.0 * float(self.damping) * w]])
         entering = np.kron(eye, [[0.0], [w]])
-        leaving = np.stack([np.array(self.in_phase, dtype=float), np.array(self.quadrature, dtype=float)], axis=2).reshape(
-            axes, 2 * axes
-        )
+        leaving = np.stack([np.array(self.in_phase, dtype=float), np.array(self.quadrature, dtype=float)], axis=2)
+        leaving = leaving.reshape(axes, 2 * axes)
         return [
             LinearSystem(
                 block_diagonal(whole.A, mode), np.vstack([whole.B, entering]), np.hstack([whole.C, leaving]), whole.D, whole.bias

@@ -56,8 +56,8 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     starts = tuple(float(np.clip(begin, least, most)) for begin in (0.1, 0.01, 0.3 * around.duration))
     return (
         Parameter("gamma", "", 0.0, (0.01, 0.01, 0.03), -0.5, 0.5, 0.05),
-        Parameter("begin", "s", starts[0], starts, least, most, 1.5, True, told=False),
-        Parameter("decades", "", 4.0, (4.0, 4.0, 0.8), 0.4, 6.0, 2.0, told=False),
+        Parameter("begin", "s", starts[0], starts, least, most, 1.5, True),
+        Parameter("decades", "", 4.0, (4.0, 4.0, 0.8), 0.4, 6.0, 2.0),
     )
 
 

@@ -20,8 +20,7 @@ from hyst_control.effects.effect import Effect, Parameter, RecordCheck, Surround
 
 C = c_texts(__file__)
 
-HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)
-"""Numbers of samples that are tried."""
+HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # Numbers of samples that are tried
 
 ROUNDINGS = {"nearest": 0.0, "down": 1.0, "up": 2.0, "toward zero": 3.0, "midway": 4.0}
 """Manners of rounding to a lattice, by the number that a model file has; midway: down, to half a step above the lattice."""

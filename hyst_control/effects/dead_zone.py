@@ -45,14 +45,9 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     low, high = around.command
     reach = max(high - low, 1e-9)
     return (
-        Parameter("half_width", "V", 0.0, (0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.03 * reach),
-        Parameter("center", "V", 0.0, (0.5 * (low + high),), low, high, 0.1 * reach, told=False),
+        Parameter("half_width", "V", 0.0, (0.01 * reach, *3 * (0.05 * reach,)), 0.0, 0.25 * reach, 0.03 * reach),
+        Parameter("center", "V", 0.0, tuple(low + share * reach for share in (0.5, 0.5, 0.25, 0.75)), low, high, 0.1 * reach),
     )
-
-
-def crosses_zero(around: Surroundings) -> bool:
-    """True where the command goes from one side of 0 to the other."""
-    return around.command[0] < 0.0 < around.command[1]
 
 
 EFFECT = Effect(
@@ -61,7 +56,7 @@ EFFECT = Effect(
     "The drive does not answer commands within a dead zone.",
     parameters,
     lambda values, around: DeadZone(values["half_width"], values.get("center", 0.0)),
-    variants=lambda around: ({"center": 0.0},) if crosses_zero(around) else ({},),
+    variants=lambda around: ({"center": 0.0}, {}) if around.command[0] < 0.0 < around.command[1] else ({},),
     exercised=lambda around: around.command[1] > around.command[0],
     phrase="a dead zone of ±{half_width} in the drive",
 )

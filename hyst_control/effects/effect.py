@@ -119,6 +119,8 @@ class Companion:
     degree: int
     parameter: str
     factor: float = 1.0
+    # Parameter by which a realization is fitted that is no such polynomial, and so no matter of a session
+    beyond: str = ""
 
 
 @dataclass(frozen=True)

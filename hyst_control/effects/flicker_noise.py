@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain.stage import Filter, Sampling, register
+from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.effects.random_stages import NoiseFilter, NoiseStage, noise_effect
 
@@ -30,7 +30,7 @@ class FlickerNoise(NoiseStage):
     name: ClassVar[str] = "flicker_noise"
 
     def filter(self, sampling: Sampling) -> Filter:
-        return FlickerFilter(self.level(sampling.axes), self.seed, sampling)
+        return FlickerFilter(per_axis_scalar(self.rms, sampling.axes, "rms"), self.seed, sampling)
 
 
 class FlickerFilter(NoiseFilter):
@@ -51,8 +51,7 @@ class FlickerFilter(NoiseFilter):
         output = np.empty((count, len(self.rms)))
         draws = self.generator.standard_normal((count, *self.state.shape))
         sum_of_lowpassed(draws, self.keep, np.sqrt(1.0 - self.keep**2), self.state, output)
-        noise: Array = output / np.sqrt(len(self.keep))
-        return noise
+        return np.asarray(output / np.sqrt(len(self.keep)))
 
 
 @njit(cache=True, error_model="numpy")

@@ -35,6 +35,10 @@ TIME_CONSTANT = "time constant, the geometric mean of several; negative of a dri
 """The parameter `tau` of a drift's stage."""
 FASTEST = 8.0
 """Length of the record, in time constants, of a drift that goes ever faster."""
+JUMPS = tuple(np.arange(0.5, 18.0) / 19.0)
+"""Where fits of a jump begin, in shares of the time in which one may be seen; each has a twentieth of the record in it."""
+SHORTEST = 0.002
+"""Length of a drift that is a jump, in that of the record."""
 
 
 @dataclass(frozen=True)
@@ -135,25 +139,27 @@ def drift_code(stage: Stage, axes: int, expression: str, title: str) -> CCode:
     )
 
 
-def drift_parameters(around: Surroundings, shortest: float) -> tuple[Parameter, ...]:
-    """Parameters of a drift's course.
+def drift_parameters(around: Surroundings, first: float) -> tuple[Parameter, ...]:
+    """Parameters of a drift's course; `first`, s: from which on one that begins within the record may do so.
 
     The time constant goes from a twentieth of the record to so long that the drift is straight. A drift that goes ever faster is a
     straight one with a growth: the record's length in time constants. A drift that begins or ends within the record is a straight one
-    between the two, or goes in an S: which is near to any other that does. A drift that has settled before the first sample that is
-    compared would be a constant.
+    between the two, or goes in an S: which is near to any other that does; a jump is one of next to no length. A drift that has settled
+    before the first sample that is compared would be a constant.
     """
     length = around.duration
     least = max(0.05 * length, around.begin)
-    lasting = tuple(max(share * length, shortest) for share in (0.15, 0.3, 0.5, 0.85))  # a corner is found from nearby alone
+    # A corner is found from nearby alone, and a jump from a drift that has it in it.
+    jumps = tuple(first + share * (length - first) for share in JUMPS)
+    slow = tuple(max(share * length, least) for share in (0.15, 0.3, 0.5, 0.85))
     return (
         Parameter("tau", "s", length, (max(0.2 * length, least), length), least, STRAIGHT * length, 1.0, True),
         Parameter("decades", "", 0.0, (0.0, 1.5), 0.0, 3.0, 1.0, told=False),
         Parameter("initial", "", 0.0, (0.0,), -1.0, 0.0, 0.5, told=False),
         Parameter("span", "s", length, (length,), 0.0, STRAIGHT * length, 1.0, told=False),
         Parameter("growth", "", 0.0, (1.0,), 0.0, FASTEST, 1.0, told=False),
-        Parameter("onset", "s", 0.0, (0.0, 0.4 * length), 0.0, 0.9 * length, 0.3 * length, told=False),
-        Parameter("lasts", "s", length, lasting, shortest, length, 0.3 * length, told=False),
+        Parameter("onset", "s", 0.0, (first, *(len(slow) - 1) * (0.4 * length,), *jumps), first, 0.98 * length, 0.3 * length),
+        Parameter("lasts", "s", length, (*slow, *len(jumps) * (0.05 * length,)), SHORTEST * length, length, 0.3 * length),
         Parameter("smooth", "", 0.0, (0.5,), 0.0, 1.0, 0.5, told=False),
     )
 
@@ -174,7 +180,14 @@ def stage_values(values: Values) -> dict[str, Any]:
     found = {"change": change, "tau": _time_constant(values)}
     single = not any(np.ndim(value) for value in values.values())
     stage = {name: float(value.reshape(-1)[0]) if single else frozen(value) for name, value in found.items()}
-    return {**stage, **{name: values.get(name, 0.0) for name in ("decades", "initial", "onset", "lasts", "smooth")}}
+    return {**stage, **{name: values.get(name, 0.0) for name in ("decades", "initial", "smooth")}, **_times(values)}
+
+
+def _times(values: Values) -> dict[str, Any]:
+    """Onset and length of a stage, s: one that has no end has length 0."""
+    onset, lasts = (np.asarray(values.get(name, 0.0), dtype=float) for name in ("onset", "lasts"))
+    found = {"onset": np.maximum(onset, 0.0), "lasts": np.where(np.isinf(lasts), 0.0, lasts)}
+    return {name: frozen(value) if value.ndim else float(value) for name, value in found.items()}
 
 
 def _is_straight(values: Values) -> Any:
@@ -185,7 +198,8 @@ def _time_constant(values: Values) -> Array:
     """Time constant of the stage, s: negative of a drift that goes ever faster."""
     tau, growth, span = (np.asarray(values.get(name, 0.0), dtype=float) for name in ("tau", "growth", "span"))
     slow = 1.0 / STRAIGHT
-    return np.asarray(np.where(growth > slow, -span / np.maximum(growth, slow), tau), dtype=np.float64)
+    settling = np.where(np.isinf(tau), STRAIGHT * span, tau)
+    return np.asarray(np.where(growth > slow, -span / np.maximum(growth, slow), settling), dtype=np.float64)
 
 
 def _share_of_span(values: Values) -> Array:
@@ -193,7 +207,7 @@ def _share_of_span(values: Values) -> Array:
     tau, decades, onset, lasts, smooth, span = (
         np.atleast_1d(np.array(value, dtype=float))
         for value in np.broadcast_arrays(
-            _time_constant(values), *(values.get(name, 0.0) for name in ("decades", "onset", "lasts", "smooth")), values["span"]
+            _time_constant(values), values.get("decades", 0.0), *_times(values).values(), values.get("smooth", 0.0), values["span"]
         )
     )
     times = drift_times(tau, decades)
@@ -202,13 +216,13 @@ def _share_of_span(values: Values) -> Array:
 
 def drift_variants(around: Surroundings) -> tuple[Values, ...]:
     """A drift of any course; a straight one, which is one number and not four; one that goes ever faster; two within the record."""
-    whole = {"span": around.duration, "onset": 0.0, "lasts": 0.0, "smooth": 0.0}
-    straight = {"tau": STRAIGHT * around.duration, "decades": 0.0, "initial": 0.0}
+    whole = {"span": around.duration, "onset": -np.inf, "lasts": np.inf, "smooth": 0.0}
+    straight = {"tau": np.inf, "decades": 0.0, "initial": 0.0}
     return (
         {**whole, "growth": 0.0},
         {**whole, **straight, "growth": 0.0},
         {**whole, **straight},
-        {"span": around.duration, **straight, "growth": 0.0, "onset": 0.0, "smooth": 0.0},
+        {"span": around.duration, **straight, "growth": 0.0, "onset": -np.inf, "smooth": 0.0},
         {"span": around.duration, **straight, "growth": 0.0},
     )
 
@@ -216,7 +230,7 @@ def drift_variants(around: Surroundings) -> tuple[Values, ...]:
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     """Change over the record, from a fifth of the gain to five times as much."""
     change = Parameter("change", "", 0.0, (0.01,), -0.8, 4.0, 0.1)
-    return change, *drift_parameters(around, min(0.05 * around.duration + around.moved, around.duration))
+    return change, *drift_parameters(around, min(around.moved, 0.9 * around.duration))
 
 
 EFFECT = Effect(

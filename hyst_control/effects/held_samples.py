@@ -12,10 +12,10 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
-from hyst_control.chain.parameter import ScalarPerAxis, scalar
+from hyst_control.chain.parameter import ScalarPerAxis, count, scalar
 from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck
-from hyst_control.effects.random_stages import RANDOM, RandomStage, seed
+from hyst_control.effects.random_stages import RANDOM, RandomStage
 
 
 @register
@@ -26,7 +26,7 @@ class HeldSamples(RandomStage):
     name: ClassVar[str] = "held_samples"
     place: ClassVar[str] = "transport"
     fraction: ScalarPerAxis = scalar("", "of the samples", lower=0.0, upper=1.0)
-    seed: int = seed()
+    seed: int = count("of the generator", default=0)
 
     def filter(self, sampling: Sampling) -> Filter:
         return HeldFilter(per_axis_scalar(self.fraction, sampling.axes, "fraction"), self.seed, sampling.hold)

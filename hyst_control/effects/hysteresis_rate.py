@@ -11,11 +11,11 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import RateCorrection
 from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalar, per_axis_scalars, register, replaced
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
-from hyst_control.effects.modifiers import beside
 
 ADDED_SHARE = 0.1
 ADDED_TIME = 1e-3
@@ -59,7 +59,7 @@ def _added(stage: Stage, factor: Array, lag: Array) -> Stage | None:
     slope = stage.mean_slope(len(factor))
     if slope is None:
         return None
-    return beside(stage, RateCorrection(frozen(-(factor - 1.0) * ADDED_SHARE * slope * lag), frozen(lag)))
+    return Parallel(((stage,), (RateCorrection(frozen(-(factor - 1.0) * ADDED_SHARE * slope * lag), frozen(lag)),)))
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

@@ -12,17 +12,15 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import each_axis
+from hyst_control.chain.chain import Chain, Parallel
 from hyst_control.chain.memoryless import Memoryless
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
-from hyst_control.chain.stage import Modifier, Stage, per_axis_scalar, per_axis_scalars, register
+from hyst_control.chain.stage import Modifier, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
-from hyst_control.effects.modifiers import beside, settled
 from hyst_control.effects.placement import hysteresis_index
 
-REACH, USUAL = 0.25, 0.05
-"""Largest and usual bend, in shares of the stroke."""
-CUBIC = 12.0 * float(np.sqrt(3.0))
-"""Makes the cubic 1 at its greatest."""
+REACH, USUAL = 0.25, 0.05  # Largest and usual bend, in shares of the stroke
+CUBIC = 12.0 * float(np.sqrt(3.0))  # Makes the cubic 1 at its greatest
 BEND = """
 static real bend_value(real x, real even, real odd, real tilt, real stroke)
 {
@@ -76,15 +74,13 @@ class HysteresisShape(Modifier):
         amount, odd, tilt, lower, upper = per_axis_scalars(self, axes, "amount", "odd", "tilt", "lower", "upper")
         if not (amount.any() or odd.any() or tilt.any()):
             return before
-        begin = settled(before[index], lower)
-        span = settled(before[index], upper) - begin
+        begin, end = (Chain((before[index],)).filter(Sampling(1e-4, axes)).settle(value) for value in (lower, upper))
+        span = end - begin
         stroke = span if self.stroke is None else per_axis_scalar(self.stroke, axes, "stroke")
-
         behind = per_axis_scalar(self.behind, axes, "behind")
 
         def curve(x: Array) -> Array:
-            height: Array = amount * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5)
-            return stroke * height
+            return stroke * bend_at(x, amount, odd, tilt)
 
         stages: tuple[Stage, ...] = (before[index],)
         bend = {
@@ -105,7 +101,8 @@ class HysteresisShape(Modifier):
                 },
                 (BEND,),
             )
-            stages = (beside(before[index], Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), code)),)
+            bent = Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), code)
+            stages = (Parallel(((before[index],), (bent,))),)
         if behind.any():
             whole = np.where(span, span, 1.0)
             code = each_axis(
@@ -123,10 +120,14 @@ class HysteresisShape(Modifier):
         return (*before[:index], *stages, *before[index + 1 :])
 
 
+def bend_at(x: Array, even: Array, odd: Array, tilt: Array) -> Array:
+    """Height of a bend, in shares of the stroke."""
+    return even * 4.0 * x * (1.0 - x) + odd * CUBIC * x * (1.0 - x) * (x - 0.5) + tilt * (x - 0.5)
+
+
 def peak(values: Values) -> dict[str, float]:
     """Amount of a curve: its greatest distance from 0, with its sign there, in shares of the stroke."""
-    x = np.linspace(0.0, 1.0, 101)
-    curve = values["even"] * 4.0 * x * (1.0 - x) + values["odd"] * CUBIC * x * (1.0 - x) * (x - 0.5) + values["tilt"] * (x - 0.5)
+    curve = bend_at(np.linspace(0.0, 1.0, 101), values["even"], values["odd"], values["tilt"])
     return {"amount": float(curve[np.argmax(np.abs(curve))])}
 
 

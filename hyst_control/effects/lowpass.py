@@ -13,7 +13,8 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode, reals
-from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem, discretise, linear_filter
+from hyst_control.chain.linear.linear_stages import LinearStage, discretise, linear_filter
+from hyst_control.chain.linear.linear_system import THROUGH, LinearSystem
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Filter, Sampling, Stage, frozen, per_axis_scalars
 from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
@@ -153,10 +154,10 @@ def _shares(system: LinearSystem, sampling: Sampling) -> tuple[float, float, flo
     return float(np.trace(held.A)) / one, -float(np.linalg.det(held.A)) / one, -two / one
 
 
-def lowpass_system(cutoff: float, order: int, damping: float = 1.0) -> LinearSystem:
+def lowpass_system(cutoff: float, order: int, damping: float) -> LinearSystem:
     """`order` first-order low-passes at `cutoff` Hz in a row, or one of second order with another damping."""
     if np.isinf(cutoff):
-        return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+        return THROUGH
     rate = 2 * np.pi * cutoff
     if order == 2 and damping != 1.0:
         a = rate * np.array([[0.0, 1.0], [-1.0, -2.0 * damping]])
@@ -176,11 +177,6 @@ def lowpass_parameters(around: Surroundings) -> tuple[Parameter, ...]:
     )
 
 
-def lowpass_variants(around: Surroundings) -> tuple[Values, ...]:
-    """First order, and second order with any damping."""
-    return {"order": 1.0, "damping": 1.0}, {"order": 2.0}
-
-
 def lowpass_values(values: Values) -> Values:
     """Values of a low-pass whose order is 1 on some axes: they have no damping of their own there."""
     order = np.array(values.get("order", 1.0), dtype=float)
@@ -196,7 +192,7 @@ def lowpass_effect(name: str, place: str, meaning: str, stage: type[Lowpass], ph
         meaning,
         lowpass_parameters,
         lambda values, around: stage(**lowpass_values(values)),
-        variants=lowpass_variants,
+        variants=lambda around: ({"order": 1.0, "damping": 1.0}, {"order": 2.0}),
         separating_record="the amplifier's output voltage",
         phrase=phrase,
     )

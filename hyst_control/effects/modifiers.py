@@ -8,17 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, cast
 
-from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.linear.linear_stages import LinearStage, LinearSystem
-from hyst_control.chain.stage import Role, Sampling, Stage
+from hyst_control.chain.stage import Role, Stage
 from hyst_control.effects.placement import mechanics_index
-
-
-def beside(stage: Stage, added: Stage) -> Parallel:
-    """Put a stage and an added one beside each other: fed alike, outputs added."""
-    return Parallel(((stage,), (added,)))
 
 
 def beside_mechanics(name: str, before: tuple[Stage, ...], make: Callable[[LinearStage], Stage]) -> tuple[Stage, ...]:
@@ -56,8 +50,3 @@ class Changed(LinearStage):
 
     def systems(self, axes: int) -> list[LinearSystem]:
         return self.change(self.base.systems(axes), axes)
-
-
-def settled(stage: Stage, value: Array) -> Array:
-    """Output (A,) of a stage at rest at a constant input `value` (A,)."""
-    return Parallel(((stage,),)).filter(Sampling(1e-4, len(value))).settle(value)

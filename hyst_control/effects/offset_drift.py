@@ -49,13 +49,13 @@ EFFECT = Effect(
     "The zero changes over the record.",
     lambda around: (
         Parameter("change", "unit", 0.0, (0.01 * around.stroke,), -0.5 * around.stroke, 0.5 * around.stroke, 0.03 * around.stroke),
-        *drift_parameters(around, max(0.05 * around.duration, around.begin)),
+        *drift_parameters(around, around.begin),
     ),
     lambda values, around: OffsetDrift(**stage_values({"span": around.duration, **values})),
     # A straight one over the whole record is the drift of a session, which every explanation has.
     variants=lambda around: (drift_variants(around)[0], *drift_variants(around)[2:]),
     summary=in_the_end,
     ends_as="offset",
-    companion=Companion(1, "change", 2.0),
+    companion=Companion(1, "change", 2.0, beyond="onset"),
     phrase="an offset drift of {change}",
 )

@@ -11,8 +11,7 @@ from hyst_control.chain.linear.linear_stages import LinearStage, TransferFunctio
 from hyst_control.chain.stage import Stage
 from hyst_control.effects.effect import PLACES
 
-DRIVE = ("dac", "drive")
-"""Places before the hysteresis."""
+DRIVE = ("dac", "drive")  # Places before the hysteresis
 
 
 def hysteresis_index(stages: Sequence[Stage]) -> int | None:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.parameter import ScalarPerAxis, count, scalar
-from hyst_control.chain.stage import Filter, Role, Stage, per_axis_scalar
+from hyst_control.chain.stage import Filter, Role, Stage
 from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 
 
@@ -24,22 +24,13 @@ class RandomStage(Stage):
     ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
 
 
-def seed() -> Any:
-    """Declare the field of a generator's seed."""
-    return count("of the generator", default=0)
-
-
 @dataclass(frozen=True)
 class NoiseStage(RandomStage):
     """Additive noise of a level."""
 
     place: ClassVar[str] = "adc"
     rms: ScalarPerAxis = scalar("measurement unit", "level of the noise", lower=0.0)
-    seed: int = seed()
-
-    def level(self, axes: int) -> Array:
-        """Level (A,) of the noise on each of `axes` axes."""
-        return per_axis_scalar(self.rms, axes, "rms")
+    seed: int = count("of the generator", default=0)
 
 
 RANDOM = "draws random numbers, which belong to a simulation: leave the stage out of what is exported"
@@ -62,8 +53,7 @@ class NoiseFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         self.begin()
-        noisy: Array = np.asarray(value, dtype=float) + self.rms * self.draw(1)[0]
-        return noisy
+        return np.asarray(np.asarray(value, dtype=float) + self.rms * self.draw(1)[0])
 
     def process(self, block: Array) -> Array:
         return block + self.rms * self.draw(len(block))

@@ -18,8 +18,7 @@ from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.modifiers import Changed
 from hyst_control.effects.placement import with_mechanics
 
-STEP = 1.065
-"""Ratio of the frequencies at which a search begins: about the width of a mode as damped as the starts are."""
+STEP = 1.065  # Ratio of the frequencies at which a search begins: about the width of a mode as damped as the starts are
 
 
 @register

@@ -21,16 +21,11 @@ from hyst_control.effects.modifiers import beside_mechanics
 
 C = c_texts(__file__)
 
-FRICTION, SPEED_FRICTION, CUBIC, GAP = range(4)
-"""Laws of the force."""
-NO_STATIC_GAIN = 0.01
-"""Share of the largest gain up to which that at rest counts as 0."""
-MAX_STEPS = 64
-"""Steps after which a mechanics that goes to the other side has no friction."""
-ROUNDS = 200
-"""Of the equilibrium: each halves the distance where the force is small beside the spring's."""
-FARTHEST = 10.0
-"""Motion in units of the law's size beyond which the force grows no more: a trial of a fit must not run away."""
+FRICTION, SPEED_FRICTION, CUBIC, GAP = range(4)  # Laws of the force
+NO_STATIC_GAIN = 0.01  # Share of the largest gain up to which that at rest counts as 0
+MAX_STEPS = 64  # Steps after which a mechanics that goes to the other side has no friction
+ROUNDS = 200  # Of the equilibrium: each halves the distance where the force is small beside the spring's
+FARTHEST = 10.0  # Motion in units of the law's size beyond which the force grows no more: a trial of a fit must not run away
 
 
 def with_force(name: str, before: tuple[Stage, ...], law: int, moves: Array, size: Array) -> tuple[Stage, ...]:
@@ -47,10 +42,8 @@ class MovedByForce(Stage):
 
     base: LinearStage
     law: int
-    moves: tuple[float, ...]
-    """Of the mechanics at rest: limit of the friction, or the force at the size; output unit."""
-    size: tuple[float, ...]
-    """Output unit."""
+    moves: tuple[float, ...]  # Of the mechanics at rest: limit of the friction, or the force at the size; output unit
+    size: tuple[float, ...]  # Output unit
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (TransferFunction([0.0], [1.0]),)
@@ -130,10 +123,8 @@ class ForceFilter(Filter):
 
 
 def _where_it_goes(system: LinearSystem, carried: Array, push: Array, time: float) -> tuple[Array, Array]:
-    """Rows (m, n) of the state and (m, m) of the held input by which the motion is a step ahead at its speed.
-
-    That is of the first step in which the output follows the input to its side: of an approximated delay it goes to the other one first.
-    """
+    """Rows (m, n) of the state and (m, m) of the held input by which the motion is a step ahead at its speed."""
+    # Of the first step in which the output follows the input to its side: of an approximated delay it goes to the other one first.
     row, still = system.C + time * system.C @ system.A, time * system.C @ system.B
     rows, direct = np.zeros_like(system.C), np.zeros_like(still)
     for axis in range(len(row)):
@@ -154,8 +145,7 @@ def reference_gains(system: LinearSystem) -> Annotated[Array, "m"]:
     rates = np.abs(np.linalg.eigvals(system.A)) if size else np.zeros(0)
     at_modes = [np.abs(np.diag(system.C @ np.linalg.solve(1j * rate * identity - system.A, system.B))) for rate in rates]
     peak = np.max([np.abs(rest), *at_modes], axis=0)
-    gains: Array = np.where(np.abs(rest) > NO_STATIC_GAIN * peak, rest, np.maximum(peak, 1e-300))
-    return gains
+    return np.asarray(np.where(np.abs(rest) > NO_STATIC_GAIN * peak, rest, np.maximum(peak, 1e-300)))
 
 
 @njit(cache=True)

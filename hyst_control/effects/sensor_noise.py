@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain.stage import Filter, Sampling, register
+from hyst_control.chain.stage import Filter, Sampling, per_axis_scalar, register
 from hyst_control.effects.effect import RecordCheck
 from hyst_control.effects.random_stages import NoiseFilter, NoiseStage, noise_effect
 
@@ -21,7 +21,7 @@ class SensorNoise(NoiseStage):
     name: ClassVar[str] = "sensor_noise"
 
     def filter(self, sampling: Sampling) -> Filter:
-        return WhiteFilter(self.level(sampling.axes), self.seed, sampling.hold)
+        return WhiteFilter(per_axis_scalar(self.rms, sampling.axes, "rms"), self.seed, sampling.hold)
 
 
 class WhiteFilter(NoiseFilter):

@@ -97,19 +97,11 @@ def stage(values: Values, around: Surroundings) -> SensorNonlinearity:
     """Bend over the range that the model simulates, or else that of the measurement, unless `lower` and `upper` are among the values."""
     # The range of the characteristic is that of its input: a large bend moves the ends of what is measured.
     lower, upper = around.measurement if around.modeled is None else around.modeled
-    upper = max(upper, lower + 1e-9)
+    lower, upper = values.get("lower", lower), values.get("upper", max(upper, lower + 1e-9))
     bend = np.hypot(values["second"], values["third"])
     zero, first = (frozen(np.multiply(values.get(name, 0.0), bend)) for name in ("ratio", "slope"))
-    return SensorNonlinearity(
-        values["second"],
-        values["third"],
-        values.get("lower", lower),
-        values.get("upper", upper),
-        zero,
-        values.get("fourth", 0.0),
-        values.get("fifth", 0.0),
-        first,
-    )
+    fourth, fifth = values.get("fourth", 0.0), values.get("fifth", 0.0)
+    return SensorNonlinearity(values["second"], values["third"], lower, upper, zero, fourth, fifth, first)
 
 
 EFFECT = Effect(

@@ -26,8 +26,7 @@ from hyst_control.effects.modifiers import beside_mechanics
 C = c_texts(__file__)
 
 MEMORY = 0.1  # s, over which the amplitude is averaged
-DEFECTIVE = 1e9
-"""Condition of the eigenvectors beyond which a system has no modes of its own: its poles coincide."""
+DEFECTIVE = 1e9  # Condition of the eigenvectors beyond which a system has no modes of its own: its poles coincide
 
 
 @register
@@ -89,10 +88,8 @@ class ModesMoved(Stage):
     amplitude: tuple[float, ...]
     softening_factors: tuple[tuple[float, ...], ...]
     damping_factors: tuple[tuple[float, ...], ...]
-    mode: int | None = None
-    """The only one that it is of, in order of |λ|; None: all."""
-    modes: int = 0
-    """Number of modes that there have to be; 0: any."""
+    mode: int | None = None  # The only one that it is of, in order of |λ|; None: all
+    modes: int = 0  # Number of modes that there have to be; 0: any
 
     def of_mode(self, mode: int, modes: int) -> ModesMoved:
         """The part of one mode, with no number of any other."""
@@ -101,16 +98,8 @@ class ModesMoved(Stage):
             return tuple(share * float(of[min(mode, len(of) - 1)]) for share, of in zip(common, factors, strict=True))
 
         alike = ((1.0,),) * len(self.softening)
-        return ModesMoved(
-            self.base,
-            own(self.softening, self.softening_factors),
-            own(self.damping, self.damping_factors),
-            self.amplitude,
-            alike,
-            alike,
-            mode,
-            modes,
-        )
+        softening, damping = own(self.softening, self.softening_factors), own(self.damping, self.damping_factors)
+        return ModesMoved(self.base, softening, damping, self.amplitude, alike, alike, mode, modes)
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
         return (TransferFunction([0.0], [1.0]),)
@@ -327,13 +316,8 @@ def stage(values: Values, around: Surroundings) -> Stage:
         for name in (SOFTENING, DAMPING)
         if len(_by_mode(values, name))
     }
-    return SofteningModes(
-        values[SOFTENING],
-        values[DAMPING],
-        max(0.25 * around.stroke, 1e-300),
-        factors.get(SOFTENING, (1.0,)),
-        factors.get(DAMPING, (1.0,)),
-    )
+    each = (factors.get(name, (1.0,)) for name in (SOFTENING, DAMPING))
+    return SofteningModes(values[SOFTENING], values[DAMPING], max(0.25 * around.stroke, 1e-300), *each)
 
 
 EFFECT = Effect(

@@ -56,8 +56,7 @@ class TimedFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         self.count = 0
-        first: Array = self.function(np.array(value, dtype=float).reshape(1, -1), np.zeros((1, 1)))[0]
-        return first
+        return np.asarray(self.function(np.array(value, dtype=float).reshape(1, -1), np.zeros((1, 1)))[0])
 
     def process(self, block: Array) -> Array:
         begin = self.count + self.ahead

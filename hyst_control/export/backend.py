@@ -11,25 +11,26 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.control.feedback import pi_c_code
+from hyst_control.control.feedback.loop import Compensator
 from hyst_control.control.feedback.pi import PI, RunningPI
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Feedforward
 
 
-class CompiledFeedforward:
+class CompiledFeedforward(Compensator):
     """A feedforward that runs in C."""
+
+    preview = 0
 
     def __init__(self, feedforward: Feedforward, axes: int, sample_time: float) -> None:
         self.preview = feedforward.preview
         self._running = _compiled("feedforward", feedforward.c_code(), axes, axes, axes, sample_time)
 
     def settle(self, value: Array) -> Array:
-        """Come to rest at the reference `value` (A,)."""
         return self._running.settle(value)
 
     def process(self, block: Array) -> Array:
-        """Turn a `block` of reference rows (N, A) into feedforward rows (N, A) of the ticks `preview` earlier."""
         return self._running.process(block)
 
 
@@ -52,8 +53,8 @@ class CompiledPI(RunningPI):
         numbers = rows * axes * np.dtype(float).itemsize
         self._state = self._running.state[:numbers].view(float).reshape(rows, axes)
         # Numbers that are looked at in every tick, and views of the one row: numpy's indexing would cost more than the step.
-        self._counted = self._running.whole_numbers(numbers)
-        self._flags = self._running.numbers(3 * axes * np.dtype(float).itemsize)
+        self._counted = self._running.numbers("int", numbers)
+        self._flags = self._running.numbers("double", 3 * axes * np.dtype(float).itemsize)
         row_in, row_out = self._running.row_in, self._running.row_out
         self._given = row_in[:, :axes], row_in[:, axes : 2 * axes], row_in[:, 2 * axes :]
         self._found = row_out[:, :axes], row_out[:, axes:]
@@ -62,7 +63,6 @@ class CompiledPI(RunningPI):
     def step(
         self, reference: Annotated[Array, "A"], measurement: Annotated[Array, "A"], feedforward: Annotated[Array, "A"]
     ) -> tuple[Array, Array]:
-        """Command and feedback of the next ticks; see `RunningPI.step`."""
         shape, axes = feedforward.shape, self.axes
         if feedforward.size == axes:
             now, measured, ahead = self._given

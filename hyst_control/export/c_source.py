@@ -32,8 +32,7 @@ DEVIATIONS = (
 
 MATH = re.compile(r"\bM\((\w+)\)|\b(pow|exp|expm1|log1p|sin|cos|tanh|fabs|ceil|floor|sqrt)\(")
 """Functions of math.h: of the type of the signals, or of double."""
-EXACT_MATH = ("fabs", "rint", "sqrt", "floor", "ceil")
-"""Functions of math.h that give the same bits on every machine."""
+EXACT_MATH = ("fabs", "rint", "sqrt", "floor", "ceil")  # Functions of math.h that give the same bits on every machine
 
 
 @dataclass(frozen=True)

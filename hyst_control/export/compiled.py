@@ -32,10 +32,7 @@ int {name}_state_bytes(void);
 
 
 class CompiledProgram:
-    """A program running in C.
-
-    Its state is memory of its own: `state` may be copied, kept and written back.
-    """
+    """A program running in C. Its state is memory of its own: `state` may be copied, kept and written back."""
 
     def __init__(self, program: Program, compiler: str | None = None) -> None:
         self.program = program
@@ -56,13 +53,9 @@ class CompiledProgram:
         self.row_out = np.zeros((1, self.widths[1]), dtype=self.type)
         self._row = self._state, self._pointer(self.row_in), self._pointer(self.row_out), 1
 
-    def numbers(self, offset: int) -> Any:
-        """Double numbers of the state, by index, from an `offset` in bytes on."""
-        return self._ffi.cast("double *", self._ffi.from_buffer(self.state)) + offset // 8
-
-    def whole_numbers(self, offset: int) -> Any:
-        """Whole numbers of the state, by index, from an `offset` in bytes on."""
-        return self._ffi.cast("int *", self._ffi.from_buffer(self.state)) + offset // 4
+    def numbers(self, kind: str, offset: int) -> Any:
+        """Numbers of the state of a `kind`, "double" or "int", by index, from an `offset` in bytes on."""
+        return self._ffi.cast(f"{kind} *", self._ffi.from_buffer(self.state) + offset)
 
     def settle(self, value: Array) -> Array:
         """Come to rest at a constant input; the output."""

@@ -24,29 +24,21 @@ from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, Member, integers, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
 from hyst_control.control.feedback import pi_c_code, sensor_watch_c_code
+from hyst_control.control.feedback.loop import Compensator
 from hyst_control.control.feedback.pi import PI, RunningPI
-from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety
+from hyst_control.control.feedback.safe_loop import OVERFLOW, SafeLoop, Safety, ticks_in
 from hyst_control.control.feedback.sensor_watch import FROZEN, MOTION, OUT_OF_RANGE, SLOW, TURNED, MeasurementWatch
 from hyst_control.export.c_source import Slot
 
 C = c_texts(__file__)
+NO_FEEDFORWARD = "/* no feedforward */"
 
-FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)
-"""Faults by their code."""
+FAULTS = ("none", "no reference", "no measurement", OUT_OF_RANGE, FROZEN, OVERFLOW, TURNED)  # Faults by their code
+FAULT_CODES = ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))
 
 
-class Feedforward(Protocol):
+class Feedforward(Compensator, Protocol):
     """Running filter with C, which may look ahead."""
-
-    @property
-    def preview(self) -> int:
-        """Ticks that it looks ahead."""
-
-    def settle(self, value: Array) -> Array:
-        """Come to rest at the reference `value` (A,)."""
-
-    def process(self, block: Array) -> Array:
-        """Turn a block of reference rows (N, A) into feedforward rows (N, A)."""
 
     def c_code(self) -> CCode:
         """The filter in C."""
@@ -80,10 +72,6 @@ class FaultResponse:
         if not self.measurement_lower < self.measurement_upper:
             raise InputError(f"measurement_lower: {self.measurement_lower} is not below measurement_upper {self.measurement_upper}")
 
-    def ticks(self, seconds: float, period: float) -> int:
-        """Whole ticks of `period` s that last so many `seconds` at least."""
-        return int(np.ceil(seconds / period - 1e-9))
-
 
 class Controller(Filter):
     """The controller running in Python, with `c_code` that gives the same bits.
@@ -106,26 +94,19 @@ class Controller(Filter):
         self.pi = pi
         self.ahead = feedforward.preview if feedforward else 0
         self.timeout, self.recovery, self.frozen = (
-            response.ticks(value, pi.sample_time) for value in (response.timeout, response.recovery_time, response.frozen_time)
+            ticks_in(value, pi.sample_time) for value in (response.timeout, response.recovery_time, response.frozen_time)
         )
         self.settle(np.zeros(2 * axes + 1))
 
     def settle(self, value: Array) -> Array:
         """Begin a run: at rest at 0 V, nothing known of the inputs; the output (3 A + 1,) is 0, whatever the `value` is."""
-        given = self.response
+        given, limits = self.response, (self.pi.lower, self.pi.upper)
         self.controller: RunningPI = self.pi.start(self.axes)
         self.controller.reset(np.zeros(self.axes))
-        self.loop = SafeLoop(
-            self.controller,
-            MeasurementWatch(
-                given.measurement_lower,
-                given.measurement_upper,
-                self.frozen,
-                MOTION * (self.pi.upper - self.pi.lower),
-                (self.pi.lower, self.pi.upper),
-            ),
-            Safety(self.safe, given.safe_rate, self.recovery, given.recovery == "manual", given.axis_fault == "all"),
-        )
+        motion = MOTION * (self.pi.upper - self.pi.lower)
+        watch = MeasurementWatch(given.measurement_lower, given.measurement_upper, self.frozen, motion, limits)
+        safety = Safety(self.safe, given.safe_rate, self.recovery, given.recovery == "manual", given.axis_fault == "all")
+        self.loop = SafeLoop(self.controller, watch, safety)
         self.inputs = np.zeros((2, self.axes))
         self.known, self.age = [False, False], [0, 0]
         self.begun = self.enabled = False
@@ -190,17 +171,15 @@ class Controller(Filter):
             "away": integers(np.zeros(axes), "1 where the command is not that of the controller"),
             "overflow": integers(np.zeros(axes), "1 where the arithmetic of the last tick left the finite"),
             "enabled": integers(0, "last enable"),
-            "fault": integers(np.zeros(axes), ", ".join(f"{code}: {text}" for code, text in enumerate(FAULTS))),
+            "fault": integers(np.zeros(axes), FAULT_CODES),
             "well": integers(np.zeros(axes), "ticks since a fault was last found"),
             "place": integers(0, "in the ring"),
             "row": integers(0, "in the learned period"),
         }
         parts = () if self.feedforward is None else (self.feedforward.c_code(),)
         texts = {
-            "SETTLE_FEEDFORWARD": "real rest[AXES];\nPART0_settle(&s->part0, s->reference, rest);"
-            if parts
-            else "/* no feedforward */",
-            "STEP_FEEDFORWARD": "PART0_step(&s->part0, s->reference, feedforward);" if parts else "/* no feedforward */",
+            "SETTLE_FEEDFORWARD": "real rest[AXES];\nPART0_settle(&s->part0, s->reference, rest);" if parts else NO_FEEDFORWARD,
+            "STEP_FEEDFORWARD": "PART0_step(&s->part0, s->reference, feedforward);" if parts else NO_FEEDFORWARD,
             "ADD_LEARNED": "/* nothing is learned */" if learned is None else C["LEARNED"],
             "RESUME": pi_c_code.resume(self.controller),
             "STEP_PI": pi_c_code.step(self.controller),
@@ -234,7 +213,5 @@ class Controller(Filter):
         inputs += [Slot(f"measurement_{axis}", unit) for axis in axes]
         inputs.append(Slot("enable", "1: run, 0: go to the safe command; raising it ends a fault"))
         outputs = [Slot(f"{name}_{axis}", "V") for name in ("command", "feedback", "feedforward") for axis in axes]
-        outputs.append(
-            Slot("fault", f"of the first axis that has one, {', '.join(f'{code}: {text}' for code, text in enumerate(FAULTS))}")
-        )
+        outputs.append(Slot("fault", f"of the first axis that has one, {FAULT_CODES}"))
         return tuple(inputs), tuple(outputs)

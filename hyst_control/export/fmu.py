@@ -25,8 +25,7 @@ PLATFORMS = {
 }
 """Folders of binaries by system and processor, as FMI 2.0 names them."""
 SUFFIXES = {"Windows": "dll", "Darwin": "dylib"}
-EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Date of every entry, so that the same program gives the same bytes."""
+EPOCH = (1980, 1, 1, 0, 0, 0)  # Date of every entry, so that the same program gives the same bytes
 
 
 def write_fmu(program: Program, path: str | Path) -> Path:

@@ -25,8 +25,7 @@ from hyst_control.export.controller import Controller
 from hyst_control.export.programs import Exported
 from hyst_control.reporting.templates import render
 
-ROWS = 400
-"""Golden vectors."""
+ROWS = 400  # Golden vectors
 SMALL = ("-std=c99", "-Os", "-ffp-contract=off", "-fno-asynchronous-unwind-tables")
 
 
@@ -142,8 +141,7 @@ def golden_inputs(spans: Annotated[Array, "I 2"]) -> Array:
     ends = np.repeat([np.ones(columns), np.zeros(columns)], 10, axis=0)
     shares = np.concatenate([loops, walk, ends])
     # Inputs that float holds too.
-    table: Array = (spans[:, 0] + shares * (spans[:, 1] - spans[:, 0])).astype(np.float32).astype(float)
-    return table
+    return np.asarray((spans[:, 0] + shares * (spans[:, 1] - spans[:, 0])).astype(np.float32).astype(float))
 
 
 def sizes(program: Program) -> Size:

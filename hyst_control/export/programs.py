@@ -62,16 +62,14 @@ class Twin(Filter):
         """Come to rest at commands (A,) and measurements (A,) in one `value` (2 A,); the residual (A,)."""
         value = np.array(value, dtype=float)
         self._ahead = self._filter.settle(value[: self.axes])
-        residual: Array = value[self.axes :] - self._ahead
-        return residual
+        return np.asarray(value[self.axes :] - self._ahead)
 
     def process(self, block: Array) -> Array:
         """Residuals (N, A) of a `block` of commands and measurements (N, 2 A)."""
         following = self._filter.process(np.ascontiguousarray(block[:, : self.axes]))
         predicted = np.concatenate([self._ahead[None], following[:-1]])
         self._ahead = following[-1].copy()
-        residual: Array = block[:, self.axes :] - predicted
-        return residual
+        return np.asarray(block[:, self.axes :] - predicted)
 
     def c_code(self) -> CCode:
         body = "for (int i = 0; i < AXES; i++) {\n    out[i] = in[AXES + i] - s->ahead[i];\n}\n"

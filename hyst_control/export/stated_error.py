@@ -101,8 +101,7 @@ class StatedError(Filter):
                 features = FeatureFilter(one.features, sample_time)
                 self.scale[axis] = one.features.center, one.features.span, features.crossing
                 self.ticks[axis, 1:], self.keeps[axis] = (features.width, *features.lags), features.keeps
-        self.late = int(self.ticks[:, 1].max())
-        """Ticks by which the stated error is late."""
+        self.late = int(self.ticks[:, 1].max())  # Ticks by which the stated error is late
         self.ticks[:, 0] = self.late
         length = self.late + int(self.ticks[:, 1:].max()) + 1
         self.position, self.ring = np.zeros(1, dtype=np.int64), np.zeros((axes, length))

@@ -10,27 +10,27 @@ The variances of noise and walk are the fleet's: their sum 2 sigma^2 + q^2 from 
 q / sigma, the share of units that change and the size of changes are those that make the fleet's records most likely (empirical Bayes).
 A unit that changed is said to drift where a trend explains it better than any shift. Units are named, most probable first, as long as
 the mean probability of an error among them stays below the bound: the Bayesian false discovery rate (`course_fit.named_within`).
+`forecast` tells when a drifting quantity reaches its limit, with the interval that slope and random walk leave open.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
+from scipy.stats import norm
 
 from hyst_control.base.arrays import Array
 from hyst_control.fleet.course_fit import CourseFit, named_within, run_variance
 
-SHARES = (0.001, 0.01, 0.03, 0.1, 0.3)
-"""Shares of units that change, among which the fleet's records choose."""
-SHIFTS = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Sizes tau of a shift, in standard deviations of a run, likewise."""
+SHARES = (0.001, 0.01, 0.03, 0.1, 0.3)  # Shares of units that change, among which the fleet's records choose
+SHIFTS = (2.0, 4.0, 8.0, 16.0, 32.0)  # Sizes tau of a shift, in standard deviations of a run, likewise
 WALKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 """Standard deviations q of a walk's step, in those sigma of the noise, likewise."""
-MIN_RUNS = 4
-"""Runs of a unit from which on it is looked at."""
+MIN_RUNS = 4  # Runs of a unit from which on it is looked at
+PROBABILITY = 0.9  # Of the interval of the time at which a trend is at its limit
 
 
 @dataclass(frozen=True)
@@ -142,3 +142,32 @@ def _trend(unit: str, quantity: str, probability: float, fit: _UnitFit, tau: flo
     level = fit.trend.level(0, size) + size
     per_time = step * float(np.sqrt((len(fit.moments) - 1) / duration))
     return Trend(unit, quantity, probability, size / duration, error / duration, level, float(fit.moments[-1]), per_time)
+
+
+def forecast(trend: Trend, limits: Mapping[str, float]) -> Trend:
+    """Add the time at which a trend reaches the limit of its quantity."""
+    # At a time d after the last run the quantity is normal about ``level + slope d`` with the variance of the slope, (slope_error d)^2,
+    # and of the walk, walk^2 d. The interval holds the times between which the probability of being beyond the limit grows from 5 to
+    # 95 %; an end is None where it never does.
+    limit = limits.get(trend.quantity)
+    if limit is None:
+        return trend
+    ahead = (limit - trend.level) * np.sign(trend.slope)
+    if ahead <= 0.0:
+        return trend
+    quantile = float(norm.ppf(0.5 + 0.5 * PROBABILITY))
+    speed = abs(trend.slope)
+    earliest, latest = (_reached(trend, ahead, deviations) for deviations in (quantile, -quantile))
+    return replace(trend, crossing=trend.last + ahead / speed, earliest=earliest, latest=latest)
+
+
+def _reached(trend: Trend, ahead: float, deviations: float) -> float | None:
+    """First time at which ``speed d + deviations sqrt((slope_error d)^2 + walk^2 d)`` is `ahead`; None where there is none."""
+    # Squared, it is a quadratic equation; the sign of `deviations` chooses the root.
+    speed = abs(trend.slope)
+    a = speed**2 - (deviations * trend.slope_error) ** 2
+    b = -(2.0 * ahead * speed + (deviations * trend.walk) ** 2)
+    roots = np.roots([a, b, ahead**2]) if abs(a) > 1e-12 * speed**2 else np.array([ahead**2 / -b])
+    real = [float(root.real) for root in roots if abs(root.imag) < 1e-6 * abs(root) and root.real > 0.0]
+    reached = [d for d in real if (ahead - speed * d) * deviations >= -1e-6 * ahead * abs(deviations)]
+    return trend.last + min(reached) if reached else None

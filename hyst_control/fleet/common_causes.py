@@ -10,12 +10,11 @@ changes began than runs drawn at random would have (binomial distribution, all r
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from scipy.stats import binom, false_discovery_control, hypergeom
 
-MIN_UNITS = 3
-"""Units that must have changed together."""
+MIN_UNITS = 3  # Units that must have changed together
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,5 @@ def _kept(causes: Sequence[CommonCause], false_share: float) -> list[CommonCause
     if not causes:
         return []
     adjusted = false_discovery_control([cause.probability for cause in causes])
-    return [
-        CommonCause(cause.quantity, cause.column, cause.value, cause.changed, cause.of, float(probability))
-        for cause, probability in zip(causes, adjusted, strict=True)
-        if probability <= false_share
-    ]
+    known = zip(causes, adjusted, strict=True)
+    return [replace(cause, probability=float(probability)) for cause, probability in known if probability <= false_share]

@@ -16,8 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from hyst_control.base.arrays import Array
 
-MAD = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+MAD = 1.4826  # Standard deviation of a normal variable over its median absolute deviation
 
 
 class CourseFit:
@@ -68,9 +67,7 @@ def run_variance(values: Annotated[Array, "U T"]) -> float:
 
 
 def named_within(probabilities: Array, false_share: float) -> int:
-    """Number of claims, most probable first, whose expected share of errors stays within a bound (Müller, Parmigiani and Rice 2006).
-
-    Where many are sure the bound leaves room for a few that are probably wrong: each must be more probable than not as well.
-    """
+    """Number of claims, most probable first, whose expected share of errors stays within a bound (Müller, Parmigiani and Rice 2006)."""
+    # Where many are sure the bound leaves room for a few that are probably wrong: each must be more probable than not as well.
     errors = np.cumsum(1.0 - probabilities) / np.arange(1, len(probabilities) + 1)
     return min(int(np.searchsorted(errors, false_share, side="right")), int(np.sum(probabilities > 0.5)))

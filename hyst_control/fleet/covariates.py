@@ -20,17 +20,15 @@ from hyst_control.fleet.course_fit import MAD
 HUBER = 1.345
 """Residual, in standard deviations, from which a difference counts less: 95 % efficient for a normal law (Huber 1981)."""
 ROUNDS = 20
-MIN_DIFFERENCES = 20
-"""Differences that a slope is fitted to."""
-DEVIATIONS = 4.0
-"""Standard errors from which a slope is believed."""
+MIN_DIFFERENCES = 20  # Differences that a slope is fitted to
+DEVIATIONS = 4.0  # Standard errors from which a slope is believed
 
 
 @dataclass(frozen=True)
 class CovariateEffect:
     """Influence of a covariate on a quantity."""
 
-    quantity: str  # The quantity
+    quantity: str
     covariate: str  # Column of the manifest
     # slope, slope_error: Change of the quantity per unit of the covariate, and its standard error
     slope: float

@@ -13,7 +13,7 @@ import glob
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -76,10 +76,7 @@ def read_manifest(
     entries += _of_names(bags, names)
     if not entries:
         raise InputError(f"{', '.join(sources) or 'manifest'}: lists no records")
-    entries = [
-        Entry(each.bag, each.unit, each.time, each.model or model or "", each.baseline or tuple(baseline), each.columns)
-        for each in entries
-    ]
+    entries = [replace(each, model=each.model or model or "", baseline=each.baseline or tuple(baseline)) for each in entries]
     seen: set[str] = set()
     for entry in entries:
         if entry.bag in seen:

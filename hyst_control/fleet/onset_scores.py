@@ -12,8 +12,7 @@ from typing import Any
 from hyst_control.base.errors import InputError
 from hyst_control.reporting.tables import Table
 
-NEAR = 1.0
-"""Runs by which an onset may be off."""
+NEAR = 1.0  # Runs by which an onset may be off
 
 
 def score_study(study: str | Path, labels: str | Path) -> Table:

@@ -15,10 +15,8 @@ from hyst_control.base.arrays import Array
 
 STARTS = 50
 STEPS = 20
-SHARE = 0.75
-"""Share of the units that the scatter is estimated from, at first."""
-WELL_WITHIN = 0.975
-"""Quantile of the distances within which a unit counts for the final scatter."""
+SHARE = 0.75  # Share of the units that the scatter is estimated from, at first
+WELL_WITHIN = 0.975  # Quantile of the distances within which a unit counts for the final scatter
 
 
 @dataclass(frozen=True)
@@ -35,11 +33,9 @@ class Outlier:
 def find_outliers(
     units: Sequence[str], quantities: Sequence[str], values: Annotated[Array, "U P"], false_share: float = 0.05, seed: int = 0
 ) -> list[Outlier]:
-    """Find units apart from the fleet, with the false discovery rate controlled (Benjamini and Hochberg 1995).
-
-    Center and covariance are those of the units that lie closest together (minimum covariance determinant, Rousseeuw and Van Driessen
-    1999), so that the units looked for do not hide themselves.
-    """
+    """Find units apart from the fleet, with the false discovery rate controlled (Benjamini and Hochberg 1995)."""
+    # Center and covariance are those of the units that lie closest together (minimum covariance determinant, Rousseeuw and Van Driessen
+    # 1999), so that the units looked for do not hide themselves.
     if not values.size:
         return []
     spread = values.std(axis=0)

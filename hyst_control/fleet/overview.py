@@ -15,19 +15,16 @@ from numpy.typing import NDArray
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.effects import EFFECTS
-from hyst_control.fleet.change_points import Onset, Trend, find_changes
+from hyst_control.fleet.change_points import Onset, Trend, find_changes, forecast
 from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
 from hyst_control.fleet.covariates import CovariateEffect, take_out
-from hyst_control.fleet.forecast import forecast
 from hyst_control.fleet.outliers import Outlier, find_outliers
 from hyst_control.fleet.record_jobs import NO_GAP, OPEN
 from hyst_control.fleet.results import DONE
 
 SCHEMA = "hyst_control/fleet-overview"
-GAP = "gap_rms"
-"""Quantity that every diagnosed record has."""
-NAMED = ("effect", "parameters", "ambiguous")
-"""Verdicts with which a report's first effect counts."""
+GAP = "gap_rms"  # Quantity that every diagnosed record has
+NAMED = ("effect", "parameters", "ambiguous")  # Verdicts with which a report's first effect counts
 
 
 @dataclass(frozen=True)

@@ -21,15 +21,12 @@ from hyst_control.fleet.overview import Overview
 from hyst_control.fleet.results import DONE
 from hyst_control.reporting.html_page import BAND, COLORS, Page
 
-DRAWN = 8
-"""Changes and drifts that are drawn."""
-LISTED = 200
-"""Rows of a table of the page; the JSON document has all."""
+DRAWN = 8  # Changes and drifts that are drawn
+LISTED = 200  # Rows of a table of the page; the JSON document has all
 VERDICT_COLORS = {"no_gap": "#5b8e3e", "parameters": "#2a6f97", "effect": "#c2542d", "ambiguous": "#b08a1e", "unknown": "#8a5aa8"}
 OTHER = "#8a93a1"
 """Color of a cell, by verdict; of any other verdict."""
-SHOWN_UNITS = 8
-"""Units that a common cause names."""
+SHOWN_UNITS = 8  # Units that a common cause names
 
 
 def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: Path) -> None:
@@ -46,14 +43,13 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
     if found.kind == "diagnose" and len(found.units):
         page.section("Verdicts", "Every record, by unit and run. A click opens the record's own page, where it has one.")
         page.figure(_verdict_map(found, links), max(320, min(900, 120 + 6 * len(found.units))))
-    if found.causes:
-        page.section(
-            "Common causes",
-            "What more units that changed share than chance would have; of those listed, 1 % at most are wrong on average.",
-        )
-        page.table(
-            ("quantity", "in common", "units that changed", "of", "adjusted p"), [_cause_row(cause) for cause in found.causes]
-        )
+    _listed(
+        page,
+        "Common causes",
+        "What more units that changed share than chance would have; of those listed, 1 % at most are wrong on average.",
+        ("quantity", "in common", "units that changed", "of", "adjusted p"),
+        [_cause_row(cause) for cause in found.causes],
+    )
     _listed(
         page,
         "Changes",
@@ -76,20 +72,22 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
         figure = _course(found, onset.unit, onset.quantity, links)
         figure.add_vline(x=onset.moment, line_dash="dot")
         page.figure(figure, 260)
-    if found.trends:
-        page.section("Drifts", "Units whose quantity moves steadily, and when it will be at its limit where one was given.")
-        page.table(
-            ("unit", "quantity", "probability", "per unit of time", "at its limit", "90 % of it within"),
-            [_trend_row(trend, links) for trend in found.trends[:LISTED]],
-        )
-        for trend in found.trends[:DRAWN]:
-            page.figure(_forecast(found, trend, links), 260)
-    if found.covariates:
-        page.section("Covariates", "Taken out before changes were looked for.")
-        page.table(
-            ("quantity", "covariate", "slope"),
-            [(each.quantity, each.covariate, f"{each.slope:.4g} ± {each.slope_error:.2g}") for each in found.covariates[:LISTED]],
-        )
+    _listed(
+        page,
+        "Drifts",
+        "Units whose quantity moves steadily, and when it will be at its limit where one was given.",
+        ("unit", "quantity", "probability", "per unit of time", "at its limit", "90 % of it within"),
+        [_trend_row(trend, links) for trend in found.trends[:LISTED]],
+    )
+    for trend in found.trends[:DRAWN]:
+        page.figure(_forecast(found, trend, links), 260)
+    _listed(
+        page,
+        "Covariates",
+        "Taken out before changes were looked for.",
+        ("quantity", "covariate", "slope"),
+        [(each.quantity, each.covariate, f"{each.slope:.4g} ± {each.slope_error:.2g}") for each in found.covariates[:LISTED]],
+    )
     _listed(
         page,
         "Units apart from the others",

@@ -26,16 +26,12 @@ from scipy.stats import chi2
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.fleet.course_fit import MAD
 
-FARTHEST_RUNS = 5
-"""Runs between two records up to which the growth of their difference is looked at."""
-WITHIN = 0.975
-"""Quantile of the distances beyond which a unit counts less."""
+FARTHEST_RUNS = 5  # Runs between two records up to which the growth of their difference is looked at
+WITHIN = 0.975  # Quantile of the distances beyond which a unit counts less
 PASSES = 200
-TOLERANCE = 1e-8
-"""Relative change of the scatter at which the passes end."""
-MAD = 1.4826
-"""Standard deviation of a normal variable over its median absolute deviation."""
+TOLERANCE = 1e-8  # Relative change of the scatter at which the passes end
 MIN_UNITS = 3
 
 
@@ -101,15 +97,12 @@ def _scale(values: Array) -> Array:
 
 
 def _between_runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
-    """Covariance of the differences of successive runs, and the share of it that is a walk.
-
-    Without a unit that was identified twice, runs are taken to differ by the errors of the identifications alone.
-    """
+    """Covariance of the differences of successive runs, and the share of it that is a walk."""
     differences = {
         lag: np.concatenate([each[lag:] - each[:-lag] for each in series if len(each) > lag] or [np.zeros((0, series[0].shape[1]))])
         for lag in range(1, FARTHEST_RUNS + 1)
     }
-    if len(differences[1]) < 2:
+    if len(differences[1]) < 2:  # no unit was identified twice: runs differ by the errors of the identifications alone
         return 2.0 * error, 0.0
     covariance = _covariance(differences[1])
     lags = [lag for lag in differences if len(differences[lag]) > 1]

@@ -20,10 +20,8 @@ from hyst_control.fleet.population import Population, find_population
 from hyst_control.fleet.results import DONE, Results
 from hyst_control.model_file import DISCREPANCY_VERSION, Model, load_model, save_model
 
-USUAL_ZERO = 0.9
-"""Quantile over the records of the zero, drift and curvature up to which a session is usual."""
-SMALLEST = 1e-6
-"""Share of the largest standard deviation below which a direction of the scatter is left out."""
+USUAL_ZERO = 0.9  # Quantile over the records of the zero, drift and curvature up to which a session is usual
+SMALLEST = 1e-6  # Share of the largest standard deviation below which a direction of the scatter is left out
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,9 @@ class PopulationModel:
     def document(self) -> dict[str, Any]:
         """Convert to JSON types."""
         center, covariance = _chosen(self.population, self.unit)
+        deviations = [_deviations(each) for each in (covariance, self.population.between, 0.5 * self.population.between_runs)]
+        keys = ("value", "deviation", "between_units", "between_runs")
+        rows = zip(self.names, np.transpose([center, *deviations]).tolist())
         return {
             "schema": "hyst_control/population",
             "version": 1,
@@ -50,16 +51,7 @@ class PopulationModel:
             "records": self.records,
             "left_out": self.left_out,
             "walk": self.population.walk,
-            "parameters": [
-                {"name": name, "value": value, "deviation": deviation, "between_units": between, "between_runs": run}
-                for name, value, deviation, between, run in zip(
-                    self.names,
-                    center.tolist(),
-                    _deviations(covariance).tolist(),
-                    _deviations(self.population.between).tolist(),
-                    _deviations(0.5 * self.population.between_runs).tolist(),
-                )
-            ],
+            "parameters": [{"name": name, **dict(zip(keys, numbers))} for name, numbers in rows],
         }
 
     def text(self) -> str:

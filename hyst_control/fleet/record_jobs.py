@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 GAPS, ONSETS = "gaps", "onsets"
 """Values of the option `only` of diagnoses: of records with a gap, or of the clearest record of every unit that changed."""
-NO_GAP, OPEN = "no_gap", "not_diagnosed"
-"""Verdicts of records of which no effect was tried."""
+NO_GAP, OPEN = "no_gap", "not_diagnosed"  # Verdicts of records of which no effect was tried
 
 
 @dataclass(frozen=True)
@@ -125,17 +124,9 @@ def _screened(job: RecordJob, verdict: bool) -> dict[str, Any] | None:
     if model is not None and invalid_report(records, model)[0] is not None:
         return None
     found = screen(records, model, [_clean(bag, bag_stamp(bag), *where) for bag in entry.baseline], verdict)
-    return {
-        "verdict": NO_GAP if found.no_gap else OPEN,
-        "gap_rms": found.gap_rms,
-        "gap_nrmse": found.gap_nrmse,
-        "floor_rms": found.floor_rms,
-        "left_rms": found.left_rms,
-        "measurement_unit": found.unit,
-        "reasons": [],
-        "effects": [],
-        "deviations": [],
-    }
+    sizes = {name: getattr(found, name) for name in ("gap_rms", "gap_nrmse", "floor_rms", "left_rms")}
+    nothing: dict[str, Any] = {"reasons": [], "effects": [], "deviations": []}
+    return {"verdict": NO_GAP if found.no_gap else OPEN, **sizes, "measurement_unit": found.unit, **nothing}
 
 
 @lru_cache(maxsize=16)

@@ -20,8 +20,7 @@ from hyst_control.base.files import replacing
 ROWS_PER_PART = 256
 SECONDS_PER_PART = 10.0
 DONE, FAILED = "done", "failed"
-OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")
-"""Columns that every table of results has."""
+OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")  # Columns that every table of results has
 
 
 def parquet() -> tuple[Any, type[Exception]]:
@@ -83,13 +82,8 @@ class Results:
 
     def marks(self) -> dict[str, str]:
         """Mark of every record that is done, by its bag."""
-        found: dict[str, str] = {}
-        for row in self._rows(["bag", "mark", "status"]):
-            if row["status"] == DONE:
-                found[row["bag"]] = row["mark"]
-            else:
-                found.pop(row["bag"], None)
-        return found
+        newest = {row["bag"]: row for row in self.rows(["bag", "mark", "status"])}
+        return {bag: row["mark"] for bag, row in newest.items() if row["status"] == DONE}
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row."""
@@ -110,23 +104,17 @@ class Results:
     def join(self, bags: Sequence[str]) -> None:
         """Make one file of all parts: the newest row of every record of the manifest."""
         self.flush()
-        newest: dict[str, Mapping[str, Any]] = {}
-        for row in self.rows():
-            newest[row["bag"]] = row
+        newest = {row["bag"]: row for row in self.rows()}
         self._write(self.whole, [newest[bag] for bag in bags if bag in newest])
         for file in self._parts.glob("*.parquet"):
             file.unlink()
         if self._parts.is_dir():
             os.rmdir(self._parts)
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Rows as they were written: a record that was computed again comes again."""
-        return self._rows(None)
-
-    def _rows(self, columns: list[str] | None) -> Iterator[dict[str, Any]]:
-        """Rows of all files, with these columns or all. Raises `InputError` where a file is damaged or not of a study."""
+    def rows(self, columns: list[str] | None = None) -> Iterator[dict[str, Any]]:
+        """Rows of all files, with these columns or all, as they were written: a record that was computed again comes again."""
         library, error_type = parquet()
-        for file in self._files():
+        for file in filter(Path.exists, (self.whole, *sorted(self._parts.glob("*.parquet")))):
             try:
                 with library.ParquetFile(file) as opened:
                     held = opened.schema_arrow
@@ -138,9 +126,6 @@ class Results:
             except (OSError, error_type) as error:
                 reason = str(error).split("\n")[0]
                 raise InputError(f"{file}: cannot be read ({reason}): remove it, its records are computed again") from None
-
-    def _files(self) -> list[Path]:
-        return [file for file in (self.whole, *sorted(self._parts.glob("*.parquet"))) if file.exists()]
 
     def _write(self, path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         import pyarrow as pa

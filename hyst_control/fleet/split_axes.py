@@ -18,8 +18,7 @@ from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Signal
 from hyst_control.records.tables.importing import write_bag
 
-AXIS = "x"
-"""Name of the axis of a record of one axis, as in models of one axis."""
+AXIS = "x"  # Name of the axis of a record of one axis, as in models of one axis
 
 
 class ReadingError(Exception):

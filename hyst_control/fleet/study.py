@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_json
 from hyst_control.base.installed import installed_version
-from hyst_control.base.parallel import Outcome, Workers, outcomes
+from hyst_control.base.parallel import Workers, outcomes
 from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import Overview, overview
 from hyst_control.fleet.overview_page import write_overview
@@ -154,7 +154,8 @@ class _Run:
             try:
                 marks[bag] = mark(job, self.version)
                 # A run that was diagnosed for a change needs no look again.
-                closer = mark(replace(job, options={**job.options, "only": GAPS}), self.version) if _is_onsets(job) else ""
+                onsets = job.options.get("only") == ONSETS
+                closer = mark(replace(job, options={**job.options, "only": GAPS}), self.version) if onsets else ""
             except OSError as error:
                 self.failed[bag] = f"{error.filename}: {error.strerror}"
                 self.results.add(_row(job, "", self.version, None, self.failed[bag]))
@@ -162,7 +163,7 @@ class _Run:
             if self.known.get(bag) not in (marks[bag], closer):
                 jobs.append(job)
         try:
-            for done, outcome in enumerate(_computed(jobs, self.workers), 1):
+            for done, outcome in enumerate(outcomes(compute, jobs, self.workers) if jobs else (), 1):
                 bag = outcome.job.entry.bag
                 self.computed.add(bag)
                 if outcome.result is None:
@@ -174,10 +175,6 @@ class _Run:
                 )
         finally:
             self.results.flush()  # also when interrupted: what is computed stays
-
-
-def _is_onsets(job: RecordJob) -> bool:
-    return job.options.get("only") == ONSETS
 
 
 def _newest(results: Results) -> list[dict[str, Any]]:
@@ -201,18 +198,8 @@ def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
         if row["status"] != DONE or row["moment"] < since.get(unit, float("inf")) or row["gap_rms"] is None:
             continue
         # A gap to the model alone is none to baseline records: those with clean ones first.
-        if unit not in clearest or _clarity(row) > _clarity(clearest[unit]):
-            clearest[unit] = row
+        clearest[unit] = max(clearest.get(unit, row), row, key=lambda one: (bool(one["baseline"]), one["gap_rms"]))
     return {row["bag"] for row in clearest.values()}
-
-
-def _clarity(row: Mapping[str, Any]) -> tuple[bool, float]:
-    return bool(row["baseline"]), row["gap_rms"]
-
-
-def _computed(jobs: Sequence[RecordJob], workers: Workers) -> Iterator[Outcome[RecordJob, dict[str, Any]]]:
-    if jobs:
-        yield from outcomes(compute, jobs, workers)
 
 
 def _columns_apart(entries: Sequence[Entry], own: Sequence[str]) -> list[Entry]:
@@ -225,20 +212,9 @@ def _columns_apart(entries: Sequence[Entry], own: Sequence[str]) -> list[Entry]:
 
 def _row(job: RecordJob, found: str, version: str, result: Mapping[str, Any] | None, reason: str) -> dict[str, Any]:
     entry = job.entry
-    return {
-        "unit": entry.unit,
-        "time": entry.time,
-        "moment": entry.moment,
-        "bag": entry.bag,
-        "model": entry.model,
-        "baseline": list(entry.baseline),
-        **entry.columns,
-        **(result or {}),
-        "status": FAILED if result is None else DONE,
-        "reason": reason,
-        "version": version,
-        "mark": found,
-    }
+    own = {name: getattr(entry, name) for name in ("unit", "time", "moment", "bag", "model")}
+    ends = {"status": FAILED if result is None else DONE, "reason": reason, "version": version, "mark": found}
+    return {**own, "baseline": list(entry.baseline), **entry.columns, **(result or {}), **ends}
 
 
 def _check_kind(folder: Path, kind: str) -> None:

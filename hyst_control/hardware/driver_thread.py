@@ -19,10 +19,8 @@ class Call:
         self._running = threading.Lock()  # wakes its waiter in half the time that an Event takes
         self._running.acquire()
         self.result: Any = None
-        self.error: BaseException | None = None
-        """What the driver raised."""
-        self.seconds = 0.0
-        """Time that it took, s."""
+        self.error: BaseException | None = None  # What the driver raised
+        self.seconds = 0.0  # Time that it took, s
 
     def ended(self, within: float = 0.0) -> bool:
         """True once the call has ended; waits `within` s for that."""

@@ -31,8 +31,7 @@ that of the next question; voltages, which have no answer, can still be set."""
 class GcsController:
     """Connection with one controller; all that is used of `pipython` is here. A question without an answer raises `ConnectionError`."""
 
-    identity: str
-    """The controller's own name and version."""
+    identity: str  # The controller's own name and version
 
     def __init__(self, host: str, port: int, axes: list[str]) -> None:
         try:

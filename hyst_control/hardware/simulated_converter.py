@@ -19,14 +19,12 @@ from hyst_control.nodes.signal_node.parameters import Setting
 class Converter:
     """Simulated digital-to-analog and analog-to-digital converters with a stage between them, which runs as time passes."""
 
-    MAX_STEPS = 10_000
-    """Samples computed at once; after a longer pause the stage has settled."""
+    MAX_STEPS = 10_000  # Samples computed at once; after a longer pause the stage has settled
 
     def __init__(self, simulator: Simulator, axes: int, period: float, output_step: float = 0.0, input_step: float = 0.0) -> None:
         self._simulator, self._period = simulator, period
         self._output_step, self._input_step = output_step, input_step
-        self.voltage = np.zeros(axes)
-        """Voltage (A,) that is held, V."""
+        self.voltage = np.zeros(axes)  # Voltage (A,) that is held, V
         self._value = simulator.reset(self.voltage)
         self._sample = int(time.monotonic() / period)
 

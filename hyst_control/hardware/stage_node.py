@@ -29,14 +29,10 @@ from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.nodes.signal_node.signal_ports import Input
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
-READ_PHASE = 0.1
-"""Share of a tick after its beginning at which the sensor is read; the feedback computes at 0.5."""
-LONGEST_ANSWER = 0.5
-"""s, for which a tick waits for the driver at most, unless two ticks are longer."""
-LONGEST_CONNECT = 30.0
-"""s, for which connecting may take, with the first questions."""
-LONGEST_SILENCE = 2.0
-"""s; a driver that does not answer for longer keeps the node from ending no more."""
+READ_PHASE = 0.1  # Share of a tick after its beginning at which the sensor is read; the feedback computes at 0.5
+LONGEST_ANSWER = 0.5  # s, for which a tick waits for the driver at most, unless two ticks are longer
+LONGEST_CONNECT = 30.0  # s, for which connecting may take, with the first questions
+LONGEST_SILENCE = 2.0  # s; a driver that does not answer for longer keeps the node from ending no more
 ROUNDING = 0.01
 """Share of the range by which `initial_command` may lie outside it: the converter's steps, and the error of what reads it back."""
 
@@ -56,8 +52,7 @@ class StageNode(ManagedNode):
     With `failures` 0 it never does. While one does not return, the node says so and calls nothing else of the device.
     """
 
-    NAME = "stage"
-    """Name of the node, unless another one is given."""
+    NAME = "stage"  # Name of the node, unless another one is given
     SETTINGS: tuple[Setting, ...] = (
         Setting("schedule", TIMER, "", "a stage runs on the wall clock", choices=(TIMER,)),
         Setting("block", 1, "samples", "a stage is read tick by tick", 1, 1),

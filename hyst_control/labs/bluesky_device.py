@@ -87,18 +87,14 @@ class PiezoAxis:
     def set(self, value: float) -> Status:
         """Move to a position."""
         status, self._stopped = Status(), None
-        target = self.loop.target.copy()
-        target[self._index] = value
-        self.loop.target = target
+        self.loop.move(self._index, value)
         threading.Thread(target=self._follow, args=(status, float(value)), daemon=True).start()
         return status
 
     def stop(self, *, success: bool = False) -> None:
         """Stay where the reference is."""
         self._stopped = None if success else RuntimeError(f"{self.name}: the move was stopped")
-        target = self.loop.target.copy()
-        target[self._index] = self.loop.reference[self._index]
-        self.loop.target = target
+        self.loop.move(self._index, self.loop.reference[self._index])
 
     def read(self) -> dict[str, dict[str, Any]]:
         """Measurement, reference and command."""
@@ -109,10 +105,7 @@ class PiezoAxis:
     def describe(self) -> dict[str, dict[str, Any]]:
         """Units of what `read` gives."""
         units = {"": self.loop.unit, "_reference": self.loop.unit, "_command": "V"}
-        return {
-            f"{self.name}{ending}": {"source": f"hyst_control:{self.name}", "dtype": "number", "shape": [], "units": unit}
-            for ending, unit in units.items()
-        }
+        return {f"{self.name}{ending}": _described(self.name, unit) for ending, unit in units.items()}
 
     def read_configuration(self) -> dict[str, dict[str, Any]]:
         """Sample time and tolerance."""
@@ -122,10 +115,7 @@ class PiezoAxis:
     def describe_configuration(self) -> dict[str, dict[str, Any]]:
         """Units of what `read_configuration` gives."""
         units = {"sample_time": "s", "tolerance": self.loop.unit}
-        return {
-            f"{self.name}_{name}": {"source": f"hyst_control:{self.name}", "dtype": "number", "shape": [], "units": unit}
-            for name, unit in units.items()
-        }
+        return {f"{self.name}_{name}": _described(self.name, unit) for name, unit in units.items()}
 
     def _follow(self, status: Status, value: float) -> None:
         begin, within = time.monotonic(), None
@@ -156,14 +146,13 @@ class TrajectoryFlyer:
 
     def kickoff(self) -> Status:
         """Begin."""
-        status = Status()
+        status, refusal = Status(), None
         self._begun = time.time()
         try:
             self.loop.play(self.rows)
         except InputError as error:
-            status.finish(error)
-        else:
-            status.finish()
+            refusal = error
+        status.finish(refusal)
         return status
 
     def complete(self) -> Status:
@@ -187,16 +176,13 @@ class TrajectoryFlyer:
 
     def describe_collect(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Units of the events."""
-        described = {
-            key: {
-                "source": f"hyst_control:{self.name}",
-                "dtype": "number",
-                "shape": [],
-                "units": "V" if "_command_" in key else self.loop.unit,
-            }
-            for key in self._keys()
-        }
-        return {self.name: described}
+        units = {key: "V" if "_command_" in key else self.loop.unit for key in self._keys()}
+        return {self.name: {key: _described(self.name, unit) for key, unit in units.items()}}
 
     def _keys(self) -> list[str]:
         return [f"{self.name}_{signal}_{axis}" for signal in ("reference", "command", "measurement") for axis in self.loop.axes]
+
+
+def _described(device: str, unit: str) -> dict[str, Any]:
+    """Description of a number, as bluesky has it."""
+    return {"source": f"hyst_control:{device}", "dtype": "number", "shape": [], "units": unit}

@@ -57,10 +57,8 @@ class ControlLoop:
         self.axes, self.unit, self.period = tuple(axes), unit, controller.pi.sample_time
         self._controller, self._driver, self._step = controller, driver, speed * self.period
         count = len(self.axes)
-        self.target = np.zeros(count)
-        """Position (A,) that the reference goes to, measurement unit."""
-        self.enabled = True
-        """False: the command goes to its safe value."""
+        self.target = np.zeros(count)  # Position (A,) that the reference goes to, measurement unit
+        self.enabled = True  # False: the command goes to its safe value
         self.reference, self.measurement, self.command = np.zeros(count), np.full(count, np.nan), np.zeros(count)
         self.fault = "none"
         self.ticks = self.missed = 0
@@ -81,6 +79,12 @@ class ControlLoop:
         self.target = np.array(self._driver.read(), dtype=float)
         self.reference = self.target.copy()
         self._thread.start()
+
+    def move(self, axis: int, position: float) -> None:
+        """Send the reference of one axis to a position."""
+        target = self.target.copy()
+        target[axis] = position
+        self.target = target
 
     def stop(self, timeout: float = 10.0) -> None:
         """End the thread, once the command is at its safe value."""

@@ -22,6 +22,7 @@ from importlib import import_module
 from typing import Any
 
 from hyst_control.base.errors import InputError
+from hyst_control.export.programs import controller
 from hyst_control.labs.control_loop import ControlLoop, Driver, SimulatedDriver
 
 PUBLISHED = 0.1  # s, between two values of a process variable
@@ -52,17 +53,12 @@ def database(loop: ControlLoop, prefix: str) -> dict[str, Any]:
 
         variables[name] = pvproperty(value=value, name=name, **options).putter(put)
 
-    def moved(index: int, value: float) -> None:
-        target = loop.target.copy()
-        target[index] = value
-        loop.target = target
-
     def enabled(value: Any) -> None:
         loop.enabled = bool(value)
 
     for at, axis in enumerate(loop.axes):
         place, unit = f"{axis.upper()}:", {"units": loop.unit, "precision": 4}
-        given(f"{place}SETPOINT", float(loop.target[at]), lambda value, at=at: moved(at, float(value)), **unit)
+        given(f"{place}SETPOINT", float(loop.target[at]), lambda value, at=at: loop.move(at, float(value)), **unit)
         shown(f"{place}REFERENCE", 0.0, lambda at=at: float(loop.reference[at]), **unit)
         shown(f"{place}READBACK", 0.0, lambda at=at: float(loop.measurement[at]), **unit)
         shown(f"{place}COMMAND", 0.0, lambda at=at: float(loop.command[at]), units="V", precision=4)
@@ -121,12 +117,10 @@ def main(words: list[str] | None = None) -> int:
 def served(given: argparse.Namespace) -> ControlLoop:
     """The loop that the arguments describe."""
     if given.driver:
-        return ControlLoop.from_file(given.parameters, driver_of(given.driver), given.speed)
-    from hyst_control.export.programs import controller
-
-    return ControlLoop.from_file(
-        given.parameters, SimulatedDriver(given.model, controller(given.parameters).program.sample_time), given.speed
-    )
+        driver = driver_of(given.driver)
+    else:
+        driver = SimulatedDriver(given.model, controller(given.parameters).program.sample_time)
+    return ControlLoop.from_file(given.parameters, driver, given.speed)
 
 
 if __name__ == "__main__":

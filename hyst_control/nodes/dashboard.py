@@ -42,10 +42,8 @@ from hyst_control.processes import environment
 from hyst_control.processes.node_processes import Processes
 
 POLL_INTERVAL = 0.05  # s, between two looks at what the page has asked
-ANSWER_TIMEOUT = 3.0
-"""s that a node has to answer a request."""
-DISCOVERY = 1.5
-"""s for which a loop must have run without a live view before one is run here."""
+ANSWER_TIMEOUT = 3.0  # s that a node has to answer a request
+DISCOVERY = 1.5  # s for which a loop must have run without a live view before one is run here
 DRIVING = ("command", "applied")
 """Topics whose publishers drive the actuator, in the order in which they are asked: the feedback, then plant or stage."""
 ASKED = {
@@ -91,12 +89,11 @@ class DashboardNode(EndingNode):
         self._asked: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._pending: list[tuple[float, str, Future]] = []  # deadline in s, request in words, its answer
         self.ended = Future()
-        self.unserved: Callable[[], None] = lambda: None
-        """Called once, when the loop runs and has no live view."""
+        self.unserved: Callable[[], None] = lambda: None  # Called once, when the loop runs and has no live view
         self._unserved_since = math.inf
         self._served = False
         for topic, take in (("live", state.signals.add), ("live_turn", state.set_turn), ("gap", state.gap.add)):
-            CallbackSubscription(self, topic, self._into(take), self._state.answers.append)
+            CallbackSubscription(self, topic, partial(_receive, take), self._state.answers.append)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
         self.every(POLL_INTERVAL, self._poll)
 
@@ -115,13 +112,6 @@ class DashboardNode(EndingNode):
     def leave(self) -> None:
         """End the spinning of the node."""
         self._asked.put("")
-
-    @staticmethod
-    def _into(take: Callable[[tuple[str, ...], Array], None]) -> Callable[[str, Array], None]:
-        def receive(label: str, block: Array) -> None:
-            take(tuple(label.split(",")), block)
-
-        return receive
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -207,7 +197,9 @@ class LoopActions:
         if not begun and recorder.returncode < 0:
             self._node.say("nothing was recorded: it was ended before it had begun")
         else:
-            self._node.say(f"recording failed: {self._last_line()}" if recorder.returncode else f"recorded: {self._bag}")
+            lines = self._processes.log(self._name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            failed = f"recording failed: {lines[-1] if lines else 'no output'}"
+            self._node.say(failed if recorder.returncode else f"recorded: {self._bag}")
         self._bag = ""
         return ""
 
@@ -229,9 +221,9 @@ class LoopActions:
     def _name(self) -> str:
         return f"dashboard_recorder_{self._count}"
 
-    def _last_line(self) -> str:
-        lines = self._processes.log(self._name).read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return lines[-1] if lines else "no output"
+
+def _receive(take: Callable[[tuple[str, ...], Array], None], label: str, block: Array) -> None:
+    take(tuple(label.split(",")), block)
 
 
 def _said(answer: Future) -> str:

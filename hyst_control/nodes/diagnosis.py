@@ -12,8 +12,8 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.diagnose.live.live_twin import GapAlarm, LiveTwin, Window
 from hyst_control.diagnose.model_error.baseline import error_on
 from hyst_control.model_file import load_model
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import Sender
 from hyst_control.nodes.signal_node.parameters import settings_of
@@ -107,10 +107,8 @@ class DiagnosisNode(SignalNode):
         self.every(DRAIN_INTERVAL, self._drain)
 
     def reset(self) -> None:
-        self._command.forget()
-        self._measurement.forget()
-        if self._applied is not None:
-            self._applied.forget()
+        for each in filter(None, (self._command, self._measurement, self._applied)):
+            each.rows.forget()
         self._forget()
 
     def changed(self, name: str, value: Any) -> None:
@@ -270,13 +268,18 @@ class DiagnosisNode(SignalNode):
             return self._job.text()
         if not self._kept:
             raise InputError("no data yet: run the loop until command and measurement have been received")
-        with as_input_error(self.settings.output):
-            output = Path(os.path.realpath(self.settings.output))
+        path = self.settings.output
+        output = Path(os.path.realpath(path))
+        folder = output / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(4)}"
+        try:
             output.mkdir(parents=True, exist_ok=True)
-            folder = output / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(4)}"
             folder.mkdir()  # with the permissions that the user's umask leaves
             self._write(folder / "record")
             self._job = Job(folder, self._model_path, self._baseline)
+        except OSError as error:
+            raise InputError(
+                f"{path}: {error.strerror or error}: set the parameter output to a folder that can be written"
+            ) from None
         return f"started: {self._kept_rows} rows, {self._kept_rows * self.period:.3g} s: {folder}"
 
     def _cancel(self) -> str:
@@ -309,25 +312,16 @@ class DiagnosisNode(SignalNode):
 class Job:
     """Diagnosis in a process of its own."""
 
-    def __init__(self, folder: Path, model: Path, baseline: Sequence[Path] = ()) -> None:
+    def __init__(self, folder: Path, model: Path, baseline: Sequence[Path]) -> None:
         self.folder, self.reported = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
-        arguments = [
-            "diagnose",
-            str(folder / "record"),
-            "--model",
-            str(model),
-            "--json",
-            str(folder / "gap.json"),
-            "--augmented",
-            str(folder / "augmented.yaml"),
-            "--quiet",
-        ]
+        results = {"--model": model, "--json": folder / "gap.json", "--augmented": folder / "augmented.yaml"}
+        if find_spec("hyst_control.diagnose.report.page"):
+            results["--report"] = folder / "gap.html"
+        arguments = ["diagnose", str(folder / "record"), "--quiet", *(str(word) for pair in results.items() for word in pair)]
         if baseline:
             arguments += ["--baseline", *map(str, baseline)]
-        if find_spec("hyst_control.diagnose.report.page"):
-            arguments += ["--report", str(folder / "gap.html")]
         with open(folder / "gap.txt", "wb") as words:
             # A session of its own: a Ctrl-C for the node does not reach it, and all its processes can be ended together.
             self._process = subprocess.Popen(
@@ -364,19 +358,7 @@ class Job:
             self._process.wait()
 
 
-@contextmanager
-def as_input_error(path: str) -> Iterator[None]:
-    """Raise `InputError` for a folder or disk that cannot be written to."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}: set the parameter output to a folder that can be written") from None
-
-
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(DiagnosisNode)
-
+main = executable(DiagnosisNode)
 
 if __name__ == "__main__":
     raise SystemExit(main())

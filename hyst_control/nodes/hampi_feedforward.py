@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.feedforward import Feedforward
 
 
@@ -14,10 +14,7 @@ class HampiFeedforward(Feedforward):
     KIND = "hampi"
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(HampiFeedforward)
-
+main = executable(HampiFeedforward)
 
 if __name__ == "__main__":
     raise SystemExit(main())

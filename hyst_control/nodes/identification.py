@@ -15,7 +15,7 @@ from hyst_control.identify.families.estimator import described, every_option
 from hyst_control.identify.families.options import Option
 from hyst_control.identify.workflow import identify_bags
 from hyst_control.nodes.execution.ending_node import EndingNode
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.parameters import Setting, declare
 
 
@@ -29,7 +29,6 @@ class FamilyOption(Setting):
     families: Mapping[str, Option] = field(default_factory=dict)  # The option as each family declares it
 
     def checked(self, value: object) -> object:
-        """Check a value."""
         if isinstance(value, str) and value == "":
             return value
         given = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else value
@@ -113,10 +112,7 @@ class Identification(EndingNode):
             self.finished.set_result(2)
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(Identification)
-
+main = executable(Identification)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.nodes.signal_node.message_io import Sender
@@ -20,12 +20,9 @@ from hyst_control.nodes.signal_node.watched_signal import WatchedSignal
 from hyst_control.records.extremes import ExtremeRows
 
 DRAIN_INTERVAL = 0.05  # s, between two polls of the subscriptions: their queues hold far more
-TURN_EVERY = 4
-"""Polls between two messages on `live_turn`."""
-REFERENCE_PATIENCE = 0.5
-"""s for which rows wait for a reference that has come before."""
-TURN_ROWS = 500
-"""Most rows of a message on `live_turn`."""
+TURN_EVERY = 4  # Polls between two messages on `live_turn`
+REFERENCE_PATIENCE = 0.5  # s for which rows wait for a reference that has come before
+TURN_ROWS = 500  # Most rows of a message on `live_turn`
 
 
 class _Errors:
@@ -74,14 +71,13 @@ class LiveView(SignalNode):
             WatchedSignal(self, topic, units[topic], self.reset) for topic in ("reference", "command", "measurement")
         )
         self._extremes = ExtremeRows(max(round(self.settings.bin / self.period), 1))
-        self._poll_times = Durations()
-        """Processor time of each poll, which a loop in the same process has to wait for."""
+        self._poll_times = Durations()  # Processor time of each poll, which a loop in the same process has to wait for
         self._forget()
         self.every(DRAIN_INTERVAL, self._poll)
 
     def reset(self) -> None:
         for signal in (self._reference, self._command, self._measurement):
-            signal.forget()
+            signal.rows.forget()
         self._forget()
 
     def status(self) -> dict[str, Any]:
@@ -156,10 +152,7 @@ class LiveView(SignalNode):
             self._newest_rows -= len(self._newest.popleft())
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(LiveView)
-
+main = executable(LiveView)
 
 if __name__ == "__main__":
     raise SystemExit(main())

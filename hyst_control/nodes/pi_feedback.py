@@ -16,10 +16,10 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI, RunningPI
-from hyst_control.control.feedback.safe_loop import SafeLoop, Safety
+from hyst_control.control.feedback.safe_loop import SafeLoop, Safety, ticks_in
 from hyst_control.control.feedback.sensor_watch import MOTION, MeasurementWatch
 from hyst_control.control.feedback.slope_demand import SlopeDemand
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.loop.rival_watch import RivalWatch
 from hyst_control.nodes.loop.slope_warning import warn_of_slope
 from hyst_control.nodes.loop.takeover import Takeover
@@ -32,10 +32,8 @@ from hyst_control.records.stream.signal_message import label_for
 
 ENDING, RIVAL = "the node is ending", "another node publishes command"
 NOT_FOLLOWED = "the actuator does not follow the command: the feedback tracks what is applied"
-LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")
-"""Parameters of the controller's law."""
-FILTERS = tuple(field.name for field in fields(Filters))
-"""Parameters of its filters, which are set at the start."""
+LAW = ("kp", "ki", "roll_off", "tracking_time", "lower", "upper", "slew_limit")  # Parameters of the controller's law
+FILTERS = tuple(field.name for field in fields(Filters))  # Parameters of its filters, which are set at the start
 TAKEOVER_INTERVAL = 0.01  # s, between two looks whether the present command was heard
 LONGEST_RAMP = 100_000  # rows, in lockstep
 
@@ -218,7 +216,7 @@ class PiFeedback(ManagedNode):
             return RIVAL
         if self.loop.applied is not None:
             return NOT_FOLLOWED
-        return "saturated" if longest >= self._ticks_in(self.settings.saturation_time) else ""
+        return "saturated" if longest >= ticks_in(self.settings.saturation_time, self.period) else ""
 
     def status(self) -> dict[str, Any]:
         return {
@@ -233,8 +231,7 @@ class PiFeedback(ManagedNode):
         present = self.loop.faults.present
         if len(set(present)) == 1:
             return present[0]
-        named = [f"{axis}: {fault}" for axis, fault in zip(self.axes, present) if fault]
-        return ", ".join(named)
+        return ", ".join(f"{axis}: {fault}" for axis, fault in zip(self.axes, present) if fault)
 
     @property
     def _rival_active(self) -> bool:
@@ -245,18 +242,16 @@ class PiFeedback(ManagedNode):
         return PI(sample_time=self.period, filters=filters, **{name: values[name] for name in LAW})
 
     def _watch(self) -> MeasurementWatch:
-        given = self.settings
-        motion = MOTION * (given.upper - given.lower)
-        return MeasurementWatch(
-            given.measurement_lower, given.measurement_upper, self._ticks_in(given.frozen_time), motion, (given.lower, given.upper)
-        )
+        given, limits = self.settings, (self.settings.lower, self.settings.upper)
+        motion, frozen = MOTION * (given.upper - given.lower), ticks_in(given.frozen_time, self.period)
+        return MeasurementWatch(given.measurement_lower, given.measurement_upper, frozen, motion, limits)
 
     def _safety(self) -> Safety:
         given = self.settings
         return Safety(
             np.broadcast_to(np.array(given.safe_command, dtype=float), len(self.axes)),
             given.safe_rate,
-            self._ticks_in(given.recovery_time),
+            ticks_in(given.recovery_time, self.period),
             given.recovery == "manual",
             given.axis_fault == "all",
         )
@@ -297,9 +292,6 @@ class PiFeedback(ManagedNode):
         if self._ending:
             return ENDING
         return RIVAL if self._rival_active else ""
-
-    def _ticks_in(self, seconds: float) -> int:
-        return int(np.ceil(seconds / self.period - 1e-9))
 
     def _timing_fault(self, tick: int) -> str:
         """Fault of the loop as a whole, of its inputs or of the timing, under the timer; "" when there is none."""
@@ -371,10 +363,7 @@ def _compiled(description: PI, axes: int) -> RunningPI:
     return CompiledPI(description, axes)
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(PiFeedback)
-
+main = executable(PiFeedback)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Any
 
 from std_msgs.msg import Int64
 
 from hyst_control.base.errors import InputError
 from hyst_control.nodes.execution.interrupts import delayed
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.loop.recorded_topic import RecordedTopic
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import QUEUE
@@ -48,10 +49,8 @@ class Recorder(SignalNode):
         Setting("duration", 0.0, "s", "time after which the recorder ends, 0 for endless", 0.0, 1e9),
     )
 
-    _failure = ""
-    """Error that ended the writing of the bag; "" when there is none."""
-    _said = False
-    """True once it was told how much was recorded."""
+    _failure = ""  # Error that ended the writing of the bag; "" when there is none
+    _said = False  # True once it was told how much was recorded
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, **options)
@@ -62,18 +61,19 @@ class Recorder(SignalNode):
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.last_complete_tick = -1
         self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of the progress
+        again = partial(self.progress, repeat=True)
         self._topics = [
-            RecordedTopic(self, topic, self.store, self.repeat_progress, self.settings.merge, self.settings.ticks)
+            RecordedTopic(self, topic, self.store, again, self.settings.merge, self.settings.ticks)
             for topic in self.settings.topics
         ]
         for topic in self._topics:
             self._writer.add_topic(topic.name)
         beside = not self.lockstep and "command" in self.settings.topics and APPLIED not in self.settings.topics
-        self._beside = [RecordedTopic(self, APPLIED, self.store, self.repeat_progress, sparse=True)] if beside else []
+        self._beside = [RecordedTopic(self, APPLIED, self.store, again, sparse=True)] if beside else []
         self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
         self.every(0.5, self._flush)
         if self.settings.duration:
-            self.every(self.settings.duration, self._time_is_up)
+            self.every(self.settings.duration, self._end)
 
     def store(self, topic: str, message: bytes, stamp: int) -> None:
         """Write a serialized message; when that fails, as on a full disk, the recorder ends and keeps the bag so far."""
@@ -83,12 +83,8 @@ class Recorder(SignalNode):
             except OSError as error:
                 self._failed(error)
 
-    def repeat_progress(self) -> None:
-        """Publish the progress again, unless that was done a moment ago."""
-        self.progress(repeat=True)
-
     def progress(self, repeat: bool = False) -> None:
-        """Publish the last tick up to which every topic is complete, if it has advanced enough."""
+        """Publish the last tick up to which every topic is complete, if it has advanced enough, or is asked for anew."""
         if not all(topic.rows.joined for topic in self._topics):
             return
         last = min(topic.rows.awaited for topic in self._topics) - 1
@@ -100,9 +96,8 @@ class Recorder(SignalNode):
             self.last_complete_tick = last
             self._repetition.progress(now)
             self._progress.publish(Int64(data=last))
-        if done and not self.finished.done():
-            self.close()
-            self.finish(self._progress)
+        if done:
+            self._end()
 
     def trouble(self) -> str:
         return self._failure
@@ -156,7 +151,7 @@ class Recorder(SignalNode):
             except OSError as error:
                 self._failed(error)
 
-    def _time_is_up(self) -> None:
+    def _end(self) -> None:
         if not self.finished.done():
             self.close()
             self.finish(self._progress)
@@ -170,10 +165,7 @@ class Recorder(SignalNode):
             self.finish(self._progress, 2)
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(Recorder)
-
+main = executable(Recorder)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -14,7 +14,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.yaml_files import read_yaml
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.loop.takeover import DISCOVERY
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting, settings_of
@@ -188,10 +188,7 @@ class ReferenceGenerator(SignalNode):
         return np.ascontiguousarray(rows)
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(ReferenceGenerator)
-
+main = executable(ReferenceGenerator)
 
 if __name__ == "__main__":
     raise SystemExit(main())

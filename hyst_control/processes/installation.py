@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -27,18 +26,12 @@ from hyst_control.processes.ros_domain import own_domain
 
 PACKAGES = ("numpy", "scipy", "numba")
 OLDEST_PYTHON = (3, 10)
-TICKS = 1000
-"""Ticks of 1 ms that the clock is tried with."""
-LATE = 1e-3
-"""Lateness of a tick, s, over which a loop at 1 kHz misses it."""
-LOOPBACK_TIMEOUT = 30.0
-"""Seconds after which messages on this computer are taken not to arrive."""
-WRITTEN = 32 << 20
-"""Bytes that the disk is tried with."""
-ROW_BYTES = 5 * 2 * 64
-"""Bytes of a bag for a row of five signals of two axes, with their messages' frames."""
-MIN_MEMORY = 2.0
-"""GiB that an identification of an hour's record may take."""
+TICKS = 1000  # Ticks of 1 ms that the clock is tried with
+LATE = 1e-3  # Lateness of a tick, s, over which a loop at 1 kHz misses it
+LOOPBACK_TIMEOUT = 30.0  # Seconds after which messages on this computer are taken not to arrive
+WRITTEN = 32 << 20  # Bytes that the disk is tried with
+ROW_BYTES = 5 * 2 * 64  # Bytes of a bag for a row of five signals of two axes, with their messages' frames
+MIN_MEMORY = 2.0  # GiB that an identification of an hour's record may take
 
 
 class Verdict(Enum):
@@ -94,19 +87,8 @@ def examine(folder: str | Path = ".") -> Installation:
     """Make all checks; takes a few seconds."""
     reach = discovery()  # before the defaults of this package's own processes
     environment.prepare()
-    checks: tuple[Callable[[], Check], ...] = (
-        python,
-        packages,
-        ros,
-        lambda: reach,
-        loopback,
-        clock,
-        realtime_priority,
-        processor_speed,
-        memory,
-        lambda: disk(folder),
-    )
-    return Installation(tuple(check() for check in checks))
+    software = python(), packages(), ros(), reach, loopback()
+    return Installation((*software, clock(), realtime_priority(), processor_speed(), memory(), disk(folder)))
 
 
 def python() -> Check:

@@ -13,12 +13,9 @@ from typing import NamedTuple
 class NodeEntry(NamedTuple):
     """One node."""
 
-    module: str
-    """Module whose `main` is the executable."""
-    node_class: str = ""
-    """Name of its class if the node can be composed with others in one process; otherwise ""."""
-    installed: bool = True
-    """True when the executable is installed."""
+    module: str  # Module whose `main` is the executable
+    node_class: str = ""  # Name of its class if the node can be composed with others in one process; otherwise ""
+    installed: bool = True  # True when the executable is installed
 
 
 NODES = {

@@ -9,8 +9,7 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 
-ANY_CORE = -1
-"""No core in particular."""
+ANY_CORE = -1  # No core in particular
 WAKE_LATENCY = Path("/dev/cpu_dma_latency")
 """Holds the time in us that processors may take to wake up, for as long as a process has it open (the kernel's PM QoS interface)."""
 

@@ -14,27 +14,18 @@ import numpy as np
 
 from hyst_control.base.arrays import Array, Integers, Mask
 
-APPLIED = "applied"
-"""Topic on which the plant says what is on the actuator while that is not the command."""
-
-INTERVAL = 0.005
-"""s, at least, between two messages there."""
-
-LOST = 4
-"""Successive messages that may be lost while the actuator still does not follow."""
-
-CLOSE = 1e-3
-"""Share of the command's range: a voltage that differs by less is the command, rounded by a converter."""
+APPLIED = "applied"  # Topic on which the plant says what is on the actuator while that is not the command
+INTERVAL = 0.005  # s, at least, between two messages there
+LOST = 4  # Successive messages that may be lost while the actuator still does not follow
+CLOSE = 1e-3  # Share of the command's range: a voltage that differs by less is the command, rounded by a converter
 
 
 def ticks_not_followed(
     command: tuple[Array, Array], applied: tuple[Array, Array], step: float, close: Array | None = None
 ) -> list[range]:
-    """Stretches of ticks at which the actuator does not follow its command.
-
-    At a tick it has the command of that tick, or the one before where the loop is a tick late. A plant that always says what it applies
-    does not follow where it is neither of them.
-    """
+    """Stretches of ticks at which the actuator does not follow its command."""
+    # At a tick it has the command of that tick, or the one before where the loop is a tick late. A plant that always says what it applies
+    # does not follow where it is neither of them.
     time, values = command
     said, voltages = applied
     newest = np.searchsorted(time, said + 0.5 * step) - 1

@@ -19,14 +19,12 @@ LONGEST_SEGMENT = 2**14
 
 SHORTEST_SEGMENT = 8
 
-COHERENT = 0.5
-"""Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`."""
+COHERENT = 0.5  # Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`
 
 SURE, EXCITED = 0.8, 1e-3
 """Coherence, and power relative to the strongest frequency, from which a response is compared with another record's."""
 
-FEWEST_LINES = 3
-"""Frequencies that two records must share."""
+FEWEST_LINES = 3  # Frequencies that two records must share
 
 INDEPENDENT = 0.1
 """Smallest eigenvalue of the commands' coherence matrix from which the responses to each of them are told apart."""

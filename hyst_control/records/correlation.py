@@ -16,22 +16,18 @@ LONGEST, PARTS = 2**20, 16
 
 
 def correlation_length(rows: Annotated[Array, "N A"]) -> float:
-    """Number of samples per independent one: the integral of the autocorrelation over the lags before it first falls to 0.
-
-    The integrated autocorrelation time of Geyer (Statistical Science 7, 1992), truncated at the first zero. Of records beyond `LONGEST`
-    samples, a zero within the lags of `PARTS` stretches is found from these; where there is none, the integral is that of the means of
-    neighboring samples, whose spectrum at frequency 0 is the samples' own.
-    """
+    """Number of samples per independent one: the integral of the autocorrelation over the lags before it first falls to 0."""
+    # The integrated autocorrelation time of Geyer (Statistical Science 7, 1992), truncated at the first zero. Of records beyond `LONGEST`
+    # samples, a zero within the lags of `PARTS` stretches is found from these; where there is none, the integral is that of the means of
+    # neighboring samples, whose spectrum at frequency 0 is the samples' own.
     return max([1.0, *(_long_length(values) if len(values) > LONGEST else _length(values) for values in rows.T)])
 
 
 def matching_length(rows: Annotated[Array, "N A"]) -> float:
-    """Number of samples per independent one where two signals like these are correlated with each other.
-
-    The sum of the squared autocorrelation over all lags (Bartlett, Supplement to the Journal of the Royal Statistical Society 8, 1946): a
-    sine never forgets its phase, so that a record of one has two independent samples, however long it is. Of records beyond `LONGEST`
-    samples the first ones count.
-    """
+    """Number of samples per independent one where two signals like these are correlated with each other."""
+    # The sum of the squared autocorrelation over all lags (Bartlett, Supplement to the Journal of the Royal Statistical Society 8, 1946): a
+    # sine never forgets its phase, so that a record of one has two independent samples, however long it is. Of records beyond `LONGEST`
+    # samples the first ones count.
     longest = 1.0
     for values in rows[:LONGEST].T:
         products = _products(values - values.mean())

@@ -17,8 +17,7 @@ from hyst_control.records.outliers import THRESHOLD, WINDOW, outlying
 from hyst_control.records.record import Record, Signal
 
 MEASUREMENT = ("measurement",)
-MAX_FACTOR = 1000
-"""Largest numerator and denominator of the ratio of two rates."""
+MAX_FACTOR = 1000  # Largest numerator and denominator of the ratio of two rates
 
 Edited = TypeVar("Edited", bound="EditableRecord")
 
@@ -73,7 +72,8 @@ class EditableRecord(Record):
                 return np.asarray(values[np.arange(-(-len(values) * up // down)) * down // up])
             return np.asarray(resample_poly(values, up, down, axis=0, padtype="line"))
 
-        done = replace(self._changed(tuple(self.signals), resampled, begin, 1.0 / rate), hold="zoh" if held else "foh", states_hold=True)
+        done = self._changed(tuple(self.signals), resampled, begin, 1.0 / rate)
+        done = replace(done, hold="zoh" if held else "foh", states_hold=True)
         return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
 
     def filter(self: Edited, low_pass: float | None = None, high_pass: float | None = None, *, order: int = 4) -> Edited:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,12 +14,9 @@ from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.record import Record, Signal, commonest_step
 from hyst_control.records.stream.foreign_rows import admissible
 
-CLOCKS = {"layout": "control clock", "receive": "time of reception"}
-"""Clocks by the timing of a signal."""
-BETWEEN = 1.5
-"""Steps between two times of reception from which on a row is missing between them."""
-BLOCK = 1 << 20
-"""Rows that are looked at together."""
+CLOCKS = {"layout": "control clock", "receive": "time of reception"}  # Clocks by the timing of a signal
+BETWEEN = 1.5  # Steps between two times of reception from which on a row is missing between them
+BLOCK = 1 << 20  # Rows that are looked at together
 
 
 @dataclass(frozen=True)
@@ -43,8 +40,7 @@ class TopicAccount:
         return bool(self.rows) and not self.missing and not self.invalid
 
 
-@dataclass(frozen=True)
-class _Gaps:
+class _Gaps(NamedTuple):
     """Gaps of a topic; the fields are those of its account."""
 
     step: float

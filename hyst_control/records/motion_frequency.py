@@ -10,8 +10,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 
-LEAST_SWING = 0.02
-"""Of the range: a smaller swing is noise or a quantization step, and no turning point."""
+LEAST_SWING = 0.02  # Of the range: a smaller swing is noise or a quantization step, and no turning point
 
 
 def motion_frequency(signal: Annotated[Array, "N"], sample_time: float) -> Annotated[Array, "N"]:

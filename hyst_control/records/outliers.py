@@ -12,19 +12,14 @@ from hyst_control.base.arrays import Array, Mask
 
 THRESHOLD, WINDOW = 8.0, 7
 """Size of the jump, in standard deviations of the signal's roughness there and in the whole record; samples of the running median."""
-NEARBY = 21
-"""Samples around one whose roughness counts as that of its neighborhood."""
-ROUNDED = 3.0
-"""Least size in steps of a sensor's rounding, between two of which noise flips."""
-NORMAL_75, NORMAL_95 = 1.15, 1.96
-"""Quantiles of the size of normal noise in its standard deviation."""
+NEARBY = 21  # Samples around one whose roughness counts as that of its neighborhood
+ROUNDED = 3.0  # Least size in steps of a sensor's rounding, between two of which noise flips
+NORMAL_75, NORMAL_95 = 1.15, 1.96  # Quantiles of the size of normal noise in its standard deviation
 
 
 def outlying(values: Annotated[Array, "N A"], threshold: float = THRESHOLD, window: int = WINDOW) -> Annotated[Mask, "N A"]:
-    """Samples of signals that are outliers. Steps and turning points are none.
-
-    The median follows the former, and the latter are no steeper than the motion around them.
-    """
+    """Samples of signals that are outliers. Steps and turning points are none."""
+    # The median follows the former, and the latter are no steeper than the motion around them.
     jump = np.zeros_like(values)
     jump[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     usual = np.quantile(jump, 0.95, axis=0) / NORMAL_95

@@ -11,19 +11,12 @@ import numpy as np
 from hyst_control.base.arrays import Array, Mask
 from hyst_control.records.stream.row_store import blocks, empty_rows
 
-LEVELS = 4
-"""Fewest levels of a lattice."""
-CROWDING = 0.7
-"""Most levels of a lattice, per sample."""
-SPREAD = 1.5
-"""Distances of neighboring levels, in smallest ones, up to which they are one step."""
-OFF = 0.02
-"""Distance from the lattice, in steps, up to which a level lies on it."""
-SHARE = 0.99
-"""Share of the levels that must lie on the lattice."""
-
-LONGEST = 2**20
-"""Samples among which repetitions are looked for: those of longer records in so many at a time."""
+LEVELS = 4  # Fewest levels of a lattice
+CROWDING = 0.7  # Most levels of a lattice, per sample
+SPREAD = 1.5  # Distances of neighboring levels, in smallest ones, up to which they are one step
+OFF = 0.02  # Distance from the lattice, in steps, up to which a level lies on it
+SHARE = 0.99  # Share of the levels that must lie on the lattice
+LONGEST = 2**20  # Samples among which repetitions are looked for: those of longer records in so many at a time
 
 REPEATED = 0.4
 """Share of repeated commands that find the reading of the time before, from which such readings count once (half a loop is on the
@@ -53,12 +46,10 @@ def quantization_step(
 
 
 def rounding_weights(command: Annotated[Array, "N"], values: Annotated[Array, "N"]) -> Array | None:
-    """Weights of rounded samples by what they tell.
-
-    A run of equal readings says once that the signal was within half a step, not as often as it is long; and where a repeated command
-    finds the readings of the time before, without noise that would make them differ, they say nothing new. Where the noise is larger
-    than the step there are no long runs and few such repetitions, and every sample counts as it is.
-    """
+    """Weights of rounded samples by what they tell."""
+    # A run of equal readings says once that the signal was within half a step, not as often as it is long; and where a repeated command
+    # finds the readings of the time before, without noise that would make them differ, they say nothing new. Where the noise is larger
+    # than the step there are no long runs and few such repetitions, and every sample counts as it is.
     if not quantization_step(values[:LONGEST]):
         return None
     weight = empty_rows(len(values))

@@ -17,7 +17,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
 from hyst_control.records.stream.foreign_rows import admissible
-from hyst_control.records.stream.row_store import blocks, empty_rows
+from hyst_control.records.stream.row_store import all_finite, blocks, empty_rows
 
 Cut = TypeVar("Cut", bound="Record")
 AXES = ("x", "y", "z", "u", "v", "w")
@@ -38,7 +38,7 @@ LATEST_TIME = 9e9
 
 def check_times(where: str, time: Array) -> None:
     """Check that sample times are finite and no later than a clock can show; `where` begins the message."""
-    if not all(np.isfinite(time[part]).all() for part in blocks(len(time))):
+    if not all_finite(time):
         raise InputError(f"{where}: the time column holds NaN or infinity: record again")
     if len(time) and (time.max() > LATEST_TIME or time.min() < -LATEST_TIME):
         worst = time[int(np.argmax(np.abs(time)))]
@@ -100,11 +100,11 @@ class Signal:
         return range(first, first + len(self.time))
 
 
-def regular_times(count: int, step: float) -> Array:
-    """Compute equally spaced sample times from 0, s; on a file where they are many."""
+def regular_times(count: int, step: float, first: int = 0) -> Array:
+    """Compute equally spaced sample times, s, from tick `first` on; on a file where they are many."""
     time = empty_rows(count)
     for part in blocks(count):
-        time[part] = np.arange(part.start, part.stop) * step
+        time[part] = np.arange(first + part.start, first + part.stop) * step
     return time
 
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 
-SAME = 1e-3
-"""Rms difference of two commands, in the range of the first, up to which they are the same."""
+SAME = 1e-3  # Rms difference of two commands, in the range of the first, up to which they are the same
 
 
 def period_of(command: Annotated[Array, "N A"], same: float = SAME) -> int | None:

@@ -16,11 +16,8 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.records.stream.row_store import blocks, empty_rows
 
-SHAPES = ("zero", "drift", "curvature")
-"""Legendre polynomials of degree 0, 1 and 2 over a record."""
-
-USUAL = 0.99
-"""Probability with which the next session lies within what is called usual."""
+SHAPES = ("zero", "drift", "curvature")  # Legendre polynomials of degree 0, 1 and 2 over a record
+USUAL = 0.99  # Probability with which the next session lies within what is called usual
 
 
 def without_zero(rows: Annotated[Array, "N A"]) -> tuple[Array, Array]:
@@ -50,11 +47,9 @@ def basis(part: slice, count: int) -> Array:
 
 
 def usual_zero(coefficients: Annotated[Array, "R A 3"]) -> Annotated[Array, "A 3"]:
-    """Bound of what is usual: the prediction interval of the next session, from those of baseline records.
-
-    For n normal values with mean m and standard deviation s, the next one lies within m +- t s sqrt(1 + 1/n) with probability `USUAL`,
-    t being the quantile of Student's distribution with n - 1 degrees of freedom. Two records say little (t = 64), five a good deal (5).
-    """
+    """Bound of what is usual: the prediction interval of the next session, from those of baseline records."""
+    # For n normal values with mean m and standard deviation s, the next one lies within m +- t s sqrt(1 + 1/n) with probability `USUAL`,
+    # t being the quantile of Student's distribution with n - 1 degrees of freedom. Two records say little (t = 64), five a good deal (5).
     count = len(coefficients)
     if count < 2:
         return np.full(np.shape(coefficients)[1:], np.nan)

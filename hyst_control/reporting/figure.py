@@ -45,14 +45,8 @@ class Figure:
                 self.layout[f"yaxis{number}"] = {"anchor": f"x{number}", "domain": [max(top - height, 0.0), top]}
                 middles.append((left + width / 2.0, top))
             top -= height + below
-        look = {
-            "xanchor": "center",
-            "xref": "paper",
-            "yanchor": "bottom",
-            "yref": "paper",
-            "showarrow": False,
-            "font": {"size": 13},
-        }
+        place = {"xanchor": "center", "xref": "paper", "yanchor": "bottom", "yref": "paper"}
+        look = {**place, "showarrow": False, "font": {"size": 13}}
         self.layout["annotations"] = [{"text": text, "x": x, "y": y, **look} for (x, y), text in zip(middles, titles, strict=False)]
 
     def _number(self, row: int, col: int) -> str:

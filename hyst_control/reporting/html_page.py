@@ -27,8 +27,7 @@ from hyst_control.reporting.templates import render
 INK = "#1c2430"
 """Color of what was measured or asked for; the page draws it light on a dark background."""
 COLORS = (INK, "#c2542d", "#2a6f97", "#5b8e3e", "#8a5aa8", "#b08a1e")
-BAND = "rgba(120,130,145,0.28)"
-"""Color of a band of uncertainty."""
+BAND = "rgba(120,130,145,0.28)"  # Color of a band of uncertainty
 LAYOUT: Mapping[str, object] = {
     "colorway": COLORS,
     "margin": {"l": 70, "r": 20, "t": 48, "b": 50},
@@ -129,12 +128,5 @@ class Page:
     def write(self, path: Path) -> None:
         """Write the page; see `write_page`."""
         drawn = any(part["kind"] == "figure" for part in self._content)
-        write_page(
-            path,
-            "reporting/templates/page.html",
-            self.title,
-            self.summary,
-            origins=self.origins,
-            figures=drawn,
-            content=self._content,
-        )
+        template = "reporting/templates/page.html"
+        write_page(path, template, self.title, self.summary, origins=self.origins, figures=drawn, content=self._content)

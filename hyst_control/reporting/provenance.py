@@ -39,14 +39,10 @@ def provenance(files: Sequence[tuple[str, Sequence[str | Path]]] = (), facts: Se
     found += [Origin(name, (text,)) for name, text in facts]
     return [
         *found,
-        Origin("command", (_command(),)),
+        Origin("command", (shlex.join([Path(sys.argv[0] or "python").name, *sys.argv[1:]]),)),
         Origin("made by", (f"hyst_control {installed_version()}",)),
         Origin("date", (datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),)),
     ]
-
-
-def _command() -> str:
-    return shlex.join([Path(sys.argv[0] or "python").name, *sys.argv[1:]])
 
 
 def _link(text: str, folder: Path) -> str | None:

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import math
 
-PREFIXED = ("s", "Hz", "V", "V/s")
-"""Units that take a prefix; displacements keep the unit of the record."""
+PREFIXED = ("s", "Hz", "V", "V/s")  # Units that take a prefix; displacements keep the unit of the record
 PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 

@@ -26,26 +26,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MAX_POINTS = 4000
-"""Points of a line; of longer signals the lowest and highest of every stretch are drawn."""
+MAX_POINTS = 4000  # Points of a line; of longer signals the lowest and highest of every stretch are drawn
 PICTURES = ("png", "svg", "pdf")
 COLOR_MAP = "viridis"
-SEGMENTS = 8
-"""Parts of a record whose spectra are averaged, at least."""
+SEGMENTS = 8  # Parts of a record whose spectra are averaged, at least
 
 
 QUANTITIES = {
-    "V": "voltage",
-    "A": "current",
-    "um": "position",
-    "mrad": "angle",
-    "deg": "angle",
-    "N": "force",
-    "m/s^2": "acceleration",
-}
+    "V": "voltage", "A": "current", "um": "position", "mrad": "angle", "deg": "angle", "N": "force", "m/s^2": "acceleration",
+}  # fmt: skip
 """What a unit measures: the title of an axis."""
-FEWEST_FREQUENCIES = 1.5
-"""Ratio of the highest to the lowest frequency of a motion from which loops are colored by it."""
+FEWEST_FREQUENCIES = 1.5  # Ratio of the highest to the lowest frequency of a motion from which loops are colored by it
 COLORINGS = ("record", "time", "frequency")
 
 
@@ -186,7 +177,7 @@ def _by_unit(records: Sequence[Record]) -> dict[str, list[tuple[str, Array, Arra
         before = f"{record.source}: " if len(records) > 1 else ""
         for topic, signal in record.signals.items():
             own = found.setdefault(signal.unit, [])
-            own += [(before + name, signal.time, column) for name, column in _columns(topic, signal)]
+            own += [(before + name, signal.time, column) for name, column in columns_of(topic, signal)]
     return found
 
 
@@ -212,7 +203,8 @@ def write_drawing(panels: Sequence[Panel], path: str | Path, title: str) -> None
         raise InputError(f"{path}: its ending says what is drawn: .html or .{', .'.join(PICTURES)}")
 
 
-def _columns(topic: str, signal: Signal) -> list[tuple[str, Array]]:
+def columns_of(topic: str, signal: Signal) -> list[tuple[str, Array]]:
+    """Names and values (N,) of a signal's axes: "command", or "command.x" of several."""
     several = len(signal.axes) > 1
     return [(f"{topic}.{axis}" if several else topic, signal.values[:, index]) for index, axis in enumerate(signal.axes)]
 
@@ -298,11 +290,8 @@ def _shaded(panel: Panel, shade: Array, first: bool) -> dict[str, Any]:
     ends = np.array(panel.shades, dtype=float)
     ends = ends if linear else np.log10(ends)
     marks = np.linspace(ends[0], ends[1], 5)
-    bar = {
-        "title": {"text": panel.shade_title},
-        "tickvals": marks,
-        "ticktext": [f"{mark if linear else 10**mark:.3g}" for mark in marks],
-    }
+    texts = [f"{mark if linear else 10**mark:.3g}" for mark in marks]
+    bar = {"title": {"text": panel.shade_title}, "tickvals": marks, "ticktext": texts}
     values = shade if linear else np.log10(shade)
     look = {"color": values, "cmin": ends[0], "cmax": ends[1], "colorscale": COLOR_MAP.capitalize(), "size": 3, "showscale": first}
     return {**look, "colorbar": bar}

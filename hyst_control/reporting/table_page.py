@@ -23,11 +23,5 @@ def by_name(table: Table) -> dict[str, list[Row]]:
 
 def cells(row: Row) -> list[str]:
     """Texts of a row, in the order of `HEADERS`."""
-    return [
-        row.case,
-        row.subject,
-        row.quantity,
-        f"{row.value:.4g}",
-        "" if row.published is None else f"{row.published:.4g}",
-        row.unit,
-    ]
+    published = "" if row.published is None else f"{row.published:.4g}"
+    return [row.case, row.subject, row.quantity, f"{row.value:.4g}", published, row.unit]

@@ -123,15 +123,8 @@ class Table:
                 ("unit", [row.unit for row in rows]),
                 *(column for column in optional if any(column[1])),
             ]
-            lines += (
-                ([""] if lines else [])
-                + [name]
-                + aligned(
-                    [header for header, _ in columns],
-                    list(zip(*(cells for _, cells in columns), strict=True)),
-                    right=("value", "published", "n", "limit", "x limit"),
-                )
-            )
+            headers, cells = [header for header, _ in columns], list(zip(*(cells for _, cells in columns), strict=True))
+            lines += [*([""] if lines else []), name, *aligned(headers, cells, ("value", "published", "n", "limit", "x limit"))]
         return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
 
     def write(self, path: str | Path) -> None:

@@ -20,7 +20,7 @@ from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, Trans
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.control.feedback.loop import feedforward_rows
 from hyst_control.control.feedforward.compensator import KINDS, build_compensator, split
-from hyst_control.control.feedforward.mhl_inverse import inverse_rate_correction, mean_slope, rate_dependent_parts, tustin_lead
+from hyst_control.control.feedforward.mhl_inverse import inverse_rate_correction, rate_dependent_parts, tustin_lead
 from hyst_control.control.feedforward.reachable_stroke import check_reachable
 from hyst_control.identify.mhl.mhl_axis import MhlOptions
 from hyst_control.identify.mhl.paper_mhl import inverse_model
@@ -273,7 +273,7 @@ def test_whole_inverse_of_a_rate_correction_much_faster_than_the_sample_time(siz
     delay, core, _ = MHL.chain.stages
     stage, correction = rate_dependent_parts(core)
     k2 = 2e-5
-    fast = replace(correction, k1=(size * k2 * mean_slope(stage, 2)).tolist(), k2=[k2, k2])
+    fast = replace(correction, k1=(size * k2 * stage.slope_of_curves(2)).tolist(), k2=[k2, k2])
     mode = [1.0 / (2 * np.pi * 1900.0) ** 2, 0.1 / (2 * np.pi * 1900.0), 1.0]
     dynamics = TransferFunction([[0.0, 0.0, 1.0], np.multiply(mode, [1.1, 1.0, 1.0]).tolist()], [[0.0, 1e-4, 1.0], mode])
     model = MHL.with_stages([delay, Parallel(((stage,), (fast,))), dynamics])
@@ -282,7 +282,7 @@ def test_whole_inverse_of_a_rate_correction_much_faster_than_the_sample_time(siz
     assert nrmse(track(model, compensator, reference)[:, :1], reference[:, :1], 100) < 0.01
     if size < 0.0:
         for share, sample_time, reason in ((-1.01, 2e-4, "no stable inverse"), (5.0, 1e-5, "do not converge")):
-            larger = replace(fast, k1=(share * k2 * mean_slope(stage, 2)).tolist())
+            larger = replace(fast, k1=(share * k2 * stage.slope_of_curves(2)).tolist())
             with pytest.raises(InputError, match=reason):
                 refused = model.with_stages([delay, Parallel(((stage,), (larger,))), dynamics])
                 build_compensator(refused, "mhl_inverse", sample_time=sample_time)
@@ -365,7 +365,7 @@ def test_fitted_inverse_curves_agree_with_the_closed_form_at_rest(kind):
 def test_rate_correction_is_inverted_as_a_linear_system():
     stage, correction = rate_dependent_parts(split(MHL)[1])
     inverse = inverse_rate_correction(stage, correction, 1)
-    a, s = mean_slope(stage, 1)[0], 2j * np.pi * np.array([1.0, 100.0, 3000.0])
+    a, s = stage.slope_of_curves(1)[0], 2j * np.pi * np.array([1.0, 100.0, 3000.0])
     forward = a + correction.k1 * s / (correction.k2 * s + correction.b2)
     backward = 1 / a + inverse.k1[0] * s / (inverse.k2[0] * s + inverse.b2[0])
     np.testing.assert_allclose(forward * backward, 1.0, rtol=1e-12)

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
@@ -238,7 +241,7 @@ def test_a_loop_whose_gain_margin_is_no_limit_is_scaled_to_its_phase_margin():
     """k / (s (s + 1)), s = (z - 1) / (z + 1): -180 degrees at |L| = 0 alone; 45 degrees are left at w = 1, where k = √2."""
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 4000)[:-1] * np.pi)  # s is infinite at half the sampling rate
     s = (z - 1.0) / (z + 1.0)
-    found = _largest_scale((1.0 / (s * (s + 1.0)))[None], 2.0, np.pi / 4, 2.0, 0.0, above=0.0)
+    found = _largest_scale((1.0 / (s * (s + 1.0)))[None], (2.0, np.pi / 4, 2.0, 0.0), 0.0, None)
     assert found == pytest.approx(np.sqrt(2.0), rel=2e-3)
 
 
@@ -332,6 +335,53 @@ def test_a_damped_resonance_rings_no_more():
             rows.append(sample[0])
         measured.append(np.ptp(rows[2000:]))
     assert measured[0] > 0.2 and measured[1] < 0.01 * measured[0]
+
+
+def growth(found, plants) -> float:
+    """Greatest |eigenvalue| of the PI loop around plants by (output, input): gain, frequency (Hz) and damping of a mode each."""
+    axes = 1 + max(max(place) for place in plants)
+    a = np.zeros((2 * len(plants), 2 * len(plants)))
+    b, c = np.zeros((len(a), axes)), np.zeros((axes, len(a)))
+    for k, ((output, entry), (gain, frequency, damping)) in enumerate(plants.items()):
+        w, own = 2 * np.pi * frequency, slice(2 * k, 2 * k + 2)
+        parts = [[0.0, 1.0], [-w * w, -2 * damping * w]], [[0.0], [gain * w * w]], [[1.0, 0.0]], [[0.0]]
+        continuous = tuple(map(np.array, parts))
+        a[own, own], pushed, *_ = cont2discrete(continuous, found.sample_time)
+        b[own, entry], c[output, 2 * k] = pushed[:, 0], 1.0
+    step = found.ki * found.sample_time
+    loop = np.block([[a - (found.kp + step) * b @ c, b], [-step * c, np.eye(axes)]])
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.floats(-4.0, -0.5), st.floats(150.0, 900.0))
+def test_a_loop_around_a_light_mode_is_stable_wherever_the_spread_has_it(damping, frequency):
+    """However narrow the peak is beside the distance of the frequencies that margins are computed at."""
+    w, zeta = 2 * np.pi * frequency, 10.0**damping
+    found = tune(replace(plain(TransferFunction([0.1 * w * w], [1.0, 2 * zeta * w, w * w])), sample_time=1e-4))
+    for gain in (0.09, 0.1, 0.11):
+        for place in (0.8, 1.0, 1.2):
+            up = 1.15 * 10.0 ** (5.9 / 20.0)  # the model error and the gain margin
+            for more in (1.0, up):
+                scaled = replace(found, kp=more * found.kp, ki=more * found.ki)
+                assert growth(scaled, {(0, 0): (gain, place * frequency, zeta)}) < 1.0
+
+
+@pytest.mark.parametrize("share, frequency, damping, sign", [(0.1, 60.0, 0.02, -1), (0.3, 60.0, 0.02, 1), (0.1, 100.0, 0.02, -1)])
+def test_a_mode_that_only_couples_the_axes_counts(share, frequency, damping, sign):
+    def mode(gain, frequency, damping):
+        w = 2 * np.pi * frequency
+        return [gain * w * w], [1.0, 2 * damping * w, w * w]
+
+    direct, beside = (0.1, 20.0, 0.6), (0.1 * share, frequency, damping)
+    back = (sign * beside[0], *beside[1:])
+    plants = {(0, 0): direct, (0, 1): beside, (1, 0): back, (1, 1): direct}
+    num, den = ([[mode(*plants[i, j])[part] for j in range(2)] for i in range(2)] for part in range(2))
+    units = {"command": "V", "measurement": "mrad"}
+    found = tune(Model("coupled", ("x", "y"), units, 2e-4, Chain((TransferFunction(num, den, coupled=True),))))
+    assert growth(found, plants) < 1.0
+    twice = replace(found, kp=1.99 * found.kp, ki=1.99 * found.ki)
+    assert growth(twice, plants) < 1.0 and np.isfinite(found.settling_time)
 
 
 @pytest.mark.parametrize("structure", ["notch", "damping"])

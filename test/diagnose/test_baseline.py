@@ -81,6 +81,11 @@ def lowpass(cutoff: float, order: int):
     return through
 
 
+def behind(y: np.ndarray) -> np.ndarray:
+    """1 from 0.0826 s on."""
+    return (np.arange(len(y)) > 413).astype(float)
+
+
 def late(tau: float):
     def through(y: np.ndarray) -> np.ndarray:
         time = np.arange(len(y)) / RATE
@@ -121,6 +126,8 @@ CASES = {  # what is done to the machine, the names that fit, the parameter and 
     "low-pass": ({"sensor": lowpass(80.0, 1)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
     "low-pass of second order": ({"sensor": lowpass(80.0, 2)}, {"sensor_lowpass", "amplifier_lowpass"}, "cutoff", 80.0),
     "gain": ({"sensor": lambda y: 1.05 * y}, {"gain"}, "gain", 0.05),
+    "gain that jumps": ({"sensor": lambda y: y * (1.0 + 0.05 * behind(y))}, {"gain_drift"}, "change", 0.05),
+    "zero that jumps": ({"sensor": lambda y: y - 0.2 * behind(y)}, {"offset_drift"}, "onset", 0.0826),
 }
 
 

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.catalogue import catalogue
-from hyst_control.diagnose.search.combinations import closest_combinations, tangents_of_starts
+from hyst_control.diagnose.search.combinations import OFTEN, closest_combinations, tangents_of_starts
 from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.model_file import Model
 
@@ -70,6 +72,18 @@ def test_of_the_realizations_of_a_pair_the_one_of_fewest_parameters_is_fitted():
     ((candidate, start),) = pairs_of(linearized, members, 1, 4)
     assert set(candidate.names) == {"gain_drift", "sensor_nonlinearity"}
     assert len(start) == 3  # two degrees of the bend, and what the gain drifts by
+
+
+def test_effects_that_do_nearly_the_same_leave_room_for_others():
+    """Low-passes, delays and what follows the level: each would take its place with every partner."""
+    late = 9.4 * np.sin(2 * np.pi * 3.0 * (TIME - 0.002))[:, None]
+    linearized, members = prepared(problem_of(late))
+    pairs = [candidate.names for candidate, _ in pairs_of(linearized, members, 12, 4)]
+    counts = Counter(name for names in pairs for name in set(names))
+    assert len(pairs) == 12 and max(counts.values()) <= OFTEN
+    effects = tangents_of_starts(linearized, members, 4)
+    led = closest_combinations(linearized, effects, effects, 12, ["gain"])
+    assert sum("gain" in candidate.names for candidate, _ in led) > OFTEN
 
 
 def test_one_pair_is_listed_once_and_effects_that_exclude_each_other_never():

@@ -9,6 +9,11 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import hyst_control as hc
+from hyst_control.chain import Chain
+from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.diagnose.workflow import diagnose_records
+from hyst_control.model_file import Model
+from hyst_control.records.record import Record, Signal
 
 RATE, ROWS = 1000.0, 4000
 TIME = np.arange(ROWS) / RATE
@@ -89,6 +94,28 @@ def test_a_gain_may_drift_by_half():
 
 
 PAIR = {"gx": (0.1, 0.002, "um/V"), "gy": (0.08, 0.002, "um/V"), "fx": (60.0, 1.0, "Hz"), "fy": (75.0, 1.0, "Hz")}
+
+
+def test_a_dead_zone_need_not_be_where_the_command_crosses_zero():
+    random = np.random.default_rng(3)
+    command = 6.0 * np.sin(2 * np.pi * 2.3 * TIME) + 2.0 * random.standard_normal(40).repeat(ROWS // 40)
+    within = command - np.clip(command + 2.0, -0.6, 0.6)
+    values = values_of(diagnosed(command, simulate(within, 1 / RATE, 0.1)), "dead_zone")
+    assert values["half_width"] == pytest.approx(0.6, rel=0.05) and values["center"] == pytest.approx(-2.0, abs=0.1)
+
+
+def test_a_stretch_that_stands_still_is_no_obstacle():
+    """Every fourth sample of the record is held, and its second stretch comes to rest at once."""
+    random = np.random.default_rng(4)
+    command = np.concatenate([30.0 * random.standard_normal(300).repeat(10), np.linspace(0.0, 20.0, 50), np.full(450, 20.0)])
+    measured = simulate(command, 1 / RATE, 0.1)
+    measured[:3000] += 0.01 * random.standard_normal(3000)
+    measured[4:3000:4] = measured[3:2999:4]
+    time = np.arange(3500) / RATE + np.where(np.arange(3500) < 3000, 0.0, 1.0)
+    signals = {"command": Signal(time, command[:, None], ("x",), "V"), "measurement": Signal(time, measured[:, None], ("x",), "um")}
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain((TransferFunction([0.1], [0.004, 1.0]),)))
+    document = diagnose_records([Record(signals, "stopped", start="unknown")], model).document
+    assert "held_samples" in [effect["name"] for effect in document["effects"]]
 
 
 def pair(command, sample_time, gx, gy, fx, fy):

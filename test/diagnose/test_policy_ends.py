@@ -36,5 +36,8 @@ def test_a_plainer_effect_that_leaves_noise_is_named_before_one_that_gains_next_
     both = evidence(mode, effect("share", 900.0), plainer=pairs)
     assert named(both) == (V.EFFECT, ("share",))
     assert named(replace(both, plainer=())) == (V.EFFECT, ("mode",))
-    assert named(evidence(mode, effect("share", 900.0, left=1.6), plainer=pairs)) == (V.EFFECT, ("mode",))  # it leaves more than noise
+    assert named(evidence(mode, effect("share", 900.0, left=1.6), plainer=pairs)) == (
+        V.EFFECT,
+        ("mode",),
+    )  # it leaves more than noise
     assert named(evidence(effect("mode", 1000.0), effect("gain", 999.0), plainer=pairs)) == (V.AMBIGUOUS, ("mode", "gain"))

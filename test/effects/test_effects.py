@@ -39,8 +39,9 @@ from hyst_control.effects.resonance import Resonance
 from hyst_control.model_file import Model, load_model, save_model, simulate
 
 ROOT = Path(__file__).resolve().parents[2]
+DRIFT = {"change", "tau", "onset", "lasts"}
 TABLE = {
-    "creep": {"gamma"}, "gain": {"gain"}, "gain_drift": {"change", "tau"}, "offset": {"offset"}, "offset_drift": {"change", "tau"},
+    "creep": {"gamma", "begin", "decades"}, "gain": {"gain"}, "gain_drift": DRIFT, "offset": {"offset"}, "offset_drift": DRIFT,
     "hysteresis_width": {"width"}, "hysteresis_shape": {"amount"}, "hysteresis_rate": {"factor"}, "delay": {"tau"},
     "amplifier_lowpass": {"cutoff", "order"}, "sensor_lowpass": {"cutoff", "order"},
     "slew_limit": {"rate"}, "saturation": {"lower", "upper"},
@@ -48,7 +49,7 @@ TABLE = {
     "backlash": {"half_width"}, "cross_coupling": {"coupling", "corner"}, "sensor_nonlinearity": {"second", "third"},
     "sensor_noise": {"rms"}, "flicker_noise": {"rms"}, "mains_hum": {"amplitude", "frequency"},
     "vibration": {"amplitude", "frequency"}, "softening_modes": {"softening", "damping"},
-    "dry_friction": {"slack"}, "cubic_stiffness": {"loss"}, "clearance": {"half_width", "excess"}, "dead_zone": {"half_width"},
+    "dry_friction": {"slack"}, "cubic_stiffness": {"loss"}, "clearance": {"half_width", "excess"}, "dead_zone": {"half_width", "center"},
     "output_saturation": {"lower", "upper"},
     "quantization": {"step"}, "held_samples": {"fraction"},
 }  # fmt: skip

@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyst_control.fleet.change_points import Trend, find_changes
+from hyst_control.fleet.change_points import Trend, find_changes, forecast
 from hyst_control.fleet.common_causes import find_common_causes, shared_columns
 from hyst_control.fleet.covariates import take_out
-from hyst_control.fleet.forecast import forecast
 
 UNITS, RUNS = 100, 40
 NAMES = [f"u{index}" for index in range(UNITS)]

@@ -21,7 +21,7 @@ from hyst_control.nodes.pi_feedback import PiFeedback
 from hyst_control.nodes.pipeline import DEFAULT, node_class
 from hyst_control.nodes.recorder import Recorder
 from hyst_control.nodes.reference_generator import ReferenceGenerator
-from hyst_control.nodes.signal_node import lockstep, node_diagnostics, signal_ports
+from hyst_control.nodes.signal_node import lockstep, signal_ports
 from hyst_control.nodes.signal_node.signal_ports import REPEATED_ROWS, Output
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 from hyst_control.records.stream.row_repetition import KEPT_ROWS, REPEAT_INTERVAL
@@ -55,7 +55,7 @@ def test_inputs_of_a_loop_whose_reference_stands_still_stay_bounded(bench, monke
     node, log = bench.add(PiFeedback, most_waiting=MOST, upper=50, start="first_command", takeover_time=0.0), Log()
     bench.listen_to_diagnostics()
     monkeypatch.setattr(node, "get_logger", lambda: log)
-    monkeypatch.setattr(node_diagnostics, "LOG_INTERVAL", 1e9)
+    monkeypatch.setattr(signal_ports, "LOG_INTERVAL", 1e9)
     for signal in (node.feedforward, node.measurement):
         bring(signal, range(20 * MOST))
         assert signal.rows.available == MOST == len(signal.rows._blocks)

@@ -10,7 +10,7 @@ from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.validity.beside_model import REFUTABLE, refutes
-from hyst_control.records.validity.checks import check_records, examined
+from hyst_control.records.validity.checks import examined
 from hyst_control.records.validity.facts import (
     copied_gain,
     held_samples,
@@ -59,7 +59,7 @@ def test_facts_of_a_record_are_notes():
 
 
 def test_a_measurement_that_is_early_is_told_in_milliseconds():
-    [finding] = check_records([trial(COMMAND[:-30], MEASURED[30:])])
+    [finding] = examined([trial(COMMAND[:-30], MEASURED[30:])])[0]
     # The lag of 4 ms hides a part of it.
     assert finding.name == "early_measurement" and 0.02 < finding.value < 0.032
     assert "ms" in finding.text() and "--shift 0.0" in finding.text()
@@ -102,7 +102,7 @@ def test_rate_and_unit_beside_a_model():
         beside = simulate(command[:, None], stated)
         return {
             each.name
-            for each in check_records([Trial("made", command[:, None], measured[:, None], stated, ("x",), beside, "um", simulate)])
+            for each in examined([Trial("made", command[:, None], measured[:, None], stated, ("x",), beside, "um", simulate)])[0]
         }
 
     assert found(COMMAND) == set()
@@ -127,7 +127,7 @@ def test_a_rate_is_told_by_the_octaves_that_know_of_it(factor):
     def found(measured, stated):
         rows = command[:, None], measured + slow[:, None] + NOISE[:, None]
         return {
-            each.name for each in check_records([Trial("made", *rows, stated, ("x",), simulate(rows[0], stated), "um", simulate)])
+            each.name for each in examined([Trial("made", *rows, stated, ("x",), simulate(rows[0], stated), "um", simulate)])[0]
         }
 
     assert found(simulate(command[:, None], STEP), STEP) == set()
@@ -157,7 +157,7 @@ def test_a_delay_of_the_machine_is_no_other_rate_and_no_reversed_time(tone):
         late = np.concatenate([np.full(rows, command[0]), command[:-rows]])
         measured = simulate(late[:, None], STEP) + 0.01 * NOISE[:, None]
         trial = Trial("made", command[:, None], measured, STEP, ("x",), simulate(command[:, None], STEP), "um", simulate)
-        names = {each.name for each in check_records([trial])}
+        names = {each.name for each in examined([trial])[0]}
         assert not names & {"wrong_rate", "reversed_time"}, (rows, names)
 
 
@@ -207,7 +207,7 @@ def test_axes_that_ring_on_while_the_other_is_driven_are_not_exchanged():
     commands[half:, 1] = np.sin(2 * np.pi * 90.0 * TIME[half:])  # beyond what the plant answers
     first = lfilter(top, bottom, commands[:, 0])
     measured = np.stack([first, -2.0 * answer(commands[:, 0])], axis=1) + 1e-3 * random.standard_normal(commands.shape)
-    found = check_records([Trial("made", commands, measured, STEP, ("x", "y"))])
+    found = examined([Trial("made", commands, measured, STEP, ("x", "y"))])[0]
     assert not {each.name for each in found} & {"swapped_axes"}
 
 

@@ -30,7 +30,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.c_code.c_code import LARGER, SMALLER, CCode, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import check_operators, play_filter
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayFilter, check_operators
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, count, flag, scalar, vector
 from hyst_control.chain.stage import Filter, Role, Sampling, Stage, per_axis_scalar, per_axis_scalars, register
 
@@ -147,7 +147,8 @@ class InverseMultiplicativeFilter(Filter):
     def __init__(self, stage: InverseMultiplicative, sampling: Sampling) -> None:
         axes = sampling.axes
         self.hold = sampling.hold
-        model = play_filter(stage, sampling, w0=stage.w0, m1=stage.m1, m2=stage.m2, k=stage.k, b=stage.b)
+        coefficients = {name: getattr(stage, name) for name in ("w0", "m1", "m2", "k", "b")}
+        model = PlayFilter(sampling, stage.thresholds, stage.weights, stage.one_sided, **coefficients)
         self.thresholds, self.release, self.weights, self.state = model.thresholds, model.release, model.weights, model.state
         self.coefficients = model.coefficients
         self.lower, self.upper = per_axis_scalars(stage, axes, "lower", "upper")
@@ -177,9 +178,7 @@ class InverseMultiplicativeFilter(Filter):
         self.state[:] = 0.0
         self.previous[:] = value
         self.command[:] = np.clip(0.0, self.lower, self.upper)
-        block = np.array(value, dtype=float).reshape(1, -1)
-        first: Array = self._run(block, 0)[0]
-        return first
+        return np.asarray(self._run(np.array(value, dtype=float).reshape(1, -1), 0)[0])
 
     def process(self, block: Array) -> Array:
         return self._run(block, self.iterations)

@@ -27,7 +27,6 @@ from numba import njit
 
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
-from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars
 from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.c_code.c_code import MAXIMUM, MINIMUM, CCode, integers, reals
 from hyst_control.chain.c_code.texts import c_filled, c_texts
@@ -35,7 +34,18 @@ from hyst_control.chain.chain import Parallel
 from hyst_control.chain.hysteresis.curves import EVALUATE, SOLVE, Curve, evaluate_curve, knot_curve, polynomial_curve, solve_curve
 from hyst_control.chain.memoryless import Gain, Memoryless
 from hyst_control.chain.parameter import AllAxes, ScalarPerAxis, Scattering, VectorPerAxis, all_axes, flag, scalar, vector
-from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
+from hyst_control.chain.stage import (
+    Filter,
+    Role,
+    Sampling,
+    Stage,
+    depth,
+    frozen,
+    per_axis,
+    per_axis_scalar,
+    per_axis_scalars,
+    register,
+)
 
 C = c_texts(__file__)
 CAPACITY = 48
@@ -48,6 +58,8 @@ Curves = tuple[Array, Array, Array, Array, float, Array]
 """Breaks and coefficients of the rising and of the falling curve of an axis, the output at the end, slopes beyond the ends."""
 Memory = tuple[Array, Integers, Array]
 """Turning points (u, y) of an axis (capacity, 2), how many there are (1,), and where it is (3,): u, y and direction; updated."""
+Scales = tuple[float, float, float]  # Offset of the input in V, and the factors into and out of normalized numbers
+NORMALIZED: Scales = (0.0, 1.0, 1.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,22 +135,10 @@ def madelung_branches(source: Array, inverse: bool, curves: Curves, memory: Memo
 
 @njit(cache=True, error_model="numpy")
 def scaled_branches(
-    block: Array,
-    axis: int,
-    offset: float,
-    to_inside: float,
-    to_outside: float,
-    inverse: bool,
-    curves: Curves,
-    memory: Memory,
-    output: Array,
-    start: int,
+    block: Array, axis: int, scales: Scales, inverse: bool, curves: Curves, memory: Memory, output: Array, start: int
 ) -> int:
-    """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for.
-
-    block, output (N, A); offset V; to_inside, to_outside: factors from the input's unit and to the output's.
-    """
-    count = block.shape[0]
+    """`madelung_branches` of an `axis` in units: one call in place of an array operation for each scale, which a single row pays for."""
+    count, (offset, to_inside, to_outside) = block.shape[0], scales
     source, result = np.empty(count), np.empty(count)
     for row in range(start, count):
         source[row] = (block[row, axis] if inverse else block[row, axis] - offset) * to_inside
@@ -147,11 +147,6 @@ def scaled_branches(
         scaled = result[row] * to_outside
         output[row, axis] = scaled + offset if inverse else scaled
     return reached
-
-
-Scales = tuple[float, float, float]
-"""Offset of the input in V, and the factors into and out of normalized numbers."""
-NORMALIZED: Scales = (0.0, 1.0, 1.0)
 
 
 class MadelungFilter(Filter):
@@ -191,8 +186,7 @@ class MadelungFilter(Filter):
 
     def settle(self, value: Array) -> Array:
         self.rest_at_0_volt()
-        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
-        return first
+        return np.asarray(self.process(np.array(value, dtype=float).reshape(1, -1))[0])
 
     def rest_at_0_volt(self) -> None:
         """Forget all but what the rest at 0 V leaves."""
@@ -257,18 +251,16 @@ class MadelungFilter(Filter):
 
     def _follow(self, axis: int, block: Array, output: Array, inverse: bool, scales: Scales) -> None:
         """Write the output (N, A) of one axis for a `block` (N, A)."""
-        offset, to_inside, to_outside = scales
         curves, row = self._curves[axis], 0
         while True:
             memory = (self.stack[axis], self.stack_depth[axis], self.last[axis])
-            row = scaled_branches(block, axis, offset, to_inside, to_outside, inverse, curves, memory, output, row)
+            row = scaled_branches(block, axis, scales, inverse, curves, memory, output, row)
             if row == len(block):
                 return
             self.stack[axis] = np.concatenate([self.stack[axis], np.zeros_like(self.stack[axis])])
 
 
-SWINGS = 24
-"""Swings of the drive that dies away to 0 V."""
+SWINGS = 24  # Swings of the drive that dies away to 0 V
 
 
 def died_away(rest: float) -> Array:
@@ -378,10 +370,12 @@ class Madelung(Stage):
         return replace(self, **{**values, "ascending": up * mean / ends[0], "descending": down * mean / ends[1]})
 
     def mean_slope(self, axes: int) -> Array | None:
-        if self.inverse:
-            return None
+        return None if self.inverse else self.slope_of_curves(axes)
+
+    def slope_of_curves(self, axes: int) -> Array:
+        """Value at the end of the curves over their length (A,) on so many `axes`, measurement unit per V."""
         span, scale = per_axis_scalars(self, axes, "input_scale", "output_scale")
-        return np.array([float(up(np.ones(1))[0]) for up, _ in self.curves(axes)]) * scale / span
+        return np.array([full_output(up) for up, _ in self.curves(axes)]) * scale / span
 
     def with_loop_width(self, width: Array) -> Parallel | None:
         """The mean of the major branches takes the mean curve off."""

@@ -13,19 +13,30 @@ Both are rate-independent, wipe out inner loops and start from H = 0, the virgin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.axis_values import depth, frozen, per_axis, per_axis_scalar, per_axis_scalars, scaled
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
 from hyst_control.chain.chain import Parallel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, flag, scalar, vector
-from hyst_control.chain.stage import Filter, Role, Sampling, Stage, register
+from hyst_control.chain.stage import (
+    Filter,
+    Role,
+    Sampling,
+    Stage,
+    depth,
+    frozen,
+    per_axis,
+    per_axis_scalar,
+    per_axis_scalars,
+    register,
+    scaled,
+)
 
 C = c_texts(__file__)
 SETTLE = C["SETTLE"]
@@ -77,12 +88,14 @@ def dynamic_prandtl_ishlinskii(
 class OperatorFilter(Filter):
     """Streaming play operators: thresholds, weights and state of all axes, at rest at 0."""
 
-    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array]) -> None:
-        axes, count = sampling.axes, max(len(r) for r in thresholds)
+    def __init__(self, sampling: Sampling, thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
+        axes = sampling.axes
+        operators = _operators(thresholds, weights, axes)
+        count = max(len(r) for r, _ in operators)
         self.hold = sampling.hold
         # Axes with fewer operators are filled up with operators of weight 0 that never leave 0: they must not enter the sum.
         self.thresholds, self.weights = np.full((axes, count), np.inf), np.zeros((axes, count))
-        for axis, (r, w) in enumerate(zip(thresholds, weights, strict=True)):
+        for axis, (r, w) in enumerate(operators):
             self.thresholds[axis, : len(r)], self.weights[axis, : len(w)] = r, w
         self.state, self.previous = np.zeros((axes, count)), np.zeros(axes)
         self.rate_factor = 1.0 / sampling.sample_time
@@ -90,19 +103,19 @@ class OperatorFilter(Filter):
     def settle(self, value: Array) -> Array:
         self.state[:] = 0.0
         self.previous[:] = value
-        first: Array = self.process(np.array(value, dtype=float).reshape(1, -1))[0]
-        return first
+        return np.asarray(self.process(np.array(value, dtype=float).reshape(1, -1))[0])
 
 
 class PlayFilter(OperatorFilter):
-    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights."""
+    """Streaming Prandtl-Ishlinskii model, classical or with dynamic weights; coefficients that are not given are 0."""
 
     def __init__(
-        self, sampling: Sampling, thresholds: list[Array], weights: list[Array], one_sided: bool, coefficients: dict[str, Array]
+        self, sampling: Sampling, thresholds: VectorPerAxis, weights: VectorPerAxis, one_sided: bool, **coefficients: ScalarPerAxis
     ) -> None:
         super().__init__(sampling, thresholds, weights)
         self.release = np.where(np.isfinite(self.thresholds), 0.0, np.inf) if one_sided else self.thresholds.copy()
-        w0, m1, m2, k, b = (coefficients[key] for key in ("w0", "m1", "m2", "k", "b"))
+        names = ("w0", "m1", "m2", "k", "b")
+        w0, m1, m2, k, b = (per_axis_scalar(coefficients.get(name, 0.0), sampling.axes, name) for name in names)
         self.coefficients = (w0, m1, m2, k, b)
 
     def process(self, block: Array) -> Array:
@@ -135,9 +148,7 @@ class PlayFilter(OperatorFilter):
 def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
     """Raise `InputError` unless the thresholds increase, with one of the weights each."""
     axes = max(len(value) if depth(value) == 2 else 1 for value in (thresholds, weights))
-    for axis, (r, w) in enumerate(
-        zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True)
-    ):
+    for axis, (r, w) in enumerate(_operators(thresholds, weights, axes)):
         where = f" of axis {axis}" if axes > 1 else ""
         if np.any(np.diff(r) <= 0):
             i = int(np.argmax(np.diff(r) <= 0))
@@ -146,45 +157,9 @@ def check_operators(thresholds: VectorPerAxis, weights: VectorPerAxis) -> None:
             raise InputError(f"weights{where}: {len(w)} weights for {len(r)} thresholds: give one each")
 
 
-class PlayOperators(Protocol):
-    """Stage with weighted play operators of either kind."""
-
-    @property
-    def thresholds(self) -> VectorPerAxis:
-        """V, of the operators, increasing."""
-
-    @property
-    def weights(self) -> VectorPerAxis:
-        """Output unit / V, of the operators."""
-
-    @property
-    def one_sided(self) -> bool:
-        """True where they are pulled down without play."""
-
-
-def play_filter(stage: PlayOperators, sampling: Sampling, **coefficients: ScalarPerAxis) -> PlayFilter:
-    """Filter of a stage with thresholds and weights."""
-    axes = sampling.axes
-    values = {key: per_axis_scalar(coefficients.get(key, 0.0), axes, key) for key in ("w0", "m1", "m2", "k", "b")}
-    return PlayFilter(
-        sampling,
-        per_axis(stage.thresholds, axes, 1, "thresholds"),
-        per_axis(stage.weights, axes, 1, "weights"),
-        stage.one_sided,
-        values,
-    )
-
-
-Model = TypeVar("Model", bound="OperatorModel")
-
-
-def wider_operators(stage: Model, width: Array) -> Model:
-    """The stage with loops wider by 1 + width (A,): what the operators gain, the command itself loses."""
-    axes = len(width)
-    slope = np.array([weights.sum() for weights in per_axis(stage.weights, axes, 1, "weights")])
-    (w0,) = per_axis_scalars(stage, axes, "w0")
-    changed: dict[str, Any] = {"weights": scaled(stage.weights, 1.0 + width, 1, "weights"), "w0": frozen(w0 - width * slope)}
-    return replace(stage, **changed)
+def _operators(thresholds: VectorPerAxis, weights: VectorPerAxis, axes: int) -> list[tuple[Array, Array]]:
+    """Thresholds and weights of each axis."""
+    return list(zip(per_axis(thresholds, axes, 1, "thresholds"), per_axis(weights, axes, 1, "weights"), strict=True))
 
 
 @register
@@ -206,11 +181,8 @@ class PlayOperator(Stage):
         return PrandtlIshlinskii(thresholds, (1.0 + width)[:, None], frozen(-width), self.one_sided)
 
     def filter(self, sampling: Sampling) -> PlayFilter:
-        thresholds = [np.array([r]) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold")]
-        zero = np.zeros(sampling.axes)
-        return PlayFilter(
-            sampling, thresholds, [np.ones(1)] * sampling.axes, self.one_sided, dict.fromkeys(("w0", "m1", "m2", "k", "b"), zero)
-        )
+        thresholds = tuple((r,) for r in per_axis_scalar(self.threshold, sampling.axes, "threshold"))
+        return PlayFilter(sampling, thresholds, (1.0,), self.one_sided)
 
 
 @dataclass(frozen=True)
@@ -224,6 +196,13 @@ class OperatorModel(Stage):
 
     def check(self) -> None:
         check_operators(self.thresholds, self.weights)
+
+    def with_loop_width(self, width: Array) -> Stage:
+        """Wider loops: what the operators gain, the command itself loses."""
+        slope = np.array([weights.sum() for weights in per_axis(self.weights, len(width), 1, "weights")])
+        (w0,) = per_axis_scalars(self, len(width), "w0")
+        changed: dict[str, Any] = {"weights": scaled(self.weights, 1.0 + width, 1, "weights"), "w0": frozen(w0 - width * slope)}
+        return replace(self, **changed)
 
     def with_operators(self, thresholds: Array, weights: Array) -> Stage:
         """The stage with factors (A,) of its thresholds, and of its weights but for the first operator's."""
@@ -258,11 +237,8 @@ class PrandtlIshlinskii(OperatorModel):
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
     one_sided: bool = flag("whether the operators are pulled down without play, for drives that never go negative")
 
-    def with_loop_width(self, width: Array) -> PrandtlIshlinskii:
-        return wider_operators(self, width)
-
     def filter(self, sampling: Sampling) -> PlayFilter:
-        return play_filter(self, sampling, w0=self.w0)
+        return PlayFilter(sampling, self.thresholds, self.weights, self.one_sided, w0=self.w0)
 
 
 @register
@@ -291,8 +267,7 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
 
     def with_loop_width(self, width: Array) -> Parallel:
         """The model once more with every operator replaced by the command takes the mean curve off."""
-        axes = len(width)
-        return Parallel(((self._with_share(1.0 + width),), (self._mean(axes)._with_share(-width),)))
+        return Parallel(((self._with_share(1.0 + width),), (self._mean(len(width))._with_share(-width),)))
 
     def with_rate_part(self, factor: Array) -> ModifiedPrandtlIshlinskii | None:
         if not any(np.any(values) for values in per_axis_scalars(self, len(factor), "m1", "m2")):
@@ -317,4 +292,5 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
         return replace(self, thresholds=(0.0,), weights=[[item.sum()] for item in weights], **rest)
 
     def filter(self, sampling: Sampling) -> PlayFilter:
-        return play_filter(self, sampling, w0=self.w0, m1=self.m1, m2=self.m2, k=self.k, b=self.b)
+        coefficients = {name: getattr(self, name) for name in ("w0", "m1", "m2", "k", "b")}
+        return PlayFilter(sampling, self.thresholds, self.weights, self.one_sided, **coefficients)

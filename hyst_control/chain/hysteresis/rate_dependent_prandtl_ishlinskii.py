@@ -20,17 +20,15 @@ from numba import njit
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.chain.c_code.texts import c_texts
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorFilter, OperatorModel, wider_operators
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import SETTLE, OperatorFilter, OperatorModel
 from hyst_control.chain.parameter import ScalarPerAxis, VectorPerAxis, scalar, vector
-from hyst_control.chain.stage import Sampling, per_axis, per_axis_scalar, register, scaled
+from hyst_control.chain.stage import Sampling, per_axis_scalar, per_axis_scalars, register, scaled
 
 C = c_texts(__file__)
 
 
-Operators = tuple[Array, Array, Array, Array]
-"""Thresholds and weights (A, n), weight of the command and widening (A,)."""
-State = tuple[Array, Array]
-"""Command one sample before (A,), and the operators (A, n); updated."""
+Operators = tuple[Array, Array, Array, Array]  # Thresholds and weights (A, n), weight of the command and widening (A,)
+State = tuple[Array, Array]  # Command one sample before (A,), and the operators (A, n); updated
 
 
 @njit(cache=True, error_model="numpy")
@@ -60,9 +58,9 @@ def rate_dependent_prandtl_ishlinskii(
 class RateDependentFilter(OperatorFilter):
     """Streaming rate-dependent Prandtl-Ishlinskii model."""
 
-    def __init__(self, sampling: Sampling, thresholds: list[Array], weights: list[Array], w0: Array, beta: Array) -> None:
-        super().__init__(sampling, thresholds, weights)
-        self.w0, self.beta = w0, beta
+    def __init__(self, stage: RateDependentPrandtlIshlinskii, sampling: Sampling) -> None:
+        super().__init__(sampling, stage.thresholds, stage.weights)
+        self.w0, self.beta = per_axis_scalars(stage, sampling.axes, "w0", "beta")
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)
@@ -97,20 +95,10 @@ class RateDependentPrandtlIshlinskii(OperatorModel):
     beta: ScalarPerAxis = scalar("s", "widening of every threshold, V per V/s of the command's rate", lower=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)
 
-    def with_loop_width(self, width: Array) -> RateDependentPrandtlIshlinskii:
-        return wider_operators(self, width)
-
     def with_rate_part(self, factor: Array) -> RateDependentPrandtlIshlinskii | None:
         if not np.any(per_axis_scalar(self.beta, len(factor), "beta")):
             return None
         return replace(self, beta=scaled(self.beta, factor, 0, "beta"))
 
     def filter(self, sampling: Sampling) -> RateDependentFilter:
-        axes = sampling.axes
-        return RateDependentFilter(
-            sampling,
-            per_axis(self.thresholds, axes, 1, "thresholds"),
-            per_axis(self.weights, axes, 1, "weights"),
-            per_axis_scalar(self.w0, axes, "w0"),
-            per_axis_scalar(self.beta, axes, "beta"),
-        )
+        return RateDependentFilter(self, sampling)

@@ -93,34 +93,20 @@ class SofteningModal(Stage):
         """Every parameter as an array of its full shape, complex where it is a pair."""
         modes, terms, stops = int(np.size(self.decay)), axes * int(np.size(self.exponent)), axes * int(np.size(self.stop_threshold))
         products = axes * (axes + 1) // 2
-        due = {
-            "decay": (modes,),
-            "frequency": (modes,),
-            "decay_change": (modes,),
-            "frequency_change": (modes,),
-            "feedthrough": (axes, axes),
-            "force_feedthrough": (axes, terms),
-            "elongation": (axes, axes),
-            "force_mean": (terms,),
-            "force_inputs": (2, modes, terms),
-            "stop_inputs": (2, modes, stops),
-            "stop_feedthrough": (axes, stops),
-            "stop_mean": (stops,),
-            "product_inputs": (2, modes, products),
-            "product_feedthrough": (axes, products),
-            "product_mean": (products,),
-        }
-        pairs = ("outputs", "inputs", "inputs_change", "force_inputs", "stop_inputs", "product_inputs")
+        due: dict[str, tuple[int, ...]] = dict.fromkeys(("decay", "frequency", "decay_change", "frequency_change"), (modes,))
+        due |= dict.fromkeys(("feedthrough", "elongation"), (axes, axes))
+        due |= dict.fromkeys(("outputs", "inputs", "inputs_change"), (2, modes, axes))
+        for force, count in (("force", terms), ("stop", stops), ("product", products)):
+            due |= {f"{force}_inputs": (2, modes, count), f"{force}_feedthrough": (axes, count), f"{force}_mean": (count,)}
         arrays = {}
-        for field in dict.fromkeys((*due, *pairs)):
-            shape = due.get(field, (2, modes, axes))
+        for field, shape in due.items():
             try:
                 value = np.broadcast_to(np.array(getattr(self, field), dtype=float), shape).copy()
             except ValueError:
                 raise InputError(
                     f"{field}: shape {np.shape(getattr(self, field))}, give {shape} for {modes} modes and {axes} axes"
                 ) from None
-            arrays[field] = value[0] + 1j * value[1] if field in pairs else value
+            arrays[field] = value[0] + 1j * value[1] if len(shape) == 3 else value
         return arrays
 
     def linearized(self, axes: int) -> tuple[Stage, ...]:
@@ -333,21 +319,16 @@ class SofteningModalFilter(Filter):
         self.numbers = Numbers(
             exponent=np.atleast_1d(np.asarray(stage.exponent, dtype=float)),
             amplitude=stage.amplitude,
-            decay=np.ascontiguousarray(arrays["decay"]),
-            frequency=np.ascontiguousarray(arrays["frequency"]),
-            decay_change=np.ascontiguousarray(arrays["decay_change"]),
-            frequency_change=np.ascontiguousarray(arrays["frequency_change"]),
-            c=np.ascontiguousarray(arrays["outputs"]),
-            b=np.ascontiguousarray(arrays["inputs"]),
-            b_change=np.ascontiguousarray(arrays["inputs_change"]),
-            d=np.ascontiguousarray(arrays["feedthrough"]),
-            k=np.ascontiguousarray(arrays["elongation"]),
+            **{name: arrays[name] for name in ("decay", "frequency", "decay_change", "frequency_change")},
+            c=arrays["outputs"],
+            b=arrays["inputs"],
+            b_change=arrays["inputs_change"],
+            d=arrays["feedthrough"],
+            k=arrays["elongation"],
             h=np.concatenate([arrays["force_inputs"], arrays["stop_inputs"], arrays["product_inputs"]], axis=1),
             h_d=np.concatenate([arrays["force_feedthrough"], arrays["stop_feedthrough"], arrays["product_feedthrough"]], axis=1),
-            force_mean=arrays["force_mean"],
             threshold=np.atleast_1d(np.asarray(stage.stop_threshold, dtype=float)),
-            stop_mean=arrays["stop_mean"],
-            product_mean=arrays["product_mean"],
+            **{name: arrays[name] for name in ("force_mean", "stop_mean", "product_mean")},
         )
         self.smooth, self.step = 1.0 - np.exp(-sampling.sample_time / stage.memory), sampling.sample_time
         self.held = sampling.hold == "zoh"

@@ -25,8 +25,7 @@ from hyst_control.chain.linear.linear_kernels import (
 )
 from hyst_control.chain.stage import Filter
 
-FLOAT_LOSS = 1e-6
-"""Share of a signal that a system run in single precision may lose to rounding; a slower one is run in double."""
+FLOAT_LOSS = 1e-6  # Share of a signal that a system run in single precision may lose to rounding; a slower one is run in double
 
 
 class LinearFilter(Filter):
@@ -80,8 +79,7 @@ class LinearFilter(Filter):
         self.history[:] = value
         self.position = 0
         self.state[:] = _times(self.rest, value)
-        settled: Array = _times(self.static_gain, value).reshape(-1) + self.bias
-        return settled
+        return np.asarray(_times(self.static_gain, value).reshape(-1) + self.bias)
 
     def process(self, block: Array) -> Array:
         output = np.empty_like(block)

@@ -18,12 +18,9 @@ STEP, SETTLE = (C[name] for name in ("STEP", "SETTLE"))
 
 TINY = 1e-80
 """States below this are 0: a decaying state would else end in subnormal numbers, which processors handle a hundred times slower."""
-FEW = 6
-"""States that fit into the processor's registers; of up to so many, empty entries of a matrix are computed too."""
-QUAD = 4
-"""Rows of a matrix that are computed side by side."""
-TOGETHER = 64
-"""Rows whose outputs are summed side by side: their states stay in the processor's first cache."""
+FEW = 6  # States that fit into the processor's registers; of up to so many, empty entries of a matrix are computed too
+QUAD = 4  # Rows of a matrix that are computed side by side
+TOGETHER = 64  # Rows whose outputs are summed side by side: their states stay in the processor's first cache
 
 
 @njit(cache=True, error_model="numpy")

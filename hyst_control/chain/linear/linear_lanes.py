@@ -21,14 +21,10 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.chain.linear.discretization import Discretised
 from hyst_control.chain.linear.linear_kernels import TINY
 
-TOGETHER = 32
-"""Rows T that are computed at once."""
-TAPS = TOGETHER + 2
-"""Inputs that act on them; the bias, and then the states, follow in the vector that their outputs are linear in."""
-FEW = 4 * TOGETHER
-"""Rows of a block that is not worth the products."""
-GROUPS = 64
-"""Groups of rows in one product: few enough to stay in the cache, and for BLAS to start no threads for it."""
+TOGETHER = 32  # Rows T that are computed at once
+TAPS = TOGETHER + 2  # Inputs that act on them; the bias, and then the states, follow in the vector that their outputs are linear in
+FEW = 4 * TOGETHER  # Rows of a block that is not worth the products
+GROUPS = 64  # Groups of rows in one product: few enough to stay in the cache, and for BLAS to start no threads for it
 
 
 @njit(cache=True, error_model="numpy")
@@ -157,10 +153,7 @@ def group_matrices(
 
 
 class LinearLanes:
-    """Linear systems of one input each, running side by side.
-
-    The outputs are those of a `LinearFilter` of each, to rounding.
-    """
+    """Linear systems of one input each, running side by side. The outputs are those of a `LinearFilter` of each, to rounding."""
 
     def __init__(self, systems: Sequence[Discretised], whole: Sequence[int]) -> None:
         self._whole = np.array(whole, dtype=np.int64)
@@ -179,8 +172,7 @@ class LinearLanes:
         """Come to rest at constant inputs."""
         self._past[:] = values[:, None]
         self._state = self._rest * values[:, None]
-        settled: Array = self._static_gain * values + self._bias
-        return settled
+        return np.asarray(self._static_gain * values + self._bias)
 
     @property
     def count(self) -> int:

@@ -22,10 +22,10 @@ from hyst_control.chain.bounded_cache import remembered
 from hyst_control.chain.linear import rational_factors
 from hyst_control.chain.linear.discretization import Discretised as Discretised
 from hyst_control.chain.linear.discretization import discretise as discretise
-from hyst_control.chain.linear.discretization import discretise_average as discretise_average
-from hyst_control.chain.linear.linear_filter import FLOAT_LOSS as FLOAT_LOSS
+from hyst_control.chain.linear.discretization import discretise_average
 from hyst_control.chain.linear.linear_filter import LinearFilter as LinearFilter
 from hyst_control.chain.linear.linear_kernels import FEW
+from hyst_control.chain.linear.linear_system import THROUGH
 from hyst_control.chain.linear.linear_system import LinearSystem as LinearSystem
 from hyst_control.chain.linear.linear_system import stacked as stacked
 from hyst_control.chain.linear.linear_system import transfer_function_system as transfer_function_system
@@ -44,10 +44,8 @@ from hyst_control.chain.parameter import (
 )
 from hyst_control.chain.stage import Role, Sampling, Stage, depth, per_axis, per_axis_scalar, per_axis_scalars, register, scaled
 
-MAX_SKEW = 1e8
-"""Condition number of the eigenvectors up to which a state space has modes to speak of."""
-LONGEST_DELAY = 1e6
-"""Longest delay in samples: what is held in memory."""
+MAX_SKEW = 1e8  # Condition number of the eigenvectors up to which a state space has modes to speak of
+LONGEST_DELAY = 1e6  # Longest delay in samples: what is held in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,41 +147,26 @@ class TransferFunction(LinearStage):
         return list(zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True))
 
     def check(self) -> None:
-        axes = next((len(value) for value in self._polynomials if depth(value) > 1), 1)
+        axes = next((len(value) for value in cast(tuple[Any, Any], (self.num, self.den)) if depth(value) > 1), 1)
         for system in self.systems(axes):
             system.static_gain()
 
-    @property
-    def _polynomials(self) -> tuple[Any, Any]:
-        """Numerator and denominator as nested tuples."""
-        return self.num, self.den
-
     def systems(self, axes: int) -> list[LinearSystem]:
         if not self.coupled:
-            pairs = zip(per_axis(self.num, axes, 1, "num"), per_axis(self.den, axes, 1, "den"), strict=True)
-            return [self._single(num, den) for num, den in pairs]
-        num, den = self._polynomials
+            return [self._single(num, den) for num, den in self._pairs(axes)]
+        num, den = cast(Any, self.num), cast(Any, self.den)
         common = depth(den) == 1
         if len(num) != axes or any(len(row) != axes for row in num):
             raise InputError(f"num: {len(num)} outputs by {len(num[0])} inputs for {axes} axes")
-        columns = []
-        for j in range(axes):
-            entries = [self._single(np.array(num[i][j]), np.array(den if common else den[i][j])) for i in range(axes)]
-            columns.append(
-                LinearSystem(
-                    block_diag(*(e.A for e in entries)),
-                    np.vstack([e.B for e in entries]),
-                    block_diag(*(e.C for e in entries)),
-                    np.vstack([e.D for e in entries]),
-                    np.zeros(axes),
-                )
-            )
+        columns = [
+            [self._single(np.array(num[i][j]), np.array(den if common else den[i][j])) for i in range(axes)] for j in range(axes)
+        ]
         return [
             LinearSystem(
-                block_diag(*(c.A for c in columns)),
-                block_diag(*(c.B for c in columns)),
-                np.hstack([c.C for c in columns]),
-                np.hstack([c.D for c in columns]),
+                block_diag(*(each.A for column in columns for each in column)),
+                block_diag(*(np.vstack([each.B for each in column]) for column in columns)),
+                np.hstack([block_diag(*(each.C for each in column)) for column in columns]),
+                np.hstack([np.vstack([each.D for each in column]) for column in columns]),
                 np.zeros(axes),
             )
         ]
@@ -441,8 +424,7 @@ def _prepared(run: tuple[Stage, ...], sampling: Sampling, averaged: bool) -> Lin
             systems = [_coupled(systems).then(_coupled(following))]
     pure_delay = systems is None
     if systems is None:
-        empty = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
-        systems = [empty] * axes
+        systems = [THROUGH] * axes
     samples = late / sampling.sample_time
     if np.any(samples > LONGEST_DELAY):
         raise InputError(

@@ -15,8 +15,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import remembered
 
-MOST_SKEW = 1e6
-"""Condition number of a system's modes up to which they are its states: rounding errors grow by it."""
+MOST_SKEW = 1e6  # Condition number of a system's modes up to which they are its states: rounding errors grow by it
 
 
 @dataclass(frozen=True)
@@ -73,6 +72,10 @@ class LinearSystem:
         return LinearSystem(a, b, self.C @ basis, self.D, self.bias)
 
 
+THROUGH = LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1)), np.zeros(1))
+"""System of one input that passes it on."""
+
+
 def block_diagonal(*blocks: NDArray[np.floating[Any]]) -> Array:
     """Put real matrices along the diagonal of one; `scipy.linalg.block_diag` takes twenty times as long, for its checks."""
     whole = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
@@ -101,8 +104,7 @@ def transfer_function_system(num: Array, den: Array) -> LinearSystem:
         raise InputError(f"num: degree {len(num) - 1} over den of degree {order} is improper: a sampled signal has no derivative")
     num, den = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0], den / den[0]
     # s = w p: coefficients of p^k are divided by w^(order - k), with w the geometric mean of the poles' sizes.
-    nonzero = np.flatnonzero(den)
-    last = int(nonzero[-1])
+    last = int(np.flatnonzero(den)[-1])
     w = abs(den[last]) ** (1.0 / last) if last else 1.0
     powers = w ** np.arange(order + 1)
     num, den = num / powers, den / powers

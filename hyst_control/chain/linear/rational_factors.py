@@ -21,8 +21,7 @@ from hyst_control.chain.parameter import Coordinate
 CLOSE = 4.0
 """Ratio of two real roots of one sign below which they count as a pair of damping above 1: as they meet, only the pair's frequency and
 damping stay smooth."""
-LEAST = 0.05
-"""Least share of its nominal value to which a frequency or damping scatters, so that no pole leaves its half-plane."""
+LEAST = 0.05  # Least share of its nominal value to which a frequency or damping scatters, so that no pole leaves its half-plane
 
 
 @remembered

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -13,14 +15,14 @@ from hyst_control.chain.linear.linear_stages import StateSpace
 
 def flat_weights(order: int) -> Array:
     """Weights (2 order + 1,) of 1 - ((1 - cos w) / 2)^order at w radians per sample: flat up to near half the sampling rate."""
-    weights = -_power([-0.25, 0.5, -0.25], order)
+    weights = -reduce(np.convolve, [[-0.25, 0.5, -0.25]] * order, np.ones(1))
     weights[order] += 1.0
     return weights
 
 
 def smooth_weights(order: int) -> Array:
     """Weights (2 order + 1,) of ((1 + cos w) / 2)^order at w radians per sample, binomial ones: falls early, and never overshoots."""
-    return _power([0.25, 0.5, 0.25], order)
+    return reduce(np.convolve, [[0.25, 0.5, 0.25]] * order, np.ones(1))
 
 
 def weighted_sum(weights: Array, axes: int, sample_time: float) -> StateSpace:
@@ -30,10 +32,3 @@ def weighted_sum(weights: Array, axes: int, sample_time: float) -> StateSpace:
     parts = (a, b, np.asarray(weights)[None, 1:], np.asarray(weights)[None, :1])
     a, b, c, d = (block_diag(*[part] * axes).tolist() for part in parts)
     return StateSpace(a, b, c, d, sample_time=float(sample_time))
-
-
-def _power(weights: list[float], order: int) -> Array:
-    found = np.ones(1)
-    for _ in range(order):
-        found = np.convolve(found, weights)
-    return found

@@ -12,8 +12,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 
-MANY_AXES = 64
-"""Axes from which on a look at the array is cheaper than one at each."""
+MANY_AXES = 64  # Axes from which on a look at the array is cheaper than one at each
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,10 @@ class CommandWatchdog:
 
     def reset(self) -> None:
         """Return to the start."""
-        self.applied = self._rest.copy()
-        """Voltage on the actuator (A,), V: what was written last."""
+        self.applied = self._rest.copy()  # Voltage on the actuator (A,), V: what was written last
         self._wanted = self.applied  # what `wanted` returned last
         self._met = np.zeros(len(self._rest), bool)  # axes whose commands pass unchanged
-        self.armed = False
-        """True once there was a command: until then there is nothing to bring to safety."""
+        self.armed = False  # True once there was a command: until then there is nothing to bring to safety
         self._below: Mask | None = None  # axes that were below the command that they approach
 
     @property

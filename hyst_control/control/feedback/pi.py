@@ -71,11 +71,6 @@ class PI:
         """Share of a change of the error that the roll-off lets pass within one sample; 1 without a roll-off."""
         return low_pass_share(self.roll_off, self.sample_time)
 
-    @property
-    def sections(self) -> tuple[Array, Array]:
-        """Constants (S, 8) of the filters before the controller, and of those beside it."""
-        return filter_constants(self.filters.notches(self.sample_time)), filter_constants(self.filters.beside(self.sample_time))
-
     def start(self, axes: int) -> RunningPI:
         """A running controller for this many axes, reset."""
         return RunningPI(self, axes)
@@ -101,7 +96,8 @@ class RunningPI:
         self.axes = axes
         self._constants = constants_of(description)
         self._previous: Array | None = None  # constants before a change that has not come into effect yet
-        self.before, self.beside = description.sections
+        filters, period = description.filters, description.sample_time
+        self.before, self.beside = filter_constants(filters.notches(period)), filter_constants(filters.beside(period))
         """Constants (S, 8) of the filters before the controller, and of those beside it."""
         self._state = np.empty((4 + 2 * (len(self.before) + len(self.beside)), axes))
         """Integral, last command, rolled-off error, 1 where the arithmetic has overflowed, and the filters' states, of each axis."""

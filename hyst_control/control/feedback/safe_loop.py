@@ -37,6 +37,11 @@ from hyst_control.control.feedback.sensor_watch import MeasurementWatch
 OVERFLOW = "numbers too large to compute with"
 
 
+def ticks_in(seconds: float, period: float) -> int:
+    """Whole ticks of a `period`, s, that last so many `seconds` at least."""
+    return math.ceil(seconds / period - 1e-9)
+
+
 @dataclass(frozen=True)
 class Safety:
     """Behavior of a stopped axis, and the end of its stop."""
@@ -53,11 +58,9 @@ class AxisFaults:
     """Faults of the axes in time: each lasts until none was there for the recovery time, or until it is cleared."""
 
     def __init__(self, axes: int) -> None:
-        self.present = [""] * axes
-        """The fault of each axis, "" for none."""
+        self.present = [""] * axes  # The fault of each axis, "" for none
         self._well = [0] * axes
-        self.raised = 0
-        """Number of faults that have begun."""
+        self.raised = 0  # Number of faults that have begun
 
     @property
     def any(self) -> bool:
@@ -87,8 +90,7 @@ class SafeLoop:
     def __init__(self, controller: RunningPI, watch: MeasurementWatch, safety: Safety) -> None:
         self.controller, self.watch, self.safety = controller, watch, safety
         self.faults = AxisFaults(controller.axes)
-        self.enabled = True
-        """False: every axis is stopped, without a fault."""
+        self.enabled = True  # False: every axis is stopped, without a fault
         self.applied: Array | None = None
         """Voltage (A,) of the axes whose actuator does not follow the command, NaN of the others; None while all follow."""
         self._away = np.zeros(controller.axes, bool)  # stopped, or returning

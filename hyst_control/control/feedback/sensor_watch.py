@@ -17,24 +17,19 @@ doing, and what comes after it is judged by itself.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from hyst_control.base.arrays import Array
 
-MOTION = 0.01
-"""Share of the command's range by which the command must move before the measurement is judged."""
-STILL = 0.02
-"""Share of the mean error."""
-ALIVE = 3.0
-"""Largest flickers of a dead sensor."""
+MOTION = 0.01  # Share of the command's range by which the command must move before the measurement is judged
+STILL = 0.02  # Share of the mean error
+ALIVE = 3.0  # Largest flickers of a dead sensor
 AGAINST = 8.0
 """Movements of the command, in `MOTION`, that teach the gain, and against which the measurement has gone when its sign has turned."""
-JUMP = 5.0
-"""Movements of the command, in `MOTION`, of which the answer within a tick is a jump of the measurement."""
-SLOW = 3
-"""Frozen times within which the command must move before a constant measurement counts as frozen."""
-FORGOTTEN = 0.02
-"""Share of what the present values leave of a range that is forgotten with every movement."""
+JUMP = 5.0  # Movements of the command, in `MOTION`, of which the answer within a tick is a jump of the measurement
+SLOW = 3  # Frozen times within which the command must move before a constant measurement counts as frozen
+FORGOTTEN = 0.02  # Share of what the present values leave of a range that is forgotten with every movement
 
 FROZEN, OUT_OF_RANGE, TURNED = "measurement frozen", "measurement out of range", "measurement moves against the command"
 
@@ -153,37 +148,29 @@ class _Range:
         return self.most - self.least
 
 
+@dataclass(slots=True)
 class _Axis:
     """What the watch knows of an axis."""
 
-    __slots__ = (
-        "against",
-        "age",
-        "answered",
-        "covered",
-        "error",
-        "flicker",
-        "gain",
-        "last",
-        "least",
-        "most",
-        "same",
-        "smooth",
-        "smooth_before",
-        "value",
-        "volts",
-        "volts_before",
-        "waited",
-    )
-
-    def __init__(self) -> None:
-        self.error = self.gain = 0.0
-        self.value = math.nan  # around which the measurement stays
-        self.flicker = 0.0  # largest distance from it
-        self.least = self.most = 0.0  # V, of the command meanwhile
-        self.same = self.waited = 0  # ticks since the command has moved, and before it has
-        self.last = math.nan
-        self.restart(math.nan, math.nan)
+    error: float = 0.0
+    gain: float = 0.0
+    value: float = math.nan  # around which the measurement stays
+    flicker: float = 0.0  # largest distance from it
+    # V, of the command meanwhile
+    least: float = 0.0
+    most: float = 0.0
+    # Ticks since the command has moved, and before it has
+    same: int = 0
+    waited: int = 0
+    last: float = math.nan
+    smooth: float = math.nan
+    smooth_before: float = math.nan
+    volts: float = math.nan
+    volts_before: float = math.nan
+    answered: _Range = field(default_factory=lambda: _Range(math.nan))
+    covered: _Range = field(default_factory=lambda: _Range(math.nan))
+    age: int = 0
+    against: float = 0.0
 
     def restart(self, value: float, volts: float) -> None:
         """Judge the sign from here on."""

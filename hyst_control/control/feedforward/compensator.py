@@ -29,9 +29,10 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.plugins import Registry
 from hyst_control.chain import Chain, Parallel, Sampling, Stage
 from hyst_control.chain.c_code.c_code import CCode
+from hyst_control.chain.chain import at_rest, resolved
 from hyst_control.chain.hysteresis.inverse_multiplicative import InverseMultiplicative, slope_range
 from hyst_control.chain.hysteresis.madelung import Madelung
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii, play_filter
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayFilter, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.chain.memoryless import Gain, Offset, Saturation
@@ -45,7 +46,6 @@ from hyst_control.control.feedforward.mhl_inverse import (
     rate_dependent_parts,
     whole_inverse,
 )
-from hyst_control.control.feedforward.quasi_static import hysteretic, mean_line, quasi_static_stages
 from hyst_control.model_file import Model
 
 FROM_MODEL = (-1.0,)
@@ -187,16 +187,36 @@ def _proportional(model: Model, design: Design) -> Compensator:
 
 def _mhl(model: Model, design: Design) -> Compensator:
     """The MHL paper's compensators."""
-    tustin = Sampling(design.sample_time, len(model.axes), "foh") if design.discretisation == "tustin" else None
-    if design.smoothing and design.kind == "mhl":
-        if design.inverse_model is None:
-            raise InputError(f"smoothing: {design.smoothing} for kind mhl needs an inverse_model that was identified behind it")
-        stages = mhl_stages(model, design.kind, design.inverse_model, None, tustin, design.smoothing)
-        ahead = design.smoothing + 1
-        late = 0 if design.preview else ahead
-        return Compensator([*stages, design.rating], model, design.sample_time, ahead - late, late, design.limits)
-    rate_filter = model_rate_filter(model) if tuple(design.rate_filter or ()) == FROM_MODEL else design.rate_filter
-    return _without_preview(mhl_stages(model, design.kind, design.inverse_model, rate_filter, tustin), model, design)
+    if not design.smoothing or design.kind != "mhl":
+        rate_filter = model_rate_filter(model) if tuple(design.rate_filter or ()) == FROM_MODEL else design.rate_filter
+        return _without_preview(_mhl_stages(model, design, rate_filter), model, design)
+    if design.inverse_model is None:
+        raise InputError(f"smoothing: {design.smoothing} for kind mhl needs an inverse_model that was identified behind it")
+    ahead = design.smoothing + 1
+    late = 0 if design.preview else ahead
+    stages = [*_mhl_stages(model, design, None), design.rating]
+    return Compensator(stages, model, design.sample_time, ahead - late, late, design.limits)
+
+
+def _mhl_stages(model: Model, design: Design, rate_filter: Sequence[float] | None) -> list[Stage]:
+    """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves."""
+    axes, corrected = len(model.axes), design.kind == "mhl"
+    tustin = Sampling(design.sample_time, axes, "foh") if design.discretisation == "tustin" else None
+    if design.inverse_model is not None:
+        front, core, _ = split(design.inverse_model)
+        hysteresis, correction = rate_dependent_parts(core)
+        return front + composite(hysteresis, correction if corrected else None, rate_filter, tustin, design.smoothing)
+    before, core, after = split(model)
+    if not isinstance(core, (Madelung, Parallel)):
+        raise InputError(
+            f"kind: {design.kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi"
+        )
+    direct, forward = rate_dependent_parts(core)
+    stages, _ = dynamics_inverse(after, Sampling(model.sample_time, axes), "none", "zoh")
+    stages += constant_removed(forward, axes)
+    lead = inverse_rate_correction(direct, forward, axes) if forward is not None and corrected else None
+    front, _ = dynamics_inverse(before, Sampling(model.sample_time, axes), "none", "zoh")
+    return [*stages, *composite(inverted(direct), lead, rate_filter, tustin), *front]
 
 
 def model_rate_filter(model: Model) -> tuple[float, ...] | None:
@@ -228,9 +248,9 @@ def _inverse_chain(model: Model, design: Design) -> Compensator:
     behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation, restored=design.smoothing > 0)
     front, further = dynamics_inverse(before, held, design.inverse, design.discretisation)
     # The hysteresis sees the drive through the static gain of what stands before it.
-    drive = np.sort(quasi_static_stages(before, design.limits, held.axes), axis=0)
+    drive = np.sort(at_rest(before, design.limits), axis=0)
     valid = model.valid.get("command")
-    needed = drive if valid is None else np.sort(quasi_static_stages(before, drive_limits(model, None), held.axes), axis=0)
+    needed = drive if valid is None else np.sort(at_rest(before, drive_limits(model, None)), axis=0)
     inverted_core = core_inverse(core, after, design.kind, entering, drive, needed[1], design.iterations)
     stages = [*behind, *inverted_core, *front, design.rating]
     ahead += further
@@ -272,6 +292,27 @@ def drive_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> Ar
     return np.array(bounds)
 
 
+def quasi_static(model: Model, commands: Array) -> Array:
+    """Output (N, A) of a model at rest at commands (N, A)."""
+    return at_rest(resolved(model.chain.stages, len(model.axes)), np.array(commands, dtype=float))
+
+
+def mean_line(model: Model, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Slope (A,) and intercept (A,) of the line through the slow loop between two commands (A,); raises `InputError` where it is flat."""
+    valid = model.valid.get("command")
+    if valid is not None:
+        inside = np.array(valid, dtype=float).reshape(-1, 2)
+        lower, upper = np.maximum(lower, inside[:, 0]), np.minimum(upper, inside[:, 1])
+    ramp = np.linspace(lower, upper, 201)
+    loop = np.concatenate([ramp, ramp[::-1], ramp, ramp[::-1]])
+    output = quasi_static(model, loop)[-2 * len(ramp) :]
+    lines = [np.polyfit(loop[-2 * len(ramp) :, axis], output[:, axis], 1) for axis in range(output.shape[1])]
+    slope, offset = np.array(lines).T
+    if np.any(slope == 0.0) or not np.all(np.isfinite(slope)):
+        raise InputError("chain: the output does not depend on the command at rest: this model has no static gain to invert")
+    return slope, offset
+
+
 def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
     """Split a model's chain at its hysteresis: stages before it, itself or None, stages after it; delays go to a linear side.
 
@@ -281,7 +322,7 @@ def split(model: Model) -> tuple[list[Stage], Stage | None, list[Stage]]:
     sides: tuple[list[Stage], list[Stage]] = ([], [])
     core: Stage | None = None
     for index, stage in enumerate(model.chain.stages):
-        if hysteretic(stage):
+        if stage.has_compensator:
             if core is not None:
                 raise InputError(
                     f"chain[{index}] ({stage.name}): a second hysteresis: a compensator inverts one; "
@@ -308,7 +349,7 @@ def dynamics_inverse(
     if not side:
         return [], 0
     # Offsets are carried to the output of the side; gains and the static gain of the dynamics commute with the dynamics.
-    bias = quasi_static_stages(side, np.zeros((1, axes)), axes)[0]
+    bias = at_rest(side, np.zeros((1, axes)))[0]
     gain = np.prod(
         [per_axis_scalar(stage.gain, axes, "gain") for stage in static if isinstance(stage, Gain)] or [np.ones(axes)], axis=0
     )
@@ -320,7 +361,7 @@ def dynamics_inverse(
     if not linear:
         return stages, 0
     if method == "none":
-        whole = quasi_static_stages(linear, np.stack([np.zeros(axes), np.ones(axes)]), axes)
+        whole = at_rest(linear, np.stack([np.zeros(axes), np.ones(axes)]))
         return [*stages, Gain((1.0 / (whole[1] - whole[0])).tolist())], 0
     inverted = invert_dynamics(linear, sampling, method, discretisation, restored=restored)
     return [*stages, inverted.stage], inverted.preview
@@ -357,7 +398,7 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
     """Limits (2, A) of the drive, V, over which the output rises with the command, 0 < dY/du: at least up to `needed`."""
     axes = drive.shape[1]
     coefficients = np.array([per_axis_scalar(getattr(core, name, 0.0), axes, name) for name in ("w0", "k", "b")])
-    operators = play_filter(core, Sampling(1.0, axes))
+    operators = PlayFilter(Sampling(1.0, axes), core.thresholds, core.weights, core.one_sided)
     upper = drive[1].copy()
 
     def min_slope(axis: int, end: float) -> tuple[float, float, float, float]:
@@ -381,32 +422,3 @@ def invertible_range(core: PrandtlIshlinskii | ModifiedPrandtlIshlinskii, drive:
             low, high = (middle, high) if min_slope(axis, middle)[0] > 0.0 else (low, middle)
         upper[axis] = low
     return np.stack([drive[0], upper])
-
-
-def mhl_stages(
-    model: Model,
-    kind: str,
-    inverse_model: Model | None,
-    rate_filter: Sequence[float] | None,
-    tustin: Sampling | None = None,
-    smoothing: int = 0,
-) -> list[Stage]:
-    """Composite feedforward of the MHL paper, from a separately identified inverse or from the model's own curves.
-
-    kind: "mhl", or "mhl_static" for H_S^-1 alone; tustin: sampling with which Tustin's rule discretizes N(s) Ψ', exactly where None;
-    smoothing: order of an N without phase, with an `inverse_model` (`mhl_inverse.composite`).
-    """
-    axes = len(model.axes)
-    if inverse_model is not None:
-        front, core, _ = split(inverse_model)
-        hysteresis, correction = rate_dependent_parts(core)
-        return front + composite(hysteresis, correction if kind == "mhl" else None, rate_filter, tustin, smoothing)
-    before, core, after = split(model)
-    if not isinstance(core, (Madelung, Parallel)):
-        raise InputError(f"kind: {kind!r} needs a madelung stage, which the model {model.name} has not: take none, hapi or hampi")
-    direct, forward = rate_dependent_parts(core)
-    stages, _ = dynamics_inverse(after, Sampling(model.sample_time, axes), "none", "zoh")
-    stages += constant_removed(forward, axes)
-    lead = inverse_rate_correction(direct, forward, axes) if forward is not None and kind == "mhl" else None
-    front, _ = dynamics_inverse(before, Sampling(model.sample_time, axes), "none", "zoh")
-    return [*stages, *composite(inverted(direct), lead, rate_filter, tustin), *front]

@@ -57,8 +57,7 @@ class DiscreteSystem:
     def response(self, z: Complex) -> Complex:
         """Frequency response at points z of the complex plane."""
         z = np.asarray(z, dtype=complex)[..., None]
-        response: Complex = self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1)
-        return response
+        return np.asarray(self.gain * np.prod(z - self.zeros, axis=-1) / np.prod(z - self.poles, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -274,16 +273,11 @@ def _state_space(system: DiscreteSystem) -> tuple[Array, Array, Array, Array]:
     else:
         from scipy.signal import zpk2sos  # here, not above: it takes longer to import than all that a node needs
 
-        parts = []
-        for b0, b1, b2, _, a1, a2 in zpk2sos(system.zeros, system.poles, system.gain):
-            parts.append(
-                (
-                    np.array([[-a1, -a2], [1.0, 0.0]]),
-                    np.array([[1.0], [0.0]]),
-                    np.array([[b1 - a1 * b0, b2 - a2 * b0]]),
-                    np.array([[b0]]),
-                )
-            )
+        sections = zpk2sos(system.zeros, system.poles, system.gain)
+        parts = [
+            (np.array([[-a1, -a2], [1.0, 0.0]]), np.eye(2, 1), np.array([[b1 - a1 * b0, b2 - a2 * b0]]), np.array([[b0]]))
+            for b0, b1, b2, _, a1, a2 in sections
+        ]
     a, b, c, d = parts[0]
     for fa, fb, fc, fd in parts[1:]:
         a, b = np.block([[a, np.zeros((len(a), len(fa)))], [fb @ c, fa]]), np.vstack([b, fb @ d])

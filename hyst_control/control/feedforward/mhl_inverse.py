@@ -17,11 +17,10 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage, RateCorrection, StateSpace, TransferFunction
 from hyst_control.chain.linear.symmetric_filter import smooth_weights, weighted_sum
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.chain.stage import per_axis_scalar
+from hyst_control.chain.stage import per_axis_scalars
 from hyst_control.control.feedforward.inverse_dynamics import RINGING_LIMIT, DiscreteSystem, discrete_stage, sampled_systems
 
-LINES, TAPS = 256, 4
-"""Frequencies at which the sampled Ψ is fitted, and samples that its numerator counts beyond its denominator."""
+LINES, TAPS = 256, 4  # Frequencies at which the sampled Ψ is fitted, and samples that its numerator counts beyond its denominator
 
 
 def rate_dependent_parts(core: Stage | None) -> tuple[Madelung, RateCorrection | None]:
@@ -44,21 +43,13 @@ def inverted(stage: Madelung) -> Madelung:
     return replace(stage, inverse=not stage.inverse)
 
 
-def mean_slope(stage: Madelung, axes: int) -> Array:
-    """Output at full input over full input (A,) of a Madelung `stage` with so many `axes`, measurement unit per V."""
-    full = np.array([float(up(np.ones(1))[0]) for up, _ in stage.curves(axes)])
-    return (
-        full * per_axis_scalar(stage.output_scale, axes, "output_scale") / per_axis_scalar(stage.input_scale, axes, "input_scale")
-    )
-
-
 def inverse_rate_correction(stage: Madelung, correction: RateCorrection, axes: int) -> RateCorrection:
     """Ψ' such that (1/a + Ψ')(a + Ψ) = 1 with a the mean slope of H_S: again a first-order lag driven by the rate.
 
     1 / (a + k1 s / (k2 s + b2)) - 1 / a = (-k1 / a²) s / ((k2 + k1 / a) s + b2).
     """
-    a = mean_slope(stage, axes)
-    k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
+    a = stage.slope_of_curves(axes)
+    k1, k2, b2 = per_axis_scalars(correction, axes, "k1", "k2", "b2")
     if np.any(k1 <= -a * k2):
         raise InputError(
             "k1: at high frequency the rate correction cancels the hysteresis (-k1 / k2 is not below the mean slope): it has no stable "
@@ -71,7 +62,8 @@ def constant_removed(correction: RateCorrection | None, axes: int) -> list[Stage
     """Offset that subtracts the constant b1 / b2 of `correction`, for so many `axes`; no stage where there is none."""
     if correction is None:
         return []
-    constant = per_axis_scalar(correction.b1, axes, "b1") / per_axis_scalar(correction.b2, axes, "b2")
+    b1, b2 = per_axis_scalars(correction, axes, "b1", "b2")
+    constant = b1 / b2
     return [Offset((-constant).tolist())] if np.any(constant) else []
 
 
@@ -108,8 +100,7 @@ def composite(
 
 def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None, sampling: Sampling) -> StateSpace:
     """(k1 s + b1) / (k2 s + b2) times N(s), discretized by Tustin's rule for all axes."""
-    axes = sampling.axes
-    values = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "b1", "k2", "b2"))
+    values = per_axis_scalars(correction, sampling.axes, "k1", "b1", "k2", "b2")
     poles_of_filter = np.roots([float(value) for value in rate_filter]) if rate_filter is not None else np.zeros(0)
     found = []
     for k1, b1, k2, b2 in zip(*values, strict=True):
@@ -133,7 +124,7 @@ def whole_inverse(
     if correction is None:
         return [inverse]
     axes = sampling.axes
-    subtracted = sampled_correction(replace(correction, b1=0.0), after, sampling, mean_slope(stage, axes))
+    subtracted = sampled_correction(replace(correction, b1=0.0), after, sampling, stage.slope_of_curves(axes))
     solution: list[Stage] = [Parallel(((inverse,), (inverse_rate_correction(stage, correction, axes),)))]
     for _ in range(passes):
         solution = [Parallel(((Gain(1.0),), (*solution, subtracted, Gain(-1.0)))), inverse]
@@ -149,7 +140,7 @@ def sampled_correction(correction: RateCorrection, after: Sequence[Stage], sampl
     """
     linear = [stage for stage in after if isinstance(stage, (LinearStage, Delay))]
     axes = sampling.axes
-    k1, k2, b2 = (per_axis_scalar(getattr(correction, name), axes, name) for name in ("k1", "k2", "b2"))
+    k1, k2, b2 = per_axis_scalars(correction, axes, "k1", "k2", "b2")
     # Ψ = (k1/k2) (1 - L), L = b2 / (k2 s + b2), so that only systems with a static gain are sampled.
     low_pass = TransferFunction([[b] for b in b2], [[k, b] for k, b in zip(k2, b2)])
     z = np.exp(1j * np.pi * (np.arange(LINES) + 0.5) / LINES)

@@ -12,16 +12,15 @@ from numpy.typing import ArrayLike
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
+from hyst_control.chain.chain import at_rest
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import SLOW
-from hyst_control.control.feedforward.compensator import core_inverse, drive_limits, dynamics_inverse, split
+from hyst_control.control.feedforward.compensator import core_inverse, drive_limits, dynamics_inverse, quasi_static, split
 from hyst_control.control.feedforward.mhl_inverse import constant_removed, inverted, rate_dependent_parts
-from hyst_control.control.feedforward.quasi_static import quasi_static, quasi_static_stages
 from hyst_control.model_file import Model
 
-TOLERANCE = 1e-3
-"""Share of the stroke by which a reference may miss the reachable interval: below the models' own accuracy."""
+TOLERANCE = 1e-3  # Share of the stroke by which a reference may miss the reachable interval: below the models' own accuracy
 
 
 def check_reachable(model: Model, reference: Array, limits: tuple[ArrayLike, ArrayLike] | None = None) -> None:
@@ -68,9 +67,9 @@ def quasi_static_command(
         hysteresis, correction = rate_dependent_parts(core)
         stages = [*stages, *constant_removed(correction, axes), inverted(hysteresis)]
     else:
-        drive = np.sort(quasi_static_stages(before, bounds, axes), axis=0)
+        drive = np.sort(at_rest(before, bounds), axis=0)
         needed = drive_limits(model, None) if model.valid.get("command") is not None else bounds
-        needed = np.sort(quasi_static_stages(before, needed, axes), axis=0)[1]
+        needed = np.sort(at_rest(before, needed), axis=0)[1]
         # At rest a rate-dependent model is its classical part, k u + b of the modified one stay.
         kind = "hapi" if isinstance(core, RateDependentPrandtlIshlinskii) else "hampi"
         stages = [*stages, *core_inverse(core, after, kind, sampling, drive, needed, 0)]

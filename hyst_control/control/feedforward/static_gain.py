@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.c_code.c_code import CCode, each_axis
+from hyst_control.control.feedback.loop import Compensator
 
 
 @dataclass(frozen=True)
-class Proportional:
+class Proportional(Compensator):
     """feedforward = offset + gain reference; gain (A,) in V per measurement unit, offset (A,) in V."""
 
     gain: Array
@@ -19,11 +20,9 @@ class Proportional:
     preview: int = 0
 
     def settle(self, value: Array) -> Array:
-        """Output at rest at the reference `value` (A,)."""
         return self.offset + self.gain * value
 
     def process(self, block: Array) -> Array:
-        """Turn a block of reference rows (N, A) into feedforward rows (N, A)."""
         return self.offset + self.gain * block
 
     def c_code(self) -> CCode:

@@ -26,8 +26,7 @@ from numpy.typing import ArrayLike
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.control.feedforward.compensator import drive_limits
-from hyst_control.control.feedforward.quasi_static import mean_line
+from hyst_control.control.feedforward.compensator import drive_limits, mean_line
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.model_file import Model, Simulator
 

@@ -25,9 +25,9 @@ from numba import njit
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.control.learning.learning_loop import Learner
 
-KEPT = 8192
-"""Newest rows of the feedforward that wait for what the feedback did in their ticks."""
+KEPT = 8192  # Newest rows of the feedforward that wait for what the feedback did in their ticks
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,7 @@ class FeedbackErrorLearning:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            least = 0.0
-            if not np.isfinite(value) or value < least or value == 0.0 and not name.endswith("bound"):
+            if not np.isfinite(value) or value < 0.0 or value == 0.0 and not name.endswith("bound"):
                 raise InputError(f"{name}: must be a finite number above 0, got {value!r}")
         if self.time < self.sample_time:
             raise InputError(f"time: must be at least the sample time, {self.sample_time:g} s, got {self.time:g}")
@@ -56,13 +55,12 @@ class FeedbackErrorLearning:
         return RunningFeedbackErrorLearning(self, axes)
 
 
-class RunningFeedbackErrorLearning:
-    """The learner's state; see `learning.Learner`."""
+class RunningFeedbackErrorLearning(Learner):
+    """The learner's state."""
 
     def __init__(self, description: FeedbackErrorLearning, axes: int) -> None:
-        self.description = description
+        self.description = given = description
         self.axes = axes
-        given = description
         self._constants = np.array(
             [
                 given.sample_time,
@@ -87,7 +85,6 @@ class RunningFeedbackErrorLearning:
         return np.array(self._parameters[1])
 
     def reset(self) -> None:
-        """Forget everything that was learned."""
         self._parameters = np.zeros((2, self.axes))
         self._state = np.full((6, self.axes), np.nan)  # means of f and u_b, h[f], peaks of h[f] and h[f]', f
         self._given: Array = np.empty((0, self.axes))  # rows that were not observed yet
@@ -99,7 +96,6 @@ class RunningFeedbackErrorLearning:
         return max((first if self._observed is None else self._observed) + 1 - first, 0)
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """Learned correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on."""
         if self._observed is None:
             self._observed = first
         if first != self._first + len(self._given):
@@ -126,8 +122,7 @@ class RunningFeedbackErrorLearning:
             self._observed = max(self._observed, first + len(feedback))
 
 
-LARGEST = 1e9
-"""Voltage (V) beyond all drives to which rows are limited, so that no difference of two of them leaves the finite numbers."""
+LARGEST = 1e9  # Voltage (V) beyond all drives to which rows are limited, so that no difference of two of them leaves the finite numbers
 
 
 @njit(cache=True)

@@ -34,15 +34,12 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.learning.learning_filter import LearningFilter
-from hyst_control.control.learning.learning_loop import ENDLESS
+from hyst_control.control.learning.learning_loop import ENDLESS, Learner
 
 NOISE, GROWTH, GAIN, PATIENCE = 2.0, 1.1, 0.05, 3
-MAX_ROWS = 20_000_000
-"""Samples of a trial, and of all trials together: their signals are kept."""
-SIGNIFICANT = 4.0
-"""Standard deviations of its noise beyond which a line's error tells something."""
-SLOW = 0.5
-"""Share of a line's error that a trial may leave before the line is measured anew."""
+MAX_ROWS = 20_000_000  # Samples of a trial, and of all trials together: their signals are kept
+SIGNIFICANT = 4.0  # Standard deviations of its noise beyond which a line's error tells something
+SLOW = 0.5  # Share of a line's error that a trial may leave before the line is measured anew
 
 
 @dataclass(frozen=True)
@@ -89,8 +86,8 @@ class IterativeLearning:
         return RunningIterativeLearning(self, feedforward)
 
 
-class RunningIterativeLearning:
-    """The learner's state; see `learning.Learner`. `history` has the trials, `stopped` says why it learns no more ("" while it does)."""
+class RunningIterativeLearning(Learner):
+    """The learner's state. `history` has the trials, `stopped` says why it learns no more ("" while it does)."""
 
     def __init__(self, description: IterativeLearning, feedforward: Array | None = None) -> None:
         self.description = description
@@ -101,7 +98,6 @@ class RunningIterativeLearning:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was learned since the start."""
         about = self.description
         shape = (about.averaged, about.filter.period, about.filter.axes)
         self.history: list[Trial] = []
@@ -120,19 +116,16 @@ class RunningIterativeLearning:
         self._kept, self._correction = np.zeros((2, *lines), dtype=complex)
 
     def available(self, first: int) -> int:
-        """Number of rows from tick `first` on that do not depend on ticks that were not observed yet."""
         if self.stopped:
             return ENDLESS
         begin = first if self._origin is None else self._begin
         return max(begin + self.description.trial_rows - first, 0)
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """Learned correction (N, A) in V of the feedforward (N, A) in V of the ticks from `first` on."""
         if self._origin is None:
             self._origin = self._begin = first
         self._end = first + len(feedforward)
-        rows: Array = self.feedforward[np.arange(first - self._origin, self._end - self._origin) % len(self.feedforward)]
-        return rows
+        return np.asarray(self.feedforward[np.arange(first - self._origin, self._end - self._origin) % len(self.feedforward)])
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
         """Learn from the loop's signals of the ticks from `first` on; a gap in them begins the trial anew."""

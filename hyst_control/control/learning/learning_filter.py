@@ -34,8 +34,7 @@ from hyst_control.model_file import Model
 
 AMPLIFICATION = 5.0
 """Voltage for a unit of error, relative to that at rest, beyond which nothing is learned: what little moves there is noise."""
-MIN_RESONANT = 0.5
-"""Damping ratio from which a pair of poles is no resonance."""
+MIN_RESONANT = 0.5  # Damping ratio from which a pair of poles is no resonance
 CONTRACTION = 0.9
 """Greatest share of an error that a trial may leave, of any plant that is allowed for; the robustness filter ends where it is more."""
 

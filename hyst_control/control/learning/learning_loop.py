@@ -17,8 +17,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Compensator, Plant, feedforward_rows
 from hyst_control.control.feedback.pi import RunningPI
 
-ENDLESS = 2**31
-"""Rows that are available of what changes no more."""
+ENDLESS = 2**31  # Rows that are available of what changes no more
 
 
 class Learner(Protocol):
@@ -37,7 +36,7 @@ class Learner(Protocol):
         """Forget everything that was learned."""
 
 
-class Played:
+class Played(Learner):
     """Learned feedforward of one period (N, A) in V that is played again and again; it learns nothing."""
 
     def __init__(self, feedforward: Array) -> None:
@@ -45,20 +44,16 @@ class Played:
         self.reset()
 
     def reset(self) -> None:
-        """Begin with the period's first row again."""
         self._origin: int | None = None
 
     def available(self, first: int) -> int:
-        """Number of rows from tick `first` on that may be given: all."""
         return ENDLESS
 
     def learned(self, first: int, feedforward: Array) -> Array:
-        """Correction (N, A) in V for the rows of `feedforward` (N, A), which belong to the ticks from `first` on."""
         if self._origin is None:
             self._origin = first
         start = first - self._origin
-        rows: Array = self.feedforward[np.arange(start, start + len(feedforward)) % len(self.feedforward)]
-        return rows
+        return np.asarray(self.feedforward[np.arange(start, start + len(feedforward)) % len(self.feedforward)])
 
     def observe(self, first: int, reference: Array, measurement: Array, feedback: Array) -> None:
         """Ignore `reference`, `measurement` and `feedback` (N, A) of the ticks from `first` on."""

@@ -20,8 +20,7 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 from hyst_control.reporting.tables import Table
 
-KINDS = ("mhl_inverse", "hampi", "none")
-"""Compensators of `best_compensator`, the best first."""
+KINDS = ("mhl_inverse", "hampi", "none")  # Compensators of `best_compensator`, the best first
 LEARNED = "learned"
 TOPICS = ("reference", "feedback", "measurement")
 

@@ -170,7 +170,7 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
     return tuple(
         index
         for index in found
-        if not _adds_too_little(index, found, evidence, thresholds)
+        if not _adds_too_little(index, evidence, thresholds)
         and not _is_known_effect(index, found, evidence, thresholds)
         and not _has_plainer_one(index, found, evidence, thresholds)
     )
@@ -239,16 +239,17 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
     )
 
 
-def _adds_too_little(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
+def _adds_too_little(index: int, evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
 
-    Beside a great effect what its stage and the physics differ by is many times the noise. But the share does not count where the
-    coefficients had to leave their tolerance for a part, and need not for the combination.
+    So a part that was dropped, as it does not hold, takes its combinations with it. Beside a great effect what its stage and the
+    physics differ by is many times the noise. But the share does not count where the coefficients had to leave their tolerance for a
+    part, and need not for the combination.
     """
     one = evidence.hypotheses[index]
     if len(one.names) < 2:
         return False
-    parts = [other for other in (evidence.hypotheses[i] for i in claims) if set(other.names) < set(one.names)]
+    parts = [other for other in evidence.hypotheses if other.names and set(other.names) < set(one.names)]
     if not parts:
         return False
     best = min(parts, key=lambda part: part.misfit)

@@ -208,15 +208,19 @@ def sentence(report: dict[str, Any]) -> str:
     size = f"{told:.3g} {unit} rms ({range_share:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit}{within})"
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
+    far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
     if verdict == Verdict.NO_GAP.value:
-        return f"No gap beyond the model's tolerances{_known_error(report)} and the noise: simulation and record differ by {size}."
+        known, moved = _known_error(report), ""
+        if far_off and known:
+            moved = f" {far_off[0]['name']} would have to be {far_off[0]['z']:+.0f} σ off, which the model's own error may feign."
+        within = "what is known without one" if moved else "the model's tolerances"
+        return f"No gap beyond {within}{known} and the noise: simulation and record differ by {size}.{moved}"
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:
             return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
         return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
-        far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
         near = _nearest(report, names)
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
             worst = report["distortions"][0]

@@ -32,7 +32,6 @@ from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
-from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import PLACES, RecordCheck
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 
@@ -72,11 +71,17 @@ class Prepared:
     floor: float  # Rms that an effect must take off to be worth naming, in units of the noise
     leaves: float  # Energy that the model itself says it leaves, in noise energies
     clean: CleanRecords | None  # Baseline records of other commands
+    has_session: bool  # Whether the zero and the drift of a session are free in every hypothesis
 
     def members(self, sensor_side: bool) -> list[Member]:
         """List the effects to try."""
         members = catalogue(self.problem, self.suggested(), self.without)
-        return [one for one in members if not sensor_side or PLACES.index(one.place) > PLACES.index("mechanics")]
+        return [
+            one
+            for one in members
+            if not (sensor_side and PLACES.index(one.place) <= PLACES.index("mechanics"))
+            and not (self.has_session and one.is_of_session)
+        ]
 
 
 def prepare(
@@ -90,7 +95,6 @@ def prepare(
     thresholds = configuration.policy
     if baseline is not None:
         problem = with_noise(baseline.problem, nominal_residuals(baseline.problem), configuration)
-        without = [*without, *(name for name, effect in EFFECTS.items() if effect.companion is not None)]
     stated = stated_noise(problem.model)
     own = known_error(problem, stated)
     checks = frozenset(check for check in RecordCheck if is_used(check, without))
@@ -113,7 +117,7 @@ def prepare(
     # The first noise estimate still contained spectral leakage from the gap.
     problem = replace(with_noise(problem, problem.rows(none.residual), configuration), steps=_steps(problem, findings))
     repeated = [finding.axis for finding in findings if finding.check is RecordCheck.REPEATED_VALUES]
-    problem = _without_repeats(problem, repeated)
+    problem = _without_repeats(problem, repeated, configuration.record.min_rows)
     linearized = Linearized(problem, scatter)
     problem = without_truncation(linearized, findings, configuration)
     linearized = linearized if problem is linearized.problem else Linearized(problem, scatter)
@@ -125,8 +129,20 @@ def prepare(
         least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
     leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
+    session = baseline is not None
     return Prepared(
-        problem, linearized, tuple(without), checks, tuple(record), tuple(findings), suggested, stated, floor, leaves, clean
+        problem,
+        linearized,
+        tuple(without),
+        checks,
+        tuple(record),
+        tuple(findings),
+        suggested,
+        stated,
+        floor,
+        leaves,
+        clean,
+        session,
     )
 
 
@@ -218,13 +234,17 @@ def without_truncation(linearized: Linearized, findings: Sequence[Finding], conf
     return replace(problem, pieces=tuple(replace(piece, measurement=piece.measurement + shift) for piece in problem.pieces))
 
 
-def _without_repeats(problem: Problem, axes: Sequence[int]) -> Problem:
-    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement."""
+def _without_repeats(problem: Problem, axes: Sequence[int], min_rows: int) -> Problem:
+    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement.
+
+    A stretch of which next to nothing would be left keeps them.
+    """
     if not axes:
         return problem
     pieces = []
     for piece in problem.pieces:
         same = np.zeros(len(piece.command), bool)
         same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
-        pieces.append(replace(piece, keep=~same if piece.keep is None else piece.keep & ~same))
+        keep = ~same if piece.keep is None else piece.keep & ~same
+        pieces.append(replace(piece, keep=keep) if np.count_nonzero(keep) >= min_rows else piece)
     return replace(problem, pieces=tuple(pieces))

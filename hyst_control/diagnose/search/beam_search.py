@@ -311,7 +311,7 @@ def _grown(
     some = tangents_at(linearized, [(one.candidate, one.ends[0].x) for one in parents])
     if len(parents[0].candidate.members) == 1:
         some += singles
-    combined = closest_combinations(linearized, some, singles, settings.combinations)
+    combined = closest_combinations(linearized, some, singles, settings.combinations, parents[0].candidate.names)
     begun = begin(linearized, [(candidate, [start]) for candidate, start in combined], settings, parents[0].misfit)
     for one in begun:
         progress("+".join(one.candidate.names))

@@ -63,6 +63,12 @@ class Member:
         return any(parameter.suggested for parameter in self.parameters)
 
     @property
+    def is_of_session(self) -> bool:
+        """True for what a session's zero and drift are."""
+        known = self.effect.companion
+        return known is not None and known.beyond not in [parameter.name for parameter in self.parameters]
+
+    @property
     def line(self) -> Line:
         """Shape of the line in the spectrum; only for an effect that is a line."""
         shape = self.shape or self.effect.line
@@ -99,8 +105,8 @@ class Member:
         if self.is_line:
             return [np.zeros(self.size)]
         longest = max((len(p.starts) for p in self.parameters), default=1)
-        found = [np.array([_scaled(p, p.starts[min(i, len(p.starts) - 1)]) for p in self.parameters]) for i in range(longest)]
-        return found
+        found = [tuple(_scaled(p, p.starts[min(i, len(p.starts) - 1)]) for p in self.parameters) for i in range(longest)]
+        return [np.array(start) for start in dict.fromkeys(found)]
 
     def bounds(self) -> tuple[Array, Array, Array]:
         """Lower, upper and the prior's centre of the scaled parameters."""

@@ -10,7 +10,8 @@ coefficients marginalised. The best are fitted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
+
+OFTEN = 3
+"""Combinations that an effect which does not lead by itself may be in."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +53,12 @@ def tangents_at(linearized: Linearized, wanted: Sequence[tuple[Candidate, Array]
 
 
 def closest_combinations(
-    linearized: Linearized, some: Sequence[Tangent], effects: Sequence[Tangent], count: int
+    linearized: Linearized, some: Sequence[Tangent], effects: Sequence[Tangent], count: int, leading: Collection[str] = ()
 ) -> list[tuple[Candidate, Array]]:
-    """Find the combinations of one of `some` and a further effect that come closest to the records, and where to begin their fits."""
+    """Find the combinations of one of `some` and a further effect that come closest to the records, and where to begin their fits.
+
+    An effect that is not leading is in few of them.
+    """
     tangents = list({id(one): one for one in (*some, *effects)}.values())
     if not tangents:
         return []
@@ -74,8 +81,14 @@ def closest_combinations(
             names = frozenset(known.variant for known in (*one.candidate.members, member))
             if names not in best or left < best[names][0]:
                 best[names] = left, one, other, step
-    chosen = sorted(best.values(), key=lambda item: item[0])[:count]
-    return [_combined(one, other, step) for _, one, other, step in chosen]
+    met, chosen = Counter[str](), list[tuple[Candidate, Array]]()
+    for _, one, other, step in sorted(best.values(), key=lambda item: item[0]):
+        every = {member.name for tangent in (one, other) for member in tangent.candidate.members}
+        # Of effects that nearly do the same each would take its place with every partner.
+        if len(chosen) < count and all(met[name] < OFTEN for name in every.difference(leading)):
+            met.update(every)
+            chosen.append(_combined(one, other, step))
+    return chosen
 
 
 def _tangent(linearized: Linearized, candidate: Candidate, values: Array) -> tuple[Array, Array, Array] | None:

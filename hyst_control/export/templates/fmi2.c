@@ -284,26 +284,11 @@ EXPORT int fmi2CancelStep(void *self)
     return failed(self, "fmi2CancelStep: a step has ended when fmi2DoStep returns");
 }
 
-EXPORT int fmi2GetStatus(void *self, int kind, int *value)
+{% for kind, type in [("", "int *"), ("Integer", "int *"), ("Boolean", "int *"), ("String", "const char **")] %}
+EXPORT int fmi2Get{{ kind }}Status(void *self, int kind, {{ type }}value)
 {
     (void)self, (void)kind, (void)value;
     return DISCARD;
 }
-
-EXPORT int fmi2GetIntegerStatus(void *self, int kind, int *value)
-{
-    (void)self, (void)kind, (void)value;
-    return DISCARD;
-}
-
-EXPORT int fmi2GetBooleanStatus(void *self, int kind, int *value)
-{
-    (void)self, (void)kind, (void)value;
-    return DISCARD;
-}
-
-EXPORT int fmi2GetStringStatus(void *self, int kind, const char **value)
-{
-    (void)self, (void)kind, (void)value;
-    return DISCARD;
-}
+{{ "" if loop.last else "\n" }}
+{%- endfor %}

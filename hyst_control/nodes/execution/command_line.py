@@ -16,8 +16,7 @@ from hyst_control.base.yaml_files import read_yaml
 from hyst_control.nodes.signal_node.parameters import Setting, nearest
 from hyst_control.processes.node_list import NODES
 
-WIDTH = 100
-"""Columns of the help."""
+WIDTH = 100  # Columns of the help
 USAGE = """usage: {name} [--help] --ros-args [--params-file FILE.yaml] [-p PARAMETER:=VALUE] [-r __ns:=NAMESPACE] ..."""
 
 

@@ -24,14 +24,11 @@ class EndingNode(Node):
     """Node that can end by itself with an exit status and offers services of its own."""
 
     SETTINGS: tuple[Setting, ...] = ()
-    COMMON_SETTINGS: tuple[Setting, ...] = ()
-    """Parameters that it shares with other kinds of nodes."""
-    FURTHER = ""
-    """Sentence about parameters that depend on others."""
+    COMMON_SETTINGS: tuple[Setting, ...] = ()  # Parameters that it shares with other kinds of nodes
+    FURTHER = ""  # Sentence about parameters that depend on others
     elsewhere: frozenset[str] = frozenset()
     """Parameters of the other nodes in the process: an argument without a node's name reaches all of them."""
-    ends = False
-    """True when the node ends by itself."""
+    ends = False  # True when the node ends by itself
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)

@@ -12,8 +12,7 @@ from __future__ import annotations
 import ctypes
 import sys
 
-PATIENCE = 5.0
-"""s; ending normally takes a few milliseconds."""
+PATIENCE = 5.0  # s; ending normally takes a few milliseconds
 
 _SIGEV_THREAD, _CLOCK_MONOTONIC = 2, 1
 

@@ -21,14 +21,10 @@ from hyst_control.processes.environment import LIFELINE
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-_count = 0
-"""Number of interrupts since `listen`."""
-_only_counting = False
-"""True while interrupts are only counted."""
-_receiver: Callable[[], None] | None = None
-"""Called by the thread for an interrupt, within `delivered`."""
-_graceful = False
-"""True while the first interrupt is left to the receiver."""
+_count = 0  # Number of interrupts since `listen`
+_only_counting = False  # True while interrupts are only counted
+_receiver: Callable[[], None] | None = None  # Called by the thread for an interrupt, within `delivered`
+_graceful = False  # True while the first interrupt is left to the receiver
 _listening = False
 _sockets: tuple[socket.socket, socket.socket] | None = None
 

@@ -13,8 +13,7 @@ from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.message_io import CallbackSubscription, LocalReceiver
 
-MAX_AT_ONCE = 64
-"""Most messages delivered before the executor serves timers, services and subscriptions again."""
+MAX_AT_ONCE = 64  # Most messages delivered before the executor serves timers, services and subscriptions again
 
 
 def hand_over(nodes: Sequence[EndingNode], executor: Executor, failed: Callable[[BaseException], None]) -> None:

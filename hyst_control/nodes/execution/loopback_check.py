@@ -18,8 +18,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 
 ROUNDS = 100
-PATIENCE = 20.0
-"""Seconds that the participants have to find each other and exchange their messages."""
+PATIENCE = 20.0  # Seconds that the participants have to find each other and exchange their messages
 
 
 def main() -> int:

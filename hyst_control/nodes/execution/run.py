@@ -35,8 +35,7 @@ FOREVER = 1e6  # s
 SECURITY_REMEDY = (
     "give a keystore with this enclave, and a ROS of a distribution: that of the wheels has no security (docs/safety.md)"
 )
-LONGEST_WIND_DOWN = 8.0
-"""s, for which an actuator is brought to its safe value after an interrupt; then its watchdog has to do so."""
+LONGEST_WIND_DOWN = 8.0  # s, for which an actuator is brought to its safe value after an interrupt; then its watchdog has to do so
 
 
 def spin(executor: Executor, future: Future, timeout: float = FOREVER) -> None:
@@ -165,6 +164,11 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         interrupts.ignore()  # a second Ctrl-C during the shutdown would leave a traceback
         with suppress(RuntimeError):  # rclpy's own signal handler may have done it
             rclpy.try_shutdown()
+
+
+def executable(factory: Callable[[], EndingNode]) -> Callable[[], int]:
+    """Make the `main` of a node: it runs the executable and returns its exit status."""
+    return partial(main, factory)
 
 
 def _initialize(args: Sequence[str]) -> None:

@@ -17,8 +17,7 @@ from hyst_control.nodes.signal_node.base import SignalNode
 from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED, INTERVAL
 
-CLOSE = 1e-9
-"""V; a voltage that differs by less was not limited."""
+CLOSE = 1e-9  # V; a voltage that differs by less was not limited
 
 SAFE_SETTINGS = (
     Setting("safe_command", (0.0,), "V", "actuator without a command, under the timer: one value for all axes or each", -1e6, 1e6),
@@ -38,8 +37,7 @@ class Actuator:
         self.node, self.limits = node, limits or CommandLimits()
         self.command = node.input("command", "V")
         self.output = node.output(APPLIED, "V")
-        self.limited = 0
-        """Ticks whose command was beyond the limits."""
+        self.limited = 0  # Ticks whose command was beyond the limits
         given, axes = node.settings, len(node.axes)
         if len(given.safe_command) not in (1, axes):
             raise InputError(f"{node.get_name()}: parameter safe_command: {len(given.safe_command)} values, {axes} axes")

@@ -38,8 +38,7 @@ class RecordedTopic:
         self._ticks = ticks if node.lockstep else 0
         self._encoder: Encoder | None = None
         self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP, sparse=sparse)
-        self.recorded = 0
-        """Number of rows taken for the bag."""
+        self.recorded = 0  # Number of rows taken for the bag
         self._pending: list[Array] = []  # blocks (N, C) of successive ticks that are merged into one message
         self._pending_rows = 0
         self._pending_end = 0  # tick after the last of them

@@ -18,18 +18,15 @@ from hyst_control.nodes.signal_node.message_io import PolledSubscription
 from hyst_control.nodes.signal_node.signal_ports import Output
 from hyst_control.records.stream.foreign_rows import Refusal, admit
 
-LOOK_INTERVAL = 0.02
-"""s, between two looks at the number of publishers and at what they have sent."""
-SENT_ROWS = 100_000
-"""Own rows that are remembered while there are several publishers."""
+LOOK_INTERVAL = 0.02  # s, between two looks at the number of publishers and at what they have sent
+SENT_ROWS = 100_000  # Own rows that are remembered while there are several publishers
 
 
 class RivalWatch:
     """Watch over one published signal."""
 
     def __init__(self, node: SignalNode, output: Output, label: str) -> None:
-        self.newest: Array | None = None
-        """Newest row (A,) of a rival, V."""
+        self.newest: Array | None = None  # Newest row (A,) of a rival, V
         self._node, self._output, self._label = node, output, label
         self._heard = -math.inf
         self._intake: PolledSubscription | None = None

@@ -20,12 +20,9 @@ from hyst_control.records.stream.foreign_rows import Refusal, admit
 from hyst_control.records.stream.row_repetition import SentRows
 from hyst_control.records.stream.signal_message import label_for
 
-FRESH = 1.0
-"""s, for which what was heard counts."""
-DISCOVERY = 0.3
-"""s, within which programs on one machine usually know of each other."""
-LATE = 0.02
-"""s, at most, by which an actuator that follows is behind the command."""
+FRESH = 1.0  # s, for which what was heard counts
+DISCOVERY = 0.3  # s, within which programs on one machine usually know of each other
+LATE = 0.02  # s, at most, by which an actuator that follows is behind the command
 
 
 class Takeover:
@@ -44,10 +41,8 @@ class Takeover:
         self._since: float | None = None
         self._apart: Array | None = None
 
-    tick: int
-    """Tick at which `command` was applied last, -1 when nothing was heard."""
-    command: Array | None
-    """Value (A,) on the actuator in V; None when nothing was heard."""
+    tick: int  # Tick at which `command` was applied last, -1 when nothing was heard
+    command: Array | None  # Value (A,) on the actuator in V; None when nothing was heard
 
     def ready(self, patience: float) -> bool:
         """True when the applied command has arrived, or none in `patience` s; `DISCOVERY` s are enough where nobody publishes it."""

@@ -18,27 +18,23 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
 from hyst_control.base.errors import InputError
-from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.signal_node.common_parameters import COMMON, LOCKSTEP
 from hyst_control.nodes.signal_node.lockstep import Lockstep
 from hyst_control.nodes.signal_node.message_io import CallbackSubscription, PolledSubscription, Sender
-from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics, ThrottledWarnings
+from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics
 from hyst_control.nodes.signal_node.parameters import Setting, declare
-from hyst_control.nodes.signal_node.signal_ports import Input, Output
+from hyst_control.nodes.signal_node.signal_ports import Input, Output, ScheduledNode
 from hyst_control.nodes.signal_node.timer import Timer
 from hyst_control.processes.realtime_scheduling import set_scheduler
 from hyst_control.records.stream.signal_message import label_for
 from hyst_control.records.stream.signal_rows import Missing, SignalRows, Wait
 
 
-class SignalNode(EndingNode):
+class SignalNode(ScheduledNode):
     """Node that turns signals into signals. Subclasses implement `advance` (lockstep) and `tick` (timer)."""
 
     COMMON_SETTINGS = COMMON
-    REMEDIES: Mapping[str, str] = {}
-    """Remedies for a topic that does not come, by topic."""
-    ever_active = True
-    """False until a node with managed states is activated: before that it publishes nothing."""
+    REMEDIES: Mapping[str, str] = {}  # Remedies for a topic that does not come, by topic
 
     def __init__(self, name: str, **options: Any) -> None:
         self.polled: list[PolledSubscription] = []
@@ -58,14 +54,13 @@ class SignalNode(EndingNode):
             self.get_logger().warning(f"realtime_priority, cpu: {refused}: the node runs without them; see ulimit -r and nproc")
         self.inputs: list[Input] = []
         self.received: dict[str, SignalRows] = {}
-        """State of every received signal, by topic."""
         self.counts: Counter[str] = Counter()
         self.schedule: Lockstep | Timer = (
             Lockstep(self)
             if self.lockstep
             else Timer(self, self.period, self.settings.block, bool(self.get_parameter("use_sim_time").value))
         )
-        self._warnings = ThrottledWarnings(self)
+        self._warned: dict[str, float] = {}  # s, when it was, by key
         self.diagnostics = NodeDiagnostics(self)
         self.service("reset", self._reset)
         self.service("stop", self._stop)
@@ -76,24 +71,6 @@ class SignalNode(EndingNode):
         """The schedule, where that is the timer."""
         assert isinstance(self.schedule, Timer)
         return self.schedule
-
-    def advance(self) -> None:
-        """Use the rows that are available, in lockstep."""
-
-    def tick(self, tick: int) -> None:
-        """Produce `block` samples, under the timer; the `timer.missed` samples before them were not requested."""
-
-    def arrived(self, source: Input, tick: int, stamp: int) -> None:
-        """Take note of the time at which rows arrived, under the timer."""
-
-    def repeat(self, source: Input, tick: int) -> None:
-        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep."""
-
-    def out_of_order(self, source: Input, tick: int) -> None:
-        """React to rows that arrived while earlier ones are missing, in lockstep."""
-
-    def reset(self) -> None:
-        """Return to the state after a start."""
 
     def changed(self, name: str, value: Any) -> None:
         """Take over the new value of a live parameter."""
@@ -184,15 +161,6 @@ class SignalNode(EndingNode):
         label, objects = label_for(self.axes, unit), self.settings.message_objects
         self.senders.append(Sender(self, topic, label, objects, self.schedule.look_interval))
         return Output(self.senders[-1], len(self.axes) + 1, self.period, self.settings.block)
-
-    def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count a refused message, and log it at most once per interval."""
-        self.counts[f"{topic}: {kind}"] += 1
-        self.warn(f"{topic}: {kind}", f"{topic}: message dropped: {reason}")
-
-    def warn(self, key: str, text: str) -> None:
-        """Log a warning, at most one per key and interval."""
-        self._warnings.warn(key, text)
 
     def _reset(self) -> str:
         for signal in self.inputs:

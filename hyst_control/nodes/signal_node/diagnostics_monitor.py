@@ -9,7 +9,7 @@ import json
 from diagnostic_msgs.msg import DiagnosticArray
 
 from hyst_control.nodes.execution.ending_node import EndingNode
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 
 
 class Monitor(EndingNode):
@@ -34,10 +34,7 @@ class Monitor(EndingNode):
             )
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(Monitor)
-
+main = executable(Monitor)
 
 if __name__ == "__main__":
     raise SystemExit(main())

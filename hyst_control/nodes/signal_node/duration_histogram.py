@@ -10,10 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-SHORTEST, LONGEST = 1e-7, 1e3
-"""s; shorter and longer durations are counted as these."""
-RESOLUTION = 0.01
-"""Relative width of a bin."""
+SHORTEST, LONGEST = 1e-7, 1e3  # s; shorter and longer durations are counted as these
+RESOLUTION = 0.01  # Relative width of a bin
 
 
 class Durations:

@@ -8,8 +8,7 @@ import time
 
 from hyst_control.nodes.signal_node.duration_histogram import Durations
 
-AWAITED = 64
-"""Most measurements whose command is awaited."""
+AWAITED = 64  # Most measurements whose command is awaited
 
 
 class LoopLatency:

@@ -31,12 +31,12 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         LifecycleNodeMixin.__init__(self)
         self._refusal = ""  # reason of a transition that failed
         self._broken = False  # True while the node goes through its error state
-        self.active = False
-        """True in the state active."""
+        self.active = False  # True in the state active
         self.ever_active = False
         self._guard_transitions()
         if not self.settings.autostart:
-            self.once(self._say_state)
+            waiting = "waiting for lifecycle transitions, as autostart is false"
+            self.once(lambda: self.get_logger().info(f"{self.state}: {waiting}"))
 
     @property
     def state(self) -> str:
@@ -87,7 +87,6 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Carry out the transition from this `state`."""
         self.active = self.ever_active = True
         self.activate()
         self.schedule.resume()
@@ -99,7 +98,6 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         return TransitionCallbackReturn.ERROR if self._broken else TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Carry out the transition from this `state`."""
         if self._broken:
             return TransitionCallbackReturn.ERROR
         self.clean_up()
@@ -120,9 +118,6 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         self.wind_down()
         self.every(0.01, self._end)
         return TransitionCallbackReturn.SUCCESS
-
-    def _say_state(self) -> None:
-        self.get_logger().info(f"{self.state}: waiting for lifecycle transitions, as autostart is false")
 
     def _reset(self) -> str:
         if self.state == UNCONFIGURED and self.settings.autostart:

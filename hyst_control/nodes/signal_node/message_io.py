@@ -19,8 +19,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from hyst_control.base.arrays import Array
 from hyst_control.records.stream.signal_message import ROW_LABEL, Decoder, Encoder
 
-LOOK_INTERVAL = 0.01
-"""s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it."""
+LOOK_INTERVAL = 0.01  # s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it
 
 # Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
@@ -47,8 +46,7 @@ class Sender:
     def __init__(self, node: Node, topic: str, label: str, objects: bool = False, look_interval: float = 0.0) -> None:
         self.publisher = node.create_publisher(Float64MultiArray, topic, QUEUE)
         self.topic = self.publisher.topic_name
-        self.within = False
-        """True while messages are handed over within the process."""
+        self.within = False  # True while messages are handed over within the process
         self._encoder = Encoder(label)
         self._objects = objects
         self._receivers: Sequence[LocalReceiver] = ()
@@ -112,27 +110,21 @@ class CallbackSubscription:
     def _on_bytes(self, raw: bytes) -> None:
         while self._handed:  # they were sent before
             self.take()
-        self._decode(raw)
-
-    def _decode(self, raw: bytes) -> None:
-        try:
-            label, block = self._decoder.decode(raw)
-        except ValueError as error:
-            self._refused(str(error))
-            return
-        self._callback(label, block)
+        self._deliver(self._decoder.decode, raw)
 
     def _on_message(self, message: Float64MultiArray) -> None:
+        self._deliver(from_message, message)
+
+    def _deliver(self, decode: Callable[[Any], tuple[str, Array]], message: Any) -> None:
         try:
-            label, block = from_message(message)
+            label, block = decode(message)
         except ValueError as error:
             self._refused(str(error))
             return
         self._callback(label, block)
 
 
-_Found = tuple[Any, int, str, Array | None]
-"""Message, its time in ns since the epoch, and label and rows where they need not be decoded."""
+_Found = tuple[Any, int, str, Array | None]  # Message, its time in ns since the epoch, and label and rows where they need not be decoded
 
 
 class PolledSubscription:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Status of a node: its entry in `/diagnostics`, and log lines limited in rate."""
+"""Status of a node: its entry in `/diagnostics`, and log lines of what it does."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.node import Node
 from rclpy.time import Time
 
 from hyst_control.records.stream.signal_rows import Wait
 
 DIAGNOSTICS_INTERVAL = 1.0  # s
-LOG_INTERVAL = 5.0  # s, between two log lines with the same key
-REPORTED_WAIT = 0.1
-"""s; shorter waits are those of a running loop and are not reported."""
-WAIT_WARNING = 2.0
-"""s; a longer wait sets the level to WARN. Lost rows are sent again long before that."""
+REPORTED_WAIT = 0.1  # s; shorter waits are those of a running loop and are not reported
+WAIT_WARNING = 2.0  # s; a longer wait sets the level to WARN. Lost rows are sent again long before that
 
 
 @dataclass(frozen=True)
@@ -57,19 +53,11 @@ class NodeHealth:
     @property
     def warning(self) -> str:
         """First reason for a warning; "" when there is none."""
-        if self.trouble:
-            return self.trouble
-        if self.slow:
-            return self.slow
-        if self.wrong_clocks:
-            return f"other clock: {', '.join(self.wrong_clocks)}"
-        if self.stale:
-            return f"stale: {', '.join(self.stale)}"
-        if self.contested:
-            return f"several sources: {', '.join(self.contested)}"
+        topics = {"other clock": self.wrong_clocks, "stale": self.stale, "several sources": self.contested}
+        reasons = [self.trouble, self.slow, *(f"{what}: {', '.join(found)}" for what, found in topics.items() if found)]
         if any(wait.seconds >= WAIT_WARNING for wait in self.waits):
-            return f"waiting for {self.waiting_for}"
-        return ""
+            reasons.append(f"waiting for {self.waiting_for}")
+        return next(filter(None, reasons), "")
 
     @property
     def message(self) -> str:
@@ -173,21 +161,6 @@ class NodeDiagnostics:
         hears = ", ".join(node.resolve_topic_name(topic) for topic in node.received) or "nothing"
         says = ", ".join(sender.topic for sender in node.senders) or "nothing"
         node.get_logger().info(f"ready: {node.schedule.pace}; axes {', '.join(node.axes)}; hears {hears}; publishes {says}")
-
-
-class ThrottledWarnings:
-    """Warnings of a node, at most one per key and `LOG_INTERVAL`."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._logged: dict[str, float] = {}
-
-    def warn(self, key: str, text: str) -> None:
-        """Log a warning unless one with the same key was logged within `LOG_INTERVAL`."""
-        now = time.monotonic()
-        if now - self._logged.get(key, -math.inf) >= LOG_INTERVAL:
-            self._logged[key] = now
-            self._node.get_logger().warning(text)
 
 
 class StateLog:

@@ -21,8 +21,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
 from hyst_control.base.yaml_files import read_yaml
 
-MIDDLEWARE = "qos_overrides."
-"""Beginning of parameters that belong to a publisher or subscription."""
+MIDDLEWARE = "qos_overrides."  # Beginning of parameters that belong to a publisher or subscription
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
-from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import numpy as np
-from rclpy.task import Future
-from rclpy.timer import Timer
 
 from hyst_control.base.arrays import Array
+from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.signal_node.message_io import PolledSubscription, Sender
 from hyst_control.nodes.signal_node.node_diagnostics import NodeDiagnostics
 from hyst_control.records.stream.foreign_rows import Refusal, admit
@@ -24,12 +23,13 @@ from hyst_control.records.stream.signal_rows import Receipt, SignalRows, Wait
 REPEATED_ROWS = 64
 """Rows per repeated message, or as many as the node streams: every slot of the middleware's queues is as large as the longest message."""
 
+LOG_INTERVAL = 5.0  # s, between two log lines with the same key
+
 
 class Schedule:
     """Says when a node is called, and what becomes of the rows that it receives; this one knows no clock and waits for nothing."""
 
-    pace = ""
-    """Schedule in words."""
+    pace = ""  # Schedule in words
     look_interval = 0.0  # s, between two looks of a sender for subscribers beyond the process
 
     def __init__(self, node: ScheduledNode) -> None:
@@ -92,29 +92,30 @@ class Schedule:
         return {}
 
 
-class ScheduledNode(Protocol):
-    """Node as seen by its inputs and its schedule; `SignalNode` says what the methods do."""
+class ScheduledNode(EndingNode):
+    """Node as its inputs and its schedule see and call it."""
 
     counts: Counter[str]
     inputs: list[Input]
-    received: dict[str, SignalRows]
+    received: dict[str, SignalRows]  # State of every received signal, by topic
     settings: SimpleNamespace
     period: float
-    finished: Future
-    ever_active: bool
     diagnostics: NodeDiagnostics
+    schedule: Schedule
+    ever_active = True  # False until a node with managed states is activated: before that it publishes nothing
+    _warned: dict[str, float]  # s, when it was, by key
 
     def advance(self) -> None:
         """Use the rows that are available, in lockstep."""
 
     def tick(self, tick: int) -> None:
-        """Produce the samples of a tick, under the timer."""
+        """Produce `block` samples, under the timer; the `timer.missed` samples before them were not requested."""
 
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
         """Take note of the time at which rows arrived, under the timer."""
 
     def repeat(self, source: Input, tick: int) -> None:
-        """Publish again the rows that followed from repeated ones, in lockstep."""
+        """Publish again the rows that followed from repeated ones, which may have been lost, in lockstep."""
 
     def out_of_order(self, source: Input, tick: int) -> None:
         """React to rows that arrived while earlier ones are missing, in lockstep."""
@@ -123,29 +124,16 @@ class ScheduledNode(Protocol):
         """Return to the state after a start."""
 
     def drop(self, topic: str, kind: str, reason: str) -> None:
-        """Count and log a refused message."""
+        """Count a refused message, and log it at most once per interval."""
+        self.counts[f"{topic}: {kind}"] += 1
+        self.warn(f"{topic}: {kind}", f"{topic}: message dropped: {reason}")
 
     def warn(self, key: str, text: str) -> None:
-        """Log a warning, at most one per key and interval."""
-
-    def once(self, callback: Callable[[], None]) -> None:
-        """Call a function as soon as the node spins."""
-
-    def every(self, seconds: float, callback: Callable[[], None]) -> Timer:
-        """Call a function at an interval of the steady clock."""
-
-    def create_timer(self, timer_period_sec: float, callback: Callable[[], None], *, clock: Any) -> Timer:
-        """Call a function at an interval of any clock."""
-
-    def destroy_timer(self, timer: Timer) -> bool:
-        """End such calls."""
-
-    def get_clock(self) -> Any:
-        """The node's clock, which may be simulated."""
-
-    @property
-    def schedule(self) -> Schedule:
-        """Its schedule."""
+        """Log a warning, at most one per `key` and `LOG_INTERVAL`."""
+        now = time.monotonic()
+        if now - self._warned.get(key, -math.inf) >= LOG_INTERVAL:
+            self._warned[key] = now
+            self.get_logger().warning(text)
 
 
 class Input:
@@ -153,10 +141,8 @@ class Input:
 
     def __init__(self, owner: ScheduledNode, topic: str, label: str, rows: SignalRows, needed: bool = True) -> None:
         self.topic, self.label, self.rows = topic, label, rows
-        self.needed = needed
-        """False when the node works without the signal, under the timer."""
-        self.intake: PolledSubscription | None = None
-        """Subscription from which `poll` takes messages, under the timer."""
+        self.needed = needed  # False when the node works without the signal, under the timer
+        self.intake: PolledSubscription | None = None  # Subscription from which `poll` takes messages, under the timer
         self._owner = owner
         self._seen_label: str | None = None
 

@@ -18,8 +18,7 @@ from hyst_control.records.excitation.excitation import KINDS
 from hyst_control.records.excitation.parameters import COMMON, described
 from hyst_control.records.stream.foreign_rows import LARGEST_VALUE
 
-NOT_GIVEN = ""
-"""Value of a parameter that was not given; the signal says whether it needs it."""
+NOT_GIVEN = ""  # Value of a parameter that was not given; the signal says whether it needs it
 OF_THE_GENERATOR = ("sample_time", "axes")
 
 
@@ -34,7 +33,6 @@ class SignalSetting(Setting):
         return descriptor
 
     def checked(self, value: Any) -> Any:
-        """Check a value."""
         if value == NOT_GIVEN:
             return NOT_GIVEN
         several = isinstance(value, Iterable) and not isinstance(value, (str, bytes))

@@ -16,12 +16,11 @@ from typing import Any
 from hyst_control.nodes.signal_node.duration_histogram import Durations
 from hyst_control.nodes.signal_node.message_io import LOOK_INTERVAL
 from hyst_control.nodes.signal_node.signal_ports import Input, Schedule, ScheduledNode
-from hyst_control.nodes.signal_node.source_clocks import CLOCK_REMEDY, SourceClocks, describe
 from hyst_control.records.stream.signal_rows import Missing, Receipt
 
 LONGEST_GAP = 1.0  # s, of missed ticks that are caught up
-MISSED_SHARE = 0.01
-"""Share of missed ticks from which on the diagnostics warn."""
+CLOCK_REMEDY = "a tick is floor(CLOCK_MONOTONIC / period) on one machine (docs/hardware.md)"
+MISSED_SHARE = 0.01  # Share of missed ticks from which on the diagnostics warn
 
 
 class Timer(Schedule):
@@ -31,15 +30,12 @@ class Timer(Schedule):
 
     def __init__(self, node: ScheduledNode, period: float, block: int, simulated: bool = False) -> None:
         super().__init__(node)
-        self.interval = period * block
-        """Seconds between two ticks."""
+        self.interval = period * block  # Seconds between two ticks
         self.pace = f"timer, {1.0 / self.interval:g} ticks/s"
         self.phase = 0.0
         """Share of a tick after its beginning at which the node is called; a call slightly late still belongs to the same tick."""
-        self.missed = 0
-        """Samples of the ticks that were missed between the previous tick and this one."""
-        self.overrun_streak = 0
-        """Number of successive ticks that took longer than their interval."""
+        self.missed = 0  # Samples of the ticks that were missed between the previous tick and this one
+        self.overrun_streak = 0  # Number of successive ticks that took longer than their interval
         self.simulated = simulated
         self.clocks = SourceClocks()
         self._intervals, self._jitter = Durations(), Jitter()
@@ -153,7 +149,8 @@ class Timer(Schedule):
         node = self._node
         wrong = self.clocks.look(self.longest_age, node.settings.ahead)
         for topic, seconds in wrong.items():
-            node.warn(f"{topic}: clock", f"{topic}: its times are {describe(seconds)} this node's clock: {CLOCK_REMEDY}")
+            side = "ahead of" if seconds > 0 else "behind"
+            node.warn(f"{topic}: clock", f"{topic}: its times are {abs(seconds):.4g} s {side} this node's clock: {CLOCK_REMEDY}")
         return {
             "wrong_clocks": list(wrong),
             "stale": [source.topic for source in node.inputs if source.age > node.settings.timeout],
@@ -190,6 +187,35 @@ class Timer(Schedule):
         for source in node.inputs:
             source.forget()
         node.reset()
+
+
+class SourceClocks:
+    """Differences between the times of received rows and the clock, each the smallest since the last look."""
+
+    def __init__(self) -> None:
+        self.now, self.latest = 0.0, math.inf
+        self._least: dict[str, float] = {}
+        self._told: dict[str, float] = {}
+
+    def look_at(self, now: float, most_ahead: float) -> None:
+        """Set the time for the messages that are taken next."""
+        self.now, self.latest = now, now + most_ahead
+
+    def heard(self, topic: str, newest: float) -> None:
+        """Count a message."""
+        ahead = newest - self.now
+        known = self._least.get(topic)
+        if known is None or abs(ahead) < abs(known):
+            self._least[topic] = ahead
+
+    def look(self, behind: float, ahead: float) -> dict[str, float]:
+        """Sources whose rows were all older than `behind` or further ahead than `ahead`, both in s, since the last look."""
+        self._told, self._least = self._least, {}
+        return {topic: found for topic, found in self._told.items() if not -behind <= found <= ahead}
+
+    def entries(self) -> dict[str, str]:
+        """Entries of the diagnostics, as of the last look."""
+        return {f"clock of {topic} [s]": f"{found:.4f}" for topic, found in self._told.items()}
 
 
 class Jitter:

@@ -29,10 +29,6 @@ class WatchedSignal:
         self._intake = node.intake(topic)
         self.rows = node.signal_rows(topic, Missing.SKIP, drop_oldest=True, clock_may_be_set_back=True, sparse=sparse)
 
-    def forget(self) -> None:
-        """Start again; the next rows may have any tick."""
-        self.rows.forget()
-
     def drain(self) -> None:
         """Take all messages that have arrived."""
         for label, block, _ in self._intake.take(self._refused, merge=True):

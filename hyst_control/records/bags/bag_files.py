@@ -61,12 +61,9 @@ class Bag:
 
     path: Path
     notes: list[str]
-    chosen: Collection[str] | None = None
-    """Topics to read, whatever their type; None: those of signal messages."""
-    topics: set[str] = field(default_factory=set)
-    """Every topic to read that the bag knows, also those without a message."""
-    types: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """Type and definition of topics."""
+    chosen: Collection[str] | None = None  # Topics to read, whatever their type; None: those of signal messages
+    topics: set[str] = field(default_factory=set)  # Every topic to read that the bag knows, also those without a message
+    types: dict[str, tuple[str, str]] = field(default_factory=dict)  # Type and definition of topics
     hold: str | None = None
     history: tuple[str, ...] = ()
 

@@ -9,6 +9,7 @@ from array import array
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -242,44 +243,30 @@ class _Topic:
         self._decoded += len(raws)
 
     def _append(self, raws: list[bytes]) -> None:
-        """Messages of one size and header are read as one array, others one by one."""
-        begin = 0
-        while begin < len(raws):
-            size = len(raws[begin])
-            end = begin + 1
-            while end < len(raws) and len(raws[end]) == size:
-                end += 1
-            label, first = decode(raws[begin])
-            head = size - first.nbytes
-            table = np.frombuffer(b"".join(raws[begin:end]), np.uint8).reshape(-1, size)
+        """Messages of one size and header are read as one array, others one by one and joined as long as their form is one."""
+        first = self._decoded
+        for size, group in groupby(raws, len):
+            alike = list(group)
+            label, block = decode(alike[0])
+            head = size - block.nbytes
+            table = np.frombuffer(b"".join(alike), np.uint8).reshape(-1, size)
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
-            if raws[begin][1] == 1 and (table[:, :head] == table[0, :head]).all():
-                rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape((end - begin) * len(first), first.shape[1])
-                self._keep(label, rows, self._decoded + begin, end - begin)
-            else:
-                self._append_singly(raws[begin:end], self._decoded + begin)
-            begin = end
+            if alike[0][1] == 1 and (table[:, :head] == table[0, :head]).all():
+                rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape(len(alike) * len(block), block.shape[1])
+                first = self._keep(label, rows, first, len(alike))
+                continue
+            for (label, _), same in groupby(map(decode, alike), lambda message: (message[0], message[1].shape[1])):
+                parts = [part for _, part in same]
+                first = self._keep(label, np.concatenate(parts), first, len(parts))
 
-    def _append_singly(self, raws: list[bytes], first: int) -> None:
-        """Messages of differing headers, joined as long as their form is one."""
-        found = [decode(raw) for raw in raws]
-        begin = 0
-        while begin < len(found):
-            label, block = found[begin]
-            end = begin + 1
-            while end < len(found) and found[end][0] == label and found[end][1].shape[1] == block.shape[1]:
-                end += 1
-            rows = np.concatenate([rows for _, rows in found[begin:end]])
-            self._keep(label, rows, first + begin, end - begin)
-            begin = end
-
-    def _keep(self, label: str, rows: Array, first: int, messages: int) -> None:
-        """Keep the rows (N, C) of successive messages."""
+    def _keep(self, label: str, rows: Array, first: int, messages: int) -> int:
+        """Keep the rows (N, C) of successive messages; the number of the next one."""
         form = label, rows.shape[1]
         self.parts.append(_Part(form, first, messages))
         if form not in self.rows:
             self.rows[form] = _Rows(form)
         self.rows[form].append(rows)
+        return first + messages
 
 
 def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes: list[str]) -> Signal:
@@ -297,7 +284,8 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
         time = rows.time.array()
         received = math.nan
         if len(time):
-            received = float(np.median(stamps[:MEDIAN_OF]) * 1e-9 - np.median(time[: _share(MEDIAN_OF, len(stamps), len(time))]))
+            rows_of_these = len(time) if len(stamps) <= MEDIAN_OF else max(len(time) * MEDIAN_OF // len(stamps), 1)
+            received = float(np.median(stamps[:MEDIAN_OF]) * 1e-9 - np.median(time[:rows_of_these]))
         return _ordered(path, name, Signal(time, rows.values.array(), axes, units[0], received=received), notes)
     values = rows.values.array()
     if not increasing(stamps, equal=True):
@@ -305,11 +293,6 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
         stamps, values = stamps[order], values[order]
     time = np.asarray((stamps - origin) * 1e-9, dtype=np.float64)
     return Signal(time, values, axes, "V" if name in COMMAND_SIDE else unit, "receive")
-
-
-def _share(count: int, messages: int, rows: int) -> int:
-    """Rows that so many messages hold."""
-    return rows if count >= messages else max(rows * count // messages, 1)
 
 
 def _ordered(path: Path, name: str, signal: Signal, notes: list[str]) -> Signal:

@@ -9,6 +9,7 @@ to it: when the writer is killed, all but the last chunk can be read back with t
 
 from __future__ import annotations
 
+import json
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -57,10 +58,7 @@ class BagWriter:
     """An open bag of Float64MultiArray topics; use it as a context manager or call `close`."""
 
     def __init__(self, path: str | Path, custom_data: dict[str, str] | None = None) -> None:
-        """path: the directory to create; custom_data: what metadata.yaml is to say besides.
-
-        Raises `InputError` when the path exists or cannot be created.
-        """
+        """Create the directory `path`, whose metadata.yaml says `custom_data` besides; `InputError` when it exists or cannot be created."""
         from mcap.writer import CompressionType, Writer  # a ROS installation may not have it: see rosbag2_writer
 
         self.path = Path(path)
@@ -160,8 +158,8 @@ class BagWriter:
             "custom_data": self.custom_data,
             "ros_distro": "jazzy",
         }
-        # one text per value, as rosbag2 writes it: its reader knows no YAML anchors
-        return {"rosbag2_bagfile_information": _copied(document)}
+        # without parts that stand in it twice, of which YAML would make anchors: rosbag2's reader knows none
+        return {"rosbag2_bagfile_information": json.loads(json.dumps(document))}
 
     def __enter__(self) -> BagWriter:
         return self
@@ -171,10 +169,3 @@ class BagWriter:
             self.abandon()
         else:
             self.close()
-
-
-def _copied(value: Any) -> Any:
-    """The same nested value without shared parts, which YAML would write as anchors."""
-    if isinstance(value, dict):
-        return {key: _copied(item) for key, item in value.items()}
-    return [_copied(item) for item in value] if isinstance(value, list) else value

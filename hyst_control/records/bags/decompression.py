@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 MAX_RATIO = 200
 """Bytes that may come out of a byte of the file; messages of zeros alone, one sample each, reach about 40."""
 
-ALWAYS = 64 * 2**20
-"""Bytes that may come out of any file."""
+ALWAYS = 64 * 2**20  # Bytes that may come out of any file
 
 
 class Damage(Exception):

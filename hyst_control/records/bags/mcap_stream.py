@@ -20,8 +20,7 @@ from hyst_control.records.stream.signal_message import MESSAGE_TYPE
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, STATISTICS = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0B
 
-PIECE = 2**20
-"""Bytes read at a time of a record whose length cannot be checked beforehand."""
+PIECE = 2**20  # Bytes read at a time of a record whose length cannot be checked beforehand
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -34,24 +33,17 @@ class CutOff(Exception):
 
 @dataclass
 class McapStream:
-    """One file being read.
+    """One file being read."""
 
-    stream: its bytes; size: how many they are, None where only reading tells it; budget: of what is decompressed.
-    """
-
-    stream: BinaryIO
-    size: int | None
-    budget: Budget
-    chosen: Collection[str] | None = None
-    """Topics to read, whatever their type; None: those of signal messages."""
-    topics: dict[int, str] = field(default_factory=dict)
-    """The topics that are read, by channel."""
+    stream: BinaryIO  # Its bytes
+    size: int | None  # How many they are; None where only reading tells it
+    budget: Budget  # Of what is decompressed
+    chosen: Collection[str] | None = None  # Topics to read, whatever their type; None: those of signal messages
+    topics: dict[int, str] = field(default_factory=dict)  # The topics that are read, by channel
     types: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Type and definition of every topic of the file that has been met."""
-    announced: int | None = None
-    """Messages that the file says it holds, of all channels."""
-    found: int = 0
-    """Messages met so far, of all channels."""
+    announced: int | None = None  # Messages that the file says it holds, of all channels
+    found: int = 0  # Messages met so far, of all channels
     _schemas: dict[int, tuple[str, str]] = field(default_factory=dict)
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:

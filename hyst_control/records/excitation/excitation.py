@@ -24,15 +24,16 @@ from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.broadband_signals import multisine, multisine_lines, sweep
 from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, mhl_identification
 from hyst_control.records.excitation.parameters import described
-from hyst_control.records.excitation.scan_patterns import raster, spiral
 from hyst_control.records.excitation.signal_size import check_size, is_shown, max_samples, number
 from hyst_control.records.excitation.waveforms import (
     cosine_ramp,
     decaying_sine,
     loops,
     multi_frequency,
+    raster,
     rest,
     sine,
+    spiral,
     staircase,
     step,
     steps,
@@ -40,28 +41,10 @@ from hyst_control.records.excitation.waveforms import (
 )
 
 __all__ = [
-    "KINDS",
-    "build",
-    "cosine_ramp",
-    "decaying_sine",
-    "diagnostic",
-    "hampi_identification",
-    "loops",
-    "mhl_identification",
-    "multi_frequency",
-    "multisine",
-    "multisine_lines",
-    "raster",
-    "rest",
-    "sequence",
-    "sine",
-    "spiral",
-    "staircase",
-    "step",
-    "steps",
-    "sweep",
-    "triangle",
-]
+    "KINDS", "build", "cosine_ramp", "decaying_sine", "diagnostic", "hampi_identification", "loops", "mhl_identification",
+    "multi_frequency", "multisine", "multisine_lines", "raster", "rest", "sequence", "sine", "spiral", "staircase", "step", "steps",
+    "sweep", "triangle",
+]  # fmt: skip
 
 
 def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:

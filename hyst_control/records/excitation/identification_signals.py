@@ -61,6 +61,7 @@ def mhl_identification(
     small = 0.1 * peak
     centre = 0.5 * peak
     highest, full = min(highest, 0.4 / sample_time), min(100.0, 0.4 / sample_time)
+    whole_sweep = sweep(sample_time, 1.0, full, centre, centre, sweep_time, False)
     own = np.concatenate(
         [
             rest(sample_time, 0.02),
@@ -68,8 +69,8 @@ def mhl_identification(
             rest(sample_time, 0.1),
             *(loops(sample_time, slow, share * peak, 1) for share in (1.0, 0.8, 0.6, 0.4, 0.2)),
             rest(sample_time, 0.05),
-            sweep(sample_time, 1.0, full, centre, centre, sweep_time, False),
-            cosine_ramp(sample_time, _last(sweep(sample_time, 1.0, full, centre, centre, sweep_time, False)), centre - small, 0.05),
+            whole_sweep,
+            cosine_ramp(sample_time, float(whole_sweep[-1]), centre - small, 0.05),
             rest(sample_time, 0.05, centre - small),
             sweep(sample_time, 20.0, highest, small, centre, sweep_time, True),
         ]
@@ -127,7 +128,3 @@ def diagnostic(
 
 def _joined(sample_time: float, start: Array, stop: Array, duration: float) -> Array:
     return np.stack([cosine_ramp(sample_time, a, b, duration) for a, b in zip(start, stop, strict=True)], axis=1)
-
-
-def _last(signal: Array) -> float:
-    return float(signal[-1])

@@ -11,8 +11,7 @@ from typing import Any
 from hyst_control.base.quantity import NUMBER, Quantity
 from hyst_control.base.yaml_files import read_yaml
 
-COMMON = ("lower", "upper", "slew_limit", "axis", "idle")
-"""Parameters that every kind takes."""
+COMMON = ("lower", "upper", "slew_limit", "axis", "idle")  # Parameters that every kind takes
 
 
 @cache

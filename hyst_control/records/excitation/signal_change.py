@@ -12,10 +12,8 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.records.excitation.waveforms import smooth_step
 
-MAX_STRETCHES = 32
-"""Replacements that are remembered, for rows that are sent again."""
-REST = 0.1
-"""Share of a signal's greatest step: one that begins or ends with less is at rest there."""
+MAX_STRETCHES = 32  # Replacements that are remembered, for rows that are sent again
+REST = 0.1  # Share of a signal's greatest step: one that begins or ends with less is at rest there
 
 
 class _Stretch(NamedTuple):

@@ -14,11 +14,8 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
-COPIES = 8
-"""Times that a signal stands in memory while it is built."""
-
-LONGEST = 500_000_000
-"""Samples; a longer signal would not fit in memory."""
+COPIES = 8  # Times that a signal stands in memory while it is built
+LONGEST = 500_000_000  # Samples; a longer signal would not fit in memory
 
 
 @cache

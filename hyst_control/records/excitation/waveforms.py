@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of one axis that an equation gives: rest, sines, ramps, triangles, steps and loops."""
+"""Signals that an equation gives: of one axis (rest, sines, ramps, triangles, steps, loops), and paths of two over a field."""
 
 from __future__ import annotations
 
@@ -108,3 +108,31 @@ def loops(sample_time: float, frequency: float, peak: float, cycles: float) -> A
     """One-sided loops from 0 to `peak` and back: peak (1 - cos 2π f t) / 2."""
     count = sample_count(cycles / frequency, sample_time)
     return np.asarray(0.5 * peak * (1 - np.cos(2 * np.pi * frequency * np.arange(count) * sample_time)))
+
+
+def spiral(sample_time: float, axes: int, radius: float, frequency: float, duration: float, offset: float = 0.0) -> Array:
+    """Spiral of axes 0 and 1: offset + r(t) (cos, sin), with r growing linearly from 0 to `radius`."""
+    _two_axes(axes)
+    check_size(number(duration, "duration") * axes / sample_time)
+    time = sample_times(duration, sample_time)
+    rows = np.full((len(time), axes), float(offset))
+    grown = radius * time / duration
+    rows[:, 0] += grown * np.cos(2 * np.pi * frequency * time)
+    rows[:, 1] += grown * np.sin(2 * np.pi * frequency * time)
+    return rows
+
+
+def raster(sample_time: float, axes: int, width: float, height: float, lines: int, line_time: float, offset: float = 0.0) -> Array:
+    """Raster scan: axis 0 sweeps ± width/2 as a triangle while axis 1 climbs linearly from -height/2 to height/2."""
+    _two_axes(axes)
+    duration = lines * line_time
+    check_size(number(duration, "lines") * axes / sample_time)
+    rows = np.full((sample_count(duration, sample_time), axes), float(offset))
+    rows[:, 0] += triangle(sample_time, 0.5 / line_time, width / 2, 0.0, duration)
+    rows[:, 1] += height * (np.arange(len(rows)) / max(len(rows) - 1, 1) - 0.5)
+    return rows
+
+
+def _two_axes(axes: int) -> None:
+    if axes < 2:
+        raise InputError(f"axes: {axes}, two axes are needed")

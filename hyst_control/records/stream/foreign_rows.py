@@ -18,8 +18,7 @@ from hyst_control.records.stream.signal_rows import first_tick, tick_at
 LARGEST_VALUE = 1e12
 """V, um or mrad: no drive and no sensor comes near it, and sums and products of such values with any gain stay finite."""
 
-MAX_ROWS = 1_000_000
-"""Rows of one message; the longest block that a node may be set to."""
+MAX_ROWS = 1_000_000  # Rows of one message; the longest block that a node may be set to
 
 NOT_FINITE, OUT_OF_RANGE, OFF_THE_CLOCK, TOO_LONG = "not finite", "out of range", "off the clock", "too long"
 
@@ -31,8 +30,7 @@ class Refusal(NamedTuple):
     reason: str
 
 
-MANY_VALUES = 64
-"""Values from which on a look at the array is cheaper than one at each of them."""
+MANY_VALUES = 64  # Values from which on a look at the array is cheaper than one at each of them
 
 
 def admit(block: Annotated[Array, "N 1 + A"], period: float) -> int | Refusal:

@@ -10,8 +10,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 
-KEPT_ROWS, KEPT_BLOCKS = 4096, 8
-"""Rows and blocks of a signal that are kept at least."""
+KEPT_ROWS, KEPT_BLOCKS = 4096, 8  # Rows and blocks of a signal that are kept at least
 REPEAT_INTERVAL, LONGEST_INTERVAL = 0.02, 0.5
 """s, between two repetitions: twice as long after each that brought nothing, up to the longest."""
 
@@ -20,8 +19,7 @@ class RepetitionBackoff:
     """Times at which a row is repeated: less often, the longer nothing new has come."""
 
     def __init__(self, now: float, longest: float = LONGEST_INTERVAL) -> None:
-        self.last = now
-        """Time in s of the last repetition, or of the last that was new if that came later."""
+        self.last = now  # Time in s of the last repetition, or of the last that was new if that came later
         self._interval, self._longest = REPEAT_INTERVAL, longest
 
     def progress(self, now: float) -> None:
@@ -54,10 +52,8 @@ class SentRows:
     """The newest successive rows of a signal that were sent: `KEPT_ROWS` and `KEPT_BLOCKS` blocks at least."""
 
     def __init__(self) -> None:
-        self.end = 0
-        """Tick after the newest row."""
-        self.count = 0
-        """Number of rows that are kept."""
+        self.end = 0  # Tick after the newest row
+        self.count = 0  # Number of rows that are kept
         self._blocks: deque[Array] = deque()
 
     def add(self, tick: int, block: Array) -> None:

@@ -17,10 +17,8 @@ import numpy as np
 from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
 
-IN_MEMORY = 2**25
-"""Bytes from which rows go to a file: 4 million numbers, 80 s at 50 kHz."""
-BLOCK = 2**18
-"""Rows that are worked on at a time."""
+IN_MEMORY = 2**25  # Bytes from which rows go to a file: 4 million numbers, 80 s at 50 kHz
+BLOCK = 2**18  # Rows that are worked on at a time
 
 
 def blocks(count: int) -> Iterator[slice]:

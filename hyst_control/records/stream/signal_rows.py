@@ -32,18 +32,14 @@ import numpy as np
 from hyst_control.base.arrays import Array, Integers
 from hyst_control.records.stream.row_repetition import RepetitionBackoff
 
-CLOCK_TOLERANCE = 1e-3
-"""Ticks by which the time of a row may differ from a multiple of the period."""
+CLOCK_TOLERANCE = 1e-3  # Ticks by which the time of a row may differ from a multiple of the period
 LONGEST_JOINING = 2.0
 """s, for which a newly heard signal is waited to be repeated: of a run that goes on nothing is repeated."""
 GAP_PATIENCE = 5.0
 """s, for which rows that are missing are waited for with `HOLD`: the plant repeats what it sent long before that."""
-MAX_GAPS = 1024
-"""Gaps that are remembered, to know their rows when they come late."""
-MAX_REPLACED = 3
-"""Ticks in a row that come with two values, from which on these are two sources."""
-MAX_TICK = 2**53
-"""Largest tick: beyond it the time of a row, a double, cannot tell one tick from the next."""
+MAX_GAPS = 1024  # Gaps that are remembered, to know their rows when they come late
+MAX_REPLACED = 3  # Ticks in a row that come with two values, from which on these are two sources
+MAX_TICK = 2**53  # Largest tick: beyond it the time of a row, a double, cannot tell one tick from the next
 
 
 class Missing(Enum):
@@ -57,28 +53,17 @@ class Missing(Enum):
 class Receipt(Enum):
     """Answer to a block of rows."""
 
-    ACCEPTED = "accepted"
-    """Rows that are new in it can be taken, or will be once the signal has joined."""
-    DUPLICATE = "duplicate"
-    """All its ticks were there before."""
-    CONFLICT = "conflict"
-    """All its ticks were there before, with other values."""
-    REPLACED = "replaced"
-    """All its ticks were there before, with other values, which are replaced."""
-    LATE = "late"
-    """Its ticks were given up as lost."""
-    GAP = "gap"
-    """Refused: rows before it are missing."""
-    HELD = "held"
-    """Kept: rows before it are missing."""
-    JOINING = "joining"
-    """Refused: the signal is heard from the middle of a run on, and may be sent again."""
-    FULL = "full"
-    """Refused: as many rows as may wait are waiting to be taken."""
-    AHEAD = "ahead"
-    """Refused: more than `max_queued_rows` lie between it and the row that is due; rows that continue it are taken."""
-    CLOCK_RESET = "clock reset"
-    """Refused: its time lies far before that of rows that were there; `forget` takes the new time."""
+    ACCEPTED = "accepted"  # Rows that are new in it can be taken, or will be once the signal has joined
+    DUPLICATE = "duplicate"  # All its ticks were there before
+    CONFLICT = "conflict"  # All its ticks were there before, with other values
+    REPLACED = "replaced"  # All its ticks were there before, with other values, which are replaced
+    LATE = "late"  # Its ticks were given up as lost
+    GAP = "gap"  # Refused: rows before it are missing
+    HELD = "held"  # Kept: rows before it are missing
+    JOINING = "joining"  # Refused: the signal is heard from the middle of a run on, and may be sent again
+    FULL = "full"  # Refused: as many rows as may wait are waiting to be taken
+    AHEAD = "ahead"  # Refused: more than `max_queued_rows` lie between it and the row that is due; rows that continue it are taken
+    CLOCK_RESET = "clock reset"  # Refused: its time lies far before that of rows that were there; `forget` takes the new time
 
 
 class Wait(NamedTuple):
@@ -182,11 +167,9 @@ class SignalRows:
         return Receipt.ACCEPTED
 
     def repetition_due(self, now: float) -> int | None:
-        """Tick from which on what followed from the rows is to be repeated, or None; to be asked when rows have come again.
-
-        Not while new rows come, since what goes on lacks nothing; and of two sources of one signal, which bring every tick twice,
-        each repetition would cause others. So it is due the less often the longer repetitions have brought nothing.
-        """
+        """Tick from which on what followed from the rows is to be repeated, or None; to be asked when rows have come again."""
+        # Not while new rows come, since what goes on lacks nothing; and of two sources of one signal, which bring every tick twice,
+        # each repetition would cause others. So it is due the less often the longer repetitions have brought nothing.
         if self.arrived > self._backoff.last:
             self._backoff.progress(self.arrived)
         if self._repeated_from is None or not self._backoff.due(now):

@@ -4,6 +4,13 @@
 
 from __future__ import annotations
 
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -16,11 +23,11 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.stream.row_store import IN_MEMORY, blocks, empty_rows
-from hyst_control.records.tables.child_reader import arrays_from_child
 
 KINDS = (".npy", ".npz", ".mat")
-CRASHING = (".mat",)
-"""Kinds whose readers are machine code that a damaged file can crash: read in a child process."""
+CRASHING = (".mat",)  # Kinds whose readers are machine code that a damaged file can crash: read in a child process
+CHILD = "from hyst_control.records.tables.array_files import main; main()"
+REFUSED = 2  # Exit status of a child that refuses a file
 PIECE = 2**20
 MAT_HEADER, MAT_COMPRESSED = 128, 15
 
@@ -37,7 +44,7 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
     """All arrays of real numbers in a file, by name."""
     path = Path(path)
     if kind in CRASHING and not in_child and path.exists():
-        return arrays_from_child(path, kind)
+        return _read_in_child(path, kind)
     remedy = "check how it was written, or save it as CSV"
     try:
         with foreign_reader(path, f"a {kind} file", remedy):
@@ -55,6 +62,39 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
             }
     except _MatlabHdf:
         raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
+
+
+def _read_in_child(path: Path, kind: str) -> dict[str, Array]:
+    """`read_arrays` in another process: a crash there is a refusal here."""
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, "-c", CHILD, str(path), kind, folder],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        if done.returncode == REFUSED:
+            raise InputError(json.loads(done.stdout))
+        if done.returncode:
+            ended = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
+            raise InputError(f"{path}: is damaged, its reader ended with {ended}: check how it was written, or save it as CSV")
+        files = {name: Path(folder) / f"{number}.npy" for number, name in enumerate(json.loads(done.stdout))}
+        # Large ones are mapped: they are there until nobody uses them, though their files have no name any more.
+        return {name: np.load(file, "r" if file.stat().st_size > IN_MEMORY else None) for name, file in files.items()}
+
+
+def main() -> None:
+    """In the child, write the arrays to numbered files in a folder, and print their names, or the reason of a refusal."""
+    path, kind, folder = sys.argv[1:]
+    try:
+        found = read_arrays(path, kind, in_child=True)
+    except InputError as error:
+        print(json.dumps(str(error)))
+        raise SystemExit(REFUSED) from None
+    for number, value in enumerate(found.values()):
+        np.save(Path(folder) / f"{number}.npy", value)
+    print(json.dumps(list(found)))
 
 
 class _MatlabHdf(BaseException):
@@ -96,25 +136,18 @@ def _as_float64(value: Any) -> Array:
 
 def _npy(file: IO[bytes], size: int, path: Path | None = None) -> Any:
     """The array of a .npy stream of so many bytes; None where it holds no real numbers. A large one in a file is mapped, not read."""
-    shape, dtype = _npy_header(file)
+    version = np.lib.format.read_magic(file)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read_header(file)
     if dtype.kind not in "biuf":
         return None  # texts, objects, complex numbers
-    count = 1
-    for length in shape:
-        count *= length  # of Python's integers: they do not overflow
+    count = math.prod(shape)  # of Python's integers: they do not overflow
     if count * dtype.itemsize > size:
         raise ValueError(f"it announces {count * dtype.itemsize} bytes and has {size}")
     if path is not None and count * dtype.itemsize > IN_MEMORY:
         return np.lib.format.open_memmap(path, "r")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
-
-
-def _npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], Any]:
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
-    return shape, dtype
 
 
 def _npz(path: Path) -> dict[str, Any]:

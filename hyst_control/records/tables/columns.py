@@ -12,8 +12,7 @@ import numpy as np
 from hyst_control.base.errors import InputError
 from hyst_control.records.tables.units import scaled_unit
 
-TIME = "time"
-"""Name that stands for the column of sample times, which is no signal."""
+TIME = "time"  # Name that stands for the column of sample times, which is no signal
 
 RESPONSE = ("frequency", "magnitude", "phase", "real", "imaginary", "coherence")
 """Names that stand for the columns of a frequency response."""
@@ -32,16 +31,13 @@ _PLUS = re.compile(r"\+(?![^()]*\))")
 
 @dataclass(frozen=True)
 class Column:
-    """Columns of a signal by number, name or path, one an axis, and how many of the record's `unit` one in each of them is.
-
-    summed: the columns are parts of one, such as seconds and microseconds.
-    """
+    """Columns of a signal."""
 
     topic: str
-    columns: tuple[str, ...]
-    unit: str
-    scales: tuple[float, ...]
-    summed: bool = False
+    columns: tuple[str, ...]  # By number, name or path, one an axis
+    unit: str  # Of the record
+    scales: tuple[float, ...]  # How many of it one in each of the columns is
+    summed: bool = False  # The columns are parts of one, such as seconds and microseconds
 
 
 def parse_columns(text: str) -> list[Column]:

@@ -21,8 +21,7 @@ from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arr
 from hyst_control.records.tables.header import Form
 from hyst_control.records.tables.universal_file import universal_arrays
 
-JSON_NUMBERS = Form(",", ".")
-"""Form of numbers and moments that are texts in JSON."""
+JSON_NUMBERS = Form(",", ".")  # Form of numbers and moments that are texts in JSON
 REMEDY = "check how it was written, or save it as CSV"
 KINDS_BY_LIBRARY = {"openpyxl": "an Excel workbook", "pyarrow": "a Parquet file", "h5py": "an HDF5 file", "npTDMS": "a TDMS file"}
 OTHERS = {
@@ -35,11 +34,11 @@ OTHERS = {
 
 @dataclass(frozen=True)
 class Container:
-    """Arrays of real numbers by name; numbered: they are the columns of one table; sample_time: s, where the file states it."""
+    """Arrays of real numbers by name; sample_time: s, where the file states it; numbered: they are the columns of one table."""
 
     arrays: dict[str, Array]
-    numbered: bool = False
     sample_time: float | None = None
+    numbered: bool = True
 
 
 def read_container(path: Path, kind: str) -> Container | None:
@@ -47,7 +46,7 @@ def read_container(path: Path, kind: str) -> Container | None:
     if kind in OTHERS:
         raise InputError(f"{path}: is {OTHERS[kind]}: save it as .xlsx, .parquet or CSV")
     if kind in KINDS:
-        return Container(read_arrays(path, kind))
+        return Container(read_arrays(path, kind), numbered=False)
     if kind not in _READERS:
         return None
     needed, read = _READERS[kind]
@@ -96,7 +95,7 @@ def _parquet(path: Path, library: Any) -> Container:
     file = library.ParquetFile(path)
     Budget(path.stat().st_size).take(8 * file.metadata.num_rows * file.metadata.num_columns)
     columns = file.read().flatten()
-    return Container(_real({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}), numbered=True)
+    return Container(_real({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}))
 
 
 def _json(path: Path, library: Any) -> Container:
@@ -108,7 +107,7 @@ def _json(path: Path, library: Any) -> Container:
         content = [library.loads(line) for line in text.splitlines() if line.strip()]
     found: dict[str, Any] = {}
     _series("", content, found)
-    return Container(_real(found), numbered=True)
+    return Container(_real(found))
 
 
 def _series(name: str, content: Any, found: dict[str, Any]) -> None:
@@ -126,15 +125,6 @@ def _series(name: str, content: Any, found: dict[str, Any]) -> None:
             pass  # lists of other things
 
 
-def _universal(path: Path, library: Any) -> Container:
-    arrays, sample_time = universal_arrays(path)
-    return Container(arrays, numbered=True, sample_time=sample_time)
-
-
-def _hdf5(path: Path, library: Any) -> Container:
-    return Container(hdf5_arrays(path))
-
-
 def _tdms(path: Path, library: Any) -> Container:
     budget = Budget(path.stat().st_size)
     found, increments = {}, set()
@@ -145,7 +135,7 @@ def _tdms(path: Path, library: Any) -> Container:
                 found[f"{group.name}.{channel.name}"] = channel[:]
                 increments.add(channel.properties.get("wf_increment"))
     increment = increments.pop() if len(increments) == 1 else None
-    return Container(_real(found), numbered=True, sample_time=float(increment) if increment else None)
+    return Container(_real(found), sample_time=float(increment) if increment else None)
 
 
 def _real(found: dict[str, Any]) -> dict[str, Array]:
@@ -161,9 +151,8 @@ def _real(found: dict[str, Any]) -> dict[str, Array]:
 
 _READERS: dict[str, tuple[str, Callable[[Path, Any], Container]]] = {
     ".parquet": ("pyarrow.parquet", _parquet),
-    ".h5": ("h5py", _hdf5),
-    ".hdf5": ("h5py", _hdf5),
+    **dict.fromkeys((".h5", ".hdf5"), ("h5py", lambda path, _: Container(hdf5_arrays(path), numbered=False))),
     ".tdms": ("nptdms", _tdms),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), ("json", _json)),
-    **dict.fromkeys((".uff", ".unv", ".uf", ".58"), ("numpy", _universal)),
+    **dict.fromkeys((".uff", ".unv", ".uf", ".58"), ("numpy", lambda path, _: Container(*universal_arrays(path)))),
 }

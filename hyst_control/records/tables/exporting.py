@@ -9,8 +9,6 @@ where a signal has no sample at that time its cell is empty.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.files import replacing
+from hyst_control.base.files import appearing, replacing
 from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.record import Record
 from hyst_control.records.stream.signal_message import Encoder, label_for
@@ -82,9 +80,6 @@ def _write_mat(record: Record, path: Path) -> None:
 
 
 def _write_mcap(record: Record, path: Path) -> None:
-    if os.path.lexists(path):
-        raise InputError(f"{path}: exists already: choose another name or remove it")
-    path.parent.mkdir(parents=True, exist_ok=True)
     encoders = {topic: Encoder(label_for(signal.axes, signal.unit)) for topic, signal in record.signals.items()}
     times = np.concatenate([signal.time for signal in record.signals.values()])
     source = np.repeat(np.arange(len(record.signals)), [len(signal.time) for signal in record.signals.values()])
@@ -92,16 +87,13 @@ def _write_mcap(record: Record, path: Path) -> None:
     # A player's clock begins at 1970: times before it are moved, so that none is negative.
     shift = max(0.0, -float(times.min()))
     topics, signals = list(record.signals), list(record.signals.values())
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
-        part = Path(temporary) / path.name
-        with open_bag(part, {"hold": record.hold} if record.states_hold else None) as writer:
-            for topic in topics:
-                writer.add_topic(f"/{topic}")
-            for at in np.argsort(times, kind="stable").tolist():
-                topic, signal, row = topics[source[at]], signals[source[at]], index[at]
-                block = np.concatenate([[signal.time[row]], signal.values[row]])[None]
-                writer.write(f"/{topic}", encoders[topic].encode(block), int(round((times[at] + shift) * NANOSECONDS)))
-        part.rename(path)
+    with appearing(path) as part, open_bag(part, {"hold": record.hold} if record.states_hold else None) as writer:
+        for topic in topics:
+            writer.add_topic(f"/{topic}")
+        for at in np.argsort(times, kind="stable").tolist():
+            topic, signal, row = topics[source[at]], signals[source[at]], index[at]
+            block = np.concatenate([[signal.time[row]], signal.values[row]])[None]
+            writer.write(f"/{topic}", encoders[topic].encode(block), int(round((times[at] + shift) * NANOSECONDS)))
 
 
 FORMS: dict[str, Callable[[Record, Path], None]] = {

@@ -21,12 +21,10 @@ ANGLES = {"deg": np.pi / 180.0, "rad": 1.0, "mrad": 1e-3}
 OVERSAMPLING = 10
 """Samples a period of the highest frequency: a straight line between them is a sine to 3 %, for which the answer is corrected."""
 
-PERIODS = 10
-"""Periods of the lowest frequency in the record, fewer where it would be very long."""
+PERIODS = 10  # Periods of the lowest frequency in the record, fewer where it would be very long
 
 MAX_SAMPLES = 2**21
-MAX_COSINES = 2e8
-"""Samples times frequencies: of more frequencies some evenly spread ones are taken."""
+MAX_COSINES = 2e8  # Samples times frequencies: of more frequencies some evenly spread ones are taken
 
 MIN_COHERENCE = 0.5
 COMMAND_RANGE = 10.0

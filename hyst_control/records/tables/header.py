@@ -8,23 +8,19 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timezone
 
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.units import scaled_unit
 
-SAMPLE_LINES = 1000
-"""Lines from which the form is judged."""
-
-TAIL = 4
-"""The last quarter of these lines tells the columns: an instrument's header is shorter than that."""
+SAMPLE_LINES = 1000  # Lines from which the form is judged
+TAIL = 4  # The last quarter of these lines tells the columns: an instrument's header is shorter than that
 
 SETTINGS = 0.05
 """Rows of numbers above a line of words, per row below it, up to which they are settings with names of their own."""
 
-SETTINGS_BESIDE = 40
-"""Rows of numbers beside which an instrument may write its settings."""
+SETTINGS_BESIDE = 40  # Rows of numbers beside which an instrument may write its settings
 
 HEADER_ROWS = 3
 COMMON_UNITS = ("V", "s", "um", "nm", "mm", "ms", "us", "mV", "kV", "mA", "kN", "mN", "Hz", "µm", "\u03bcm")
@@ -93,10 +89,8 @@ class Form:
 
 
 def _moment(cell: str) -> float | None:
-    """Seconds since 1970 of a date with a time, since midnight of a time of day, of a duration; None where a cell is none of these.
-
-    Of days as 3/4/2024 the month stands first, if it can, of days as 3.4.2024 it stands second.
-    """
+    """Seconds since 1970 of a date with a time, since midnight of a time of day, of a duration; None where a cell is none of these."""
+    # Of days as 3/4/2024 the month stands first, if it can, of days as 3.4.2024 it stands second.
     if (duration := _DURATION.fullmatch(cell)) is not None:
         return float(duration[1]) * _DURATION_UNITS[duration[2]]
     match = _MOMENT.fullmatch(cell)
@@ -121,18 +115,15 @@ def _moment(cell: str) -> float | None:
 
 @dataclass(frozen=True)
 class Layout:
-    """A text's form, number of cells of its rows, the line of its first row (of those that were looked at), and its header.
-
-    names: of every column its header's cells, from the nearest up; sample_time: s, where the header states it.
-    """
+    """A text's form and header."""
 
     form: Form
-    width: int
-    numeric: tuple[int, ...]
-    first: int
-    names: tuple[tuple[str, ...], ...]
-    sample_time: float | None = None
-    notes: tuple[str, ...] = field(default_factory=tuple)
+    width: int  # Number of cells of its rows
+    numeric: tuple[int, ...]  # Columns of numbers
+    first: int  # Line of its first row, of those that were looked at
+    names: tuple[tuple[str, ...], ...]  # Of every column its header's cells, from the nearest up
+    sample_time: float | None = None  # s, where the header states it
+    notes: tuple[str, ...] = ()
 
     def column(self, name: str) -> int | None:
         """Number from 0 of the column of this name, with or without the unit behind it."""

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
+from hyst_control.base.files import appearing
 from hyst_control.records.bags.bag_writer import BagWriter
 from hyst_control.records.bags.rosbag2_writer import Rosbag2Writer, open_bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times
@@ -28,8 +27,7 @@ from hyst_control.records.tables.selection import read_columns
 
 __all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
 
-RATE_TOLERANCE = 0.01
-"""Relative difference between a rate that is given and that of the column of times."""
+RATE_TOLERANCE = 0.01  # Relative difference between a rate that is given and that of the column of times
 
 BLOCK = 50
 
@@ -206,36 +204,23 @@ def _times(path: Path, column: Column, held: dict[str, Array], numbers: Sequence
 
 def write_bag(path: str | Path, record: Record) -> None:
     """Write a record as a finished MCAP bag: under a temporary name, then renamed. Raises `InputError` when the path exists."""
-    path = Path(path)
-    if os.path.lexists(path):
-        raise InputError(f"{path}: exists already: choose another name or remove it")
     if not record.signals:
         raise InputError(f"{path}: there is nothing to write: {record.source} has no signals")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
-        part = Path(temporary) / path.name
-        said = {"hold": record.hold} if record.states_hold else {}
-        if record.history:
-            said["history"] = "\n".join(record.history)
-        with open_bag(part, said or None) as writer:
-            _write_signals(writer, record)
-        part.rename(path)
+    said = {"hold": record.hold} if record.states_hold else {}
+    if record.history:
+        said["history"] = "\n".join(record.history)
+    with appearing(Path(path)) as part, open_bag(part, said or None) as writer:
+        _write_signals(writer, record)
 
 
 def write_bags(path: str | Path, records: Sequence[Record]) -> None:
     """Write one record as a bag, or several as bags 1, 2, … in a folder of this name. Raises `InputError` when it exists."""
-    path = Path(path)
     if len(records) == 1:
         write_bag(path, records[0])
         return
-    if os.path.lexists(path):
-        raise InputError(f"{path}: exists already: choose another name or remove it")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
-        part = Path(temporary) / path.name
+    with appearing(Path(path)) as part:
         for number, record in enumerate(records, start=1):
             write_bag(part / f"{number:0{len(str(len(records)))}d}", record)
-        part.rename(path)
 
 
 def _write_signals(writer: BagWriter | Rosbag2Writer, record: Record) -> None:

@@ -21,26 +21,12 @@ from hyst_control.records.tables.text import TextTable
 from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
-FAST_TICKS = 1000.0
-"""Least step of whole numbers that are ticks of a fast clock and no seconds."""
+FAST_TICKS = 1000.0  # Least step of whole numbers that are ticks of a fast clock and no seconds
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
 COMMAND_WORDS = ("u", "uk", "v", "in", "dac", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
 MEASUREMENT_WORDS = (
-    "y",
-    "yk",
-    "adc",
-    "measurement",
-    "meas",
-    "pos",
-    "sensor",
-    "out",
-    "output",
-    "disp",
-    "actual",
-    "current pos",
-    "micron",
-    "angle",
-    "strain",
+    *("y", "yk", "adc", "measurement", "meas", "pos", "sensor", "out", "output", "disp", "actual", "current pos", "micron"),
+    *("angle", "strain"),
 )
 RESPONSE_WORDS = (
     ("frequency", ("freq", "omega", "f", "w")),
@@ -51,8 +37,7 @@ RESPONSE_WORDS = (
     ("coherence", ("coherence", "coh")),
 )
 RESPONSE_FORMS = (("frequency", "magnitude", "phase"), ("frequency", "real", "imaginary"))
-NOT_IN_QUOTES = frozenset('"$`\\!')
-"""Characters that a shell changes between double quotes."""
+NOT_IN_QUOTES = frozenset('"$`\\!')  # Characters that a shell changes between double quotes
 
 
 @dataclass(frozen=True, eq=False)

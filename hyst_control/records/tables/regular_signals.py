@@ -15,19 +15,15 @@ from hyst_control.records.record import Signal, commonest_step, regular_times
 from hyst_control.records.stream.row_store import blocks
 from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
 
-OWN_RATE = 0.0
-"""Rate to resample to that stands for the signals' own."""
-
-SHORTEST_RUN = 10
-"""Rows of a run from which a time that starts again begins a new record, and is no disorder."""
+OWN_RATE = 0.0  # Rate to resample to that stands for the signals' own
+SHORTEST_RUN = 10  # Rows of a run from which a time that starts again begins a new record, and is no disorder
 
 LATEST = 20.0
 """Steps by which messages may be received beside their ticks: they come in bursts, but none is thought to be lost."""
 
 MAX_RUNS = 100
 RATES_DIFFER = 0.01
-TOLD_DEVIATION = 0.01
-"""Steps by which times may lie beside their ticks without a note."""
+TOLD_DEVIATION = 0.01  # Steps by which times may lie beside their ticks without a note
 
 
 def runs_of(where: str, time: Array, rows: Sequence[int] | Integers, gaps: bool) -> list[slice]:
@@ -123,7 +119,8 @@ def _at_ticks(
                     f"{where}: time: lies up to {grid.deviation:.2g} s beside the ticks of {1.0 / step:.6g} Hz, which stand for it"
                 )
             shift = int(np.rint((grid.origin - origin) / step))
-            times[id(signal.time)] = _tick_times(grid.ticks, len(signal.time), shift, step)
+            own = regular_times(len(signal.time), step, shift) if grid.ticks is None else (grid.ticks + shift) * step
+            times[id(signal.time)] = np.asarray(own, dtype=np.float64)
         timing = "layout" if grid.missing else signal.timing  # ticks that are known to be missing are no jitter
         found[topic] = replace(signal, time=times[id(signal.time)], timing=timing)
     return found, notes
@@ -139,15 +136,6 @@ def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> str:
     if allow_gaps:
         return f"{text}: what needs equal steps uses the stretches between (identify --allow-gaps)"
     raise InputError(f"{text}: --resample interpolates them, --allow-gaps leaves them out, or choose rows between them (--rows)")
-
-
-def _tick_times(ticks: Integers | None, count: int, shift: int, step: float) -> Array:
-    if ticks is not None:
-        return np.asarray((ticks + shift) * step, dtype=np.float64)
-    time = regular_times(count, step)
-    for part in blocks(count) if shift else ():
-        time[part] = np.arange(part.start + shift, part.stop + shift) * step
-    return time
 
 
 def _interpolated(

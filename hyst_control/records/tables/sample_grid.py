@@ -12,11 +12,8 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.records.record import commonest_step
 from hyst_control.records.stream.row_store import blocks
 
-WINDOW = 2**10
-"""Rows over which times may not leave their ticks; between windows a clock may wander slowly."""
-
-NEAREST = 0.45
-"""Steps by which a time may lie beside its tick: beyond half a step another tick is nearer."""
+WINDOW = 2**10  # Rows over which times may not leave their ticks; between windows a clock may wander slowly
+NEAREST = 0.45  # Steps by which a time may lie beside its tick: beyond half a step another tick is nearer
 
 COARSE = 0.6
 """The same for times that repeat, in units of their resolution: all rows between two readings of the clock have one time."""
@@ -24,16 +21,12 @@ COARSE = 0.6
 MAX_MISSING = 0.5
 """Ticks without a row, per row, up to which rows are missing: more are bursts, or rows at no regular times."""
 
-ENDS = 2**16
-"""Rows at either end of the times, at most, from which the step is taken."""
-
-SEARCHED = 0.03
-"""Relative width about a mean step within which the step of few times is searched."""
+ENDS = 2**16  # Rows at either end of the times, at most, from which the step is taken
+SEARCHED = 0.03  # Relative width about a mean step within which the step of few times is searched
 
 DAY = 86400.0
 
-LONGEST_FILLED = 10
-"""Steps of a gap up to which values between its ends are interpolated."""
+LONGEST_FILLED = 10  # Steps of a gap up to which values between its ends are interpolated
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from hyst_control.records.tables.containers import Container, read_container, sh
 from hyst_control.records.tables.header import without_unit
 from hyst_control.records.tables.text import TextTable, text_table
 
-WIDE = 16
-"""Columns a row from which a matrix is thought to hold its signals in its rows."""
+WIDE = 16  # Columns a row from which a matrix is thought to hold its signals in its rows
 
 _PART = re.compile(r"(?P<name>.*)\((?P<row>:|\d{1,6}),(?P<column>:|\d{1,6})\)")
 

@@ -23,11 +23,8 @@ from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, is_comment, plain
 
-ENCODING_SAMPLE = 2**12
-"""Bytes of a text from which its encoding is judged."""
-
-TEXT_ROWS = 2**14
-"""Lines of a text that are held at a time."""
+ENCODING_SAMPLE = 2**12  # Bytes of a text from which its encoding is judged
+TEXT_ROWS = 2**14  # Lines of a text that are held at a time
 
 REMEDY = "give a CSV or white-space table, .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms or .json"
 
@@ -62,19 +59,13 @@ class TextTable:
                 try:
                     store.append(self._numbers(piece, wanted))
                 except _Damaged as damaged:
-                    if any(
-                        self.layout.form.is_number(cell)
-                        for _, line in chain(piece[damaged.row :], lines)
-                        for cell in self._cells(line)
-                    ):
+                    form, rest = self.layout.form, chain(piece[damaged.row :], lines)
+                    if any(form.is_number(cell) for _, line in rest for cell in form.cells(line)):
                         raise
                     store.append(self._numbers(piece[: damaged.row], wanted))
                     notes.append(f"what stands from line {piece[damaged.row][0]} on holds no numbers and was left out")
                     break
         return store.array(), [f"{self.path}: {note}" for note in notes]
-
-    def _cells(self, line: str) -> list[str]:
-        return self.layout.form.cells(line)
 
     def _numbers(self, piece: Sequence[tuple[int, str]], wanted: Sequence[int]) -> Array:
         form, width = self.layout.form, self.layout.width

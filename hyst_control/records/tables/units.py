@@ -7,18 +7,8 @@ from __future__ import annotations
 import re
 
 PREFIXES = {
-    "": 1.0,
-    "p": 1e-12,
-    "n": 1e-9,
-    "u": 1e-6,
-    "µ": 1e-6,
-    "\u03bc": 1e-6,
-    "m": 1e-3,
-    "c": 1e-2,
-    "k": 1e3,
-    "M": 1e6,
-    "G": 1e9,
-}
+    "": 1.0, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3, "M": 1e6, "G": 1e9,
+}  # fmt: skip
 CONVERTED = {"V": ("V", 1.0), "m": ("um", 1e6), "rad": ("mrad", 1e3)}
 """Unit without a prefix: unit of the record, and how many of them one is."""
 

@@ -12,14 +12,10 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
-MARK = "-1"
-"""The only word of the line before and behind a dataset."""
-FORM_LINE, DATA_LINE = 7, 12
-"""Lines of a dataset from its type on: the one on the numbers' form, and their first."""
-WIDTHS = {2: 13, 4: 20}
-"""Characters of a number, by the type of the ordinate: real, of single and of double precision."""
-EVEN = "1"
-"""Mark of numbers at an even spacing of time; others stand in pairs with their times."""
+MARK = "-1"  # The only word of the line before and behind a dataset
+FORM_LINE, DATA_LINE = 7, 12  # Lines of a dataset from its type on: the one on the numbers' form, and their first
+WIDTHS = {2: 13, 4: 20}  # Characters of a number, by the type of the ordinate: real, of single and of double precision
+EVEN = "1"  # Mark of numbers at an even spacing of time; others stand in pairs with their times
 
 
 def universal_arrays(path: Path) -> tuple[dict[str, Array], float | None]:

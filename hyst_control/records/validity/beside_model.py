@@ -18,23 +18,17 @@ from hyst_control.records.validity.findings import Finding, Simulation, Trial
 from hyst_control.records.validity.time_shift import MIN_SECTIONS, SECTIONS, grown_lead_in_words, in_words
 from hyst_control.records.validity.two_records import OPPOSED, PAIRED, SCALE
 
-LONGEST = 2**16
-"""Rows, from the beginning, that are simulated."""
-EXPLAINED = 1e-4
-"""Share of a measurement's power that a model leaves of a record which is not asked further."""
-CLEAR = 8.0
-"""Ratio of what the model leaves of the record as it is and as it may be meant."""
+LONGEST = 2**16  # Rows, from the beginning, that are simulated
+EXPLAINED = 1e-4  # Share of a measurement's power that a model leaves of a record which is not asked further
+CLEAR = 8.0  # Ratio of what the model leaves of the record as it is and as it may be meant
 POOR, LESS_POOR = 0.02, 0.1
 """Shares that a hypothesis may leave, and an exchange, which a model with a gain alone shows, too."""
-UNEXPLAINED = 0.5
-"""Share of the power, of a record or of an octave, from which a model leaves it unexplained."""
+UNEXPLAINED = 0.5  # Share of the power, of a record or of an octave, from which a model leaves it unexplained
 FACTORS = (0.1, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 10.0)
 """Ratios of the true sample time to the stated one, and of the true unit of a command."""
 UNITS = (1e-6, 1e-3, 1e3, 1e6)
-MIN_SHIFT = 3
-"""Rows of a shift that counts."""
-MIN_SECTION = 256
-"""Rows of a section of a record in which a shift is looked for."""
+MIN_SHIFT = 3  # Rows of a shift that counts
+MIN_SECTION = 256  # Rows of a section of a record in which a shift is looked for
 MAX_AXES = 4
 REFUTABLE = ("reversed_time", "reversed_command", "swapped_signals", "unrelated_measurement", "unplugged_sensor")
 """Findings that a model of the machine may refute."""
@@ -94,11 +88,9 @@ def meant(command: Array, measured: Array, sample_time: float, simulate: Simulat
 
 
 def refutes(trial: Trial, index: int, name: str) -> bool:
-    """True where the model contradicts a finding: it explains the axis as recorded better than reversed or exchanged.
-
-    In a closed loop the command is computed from the measurement, so that a fit without physics works in either direction. A measurement
-    that the model explains is not unrelated to the command, even if the relation is nonlinear.
-    """
+    """True where the model contradicts a finding: it explains the axis as recorded better than reversed or exchanged."""
+    # In a closed loop the command is computed from the measurement, so that a fit without physics works in either direction. A measurement
+    # that the model explains is not unrelated to the command, even if the relation is nonlinear.
     if trial.simulate is None or trial.simulated is None or name not in REFUTABLE:
         return False
     command, measured = trial.command[:LONGEST], trial.measurement[:LONGEST]
@@ -116,10 +108,8 @@ def refutes(trial: Trial, index: int, name: str) -> bool:
 
 
 def _with_delay_and_gain(expected: Array, measured: Array) -> Array:
-    """The expected motion (N, A), delayed and scaled to fit the measurement best, with an offset and a drift added.
-
-    The delay may be a part of a row: it is a sum of three neighboring ones.
-    """
+    """The expected motion (N, A), delayed and scaled to fit the measurement best, with an offset and a drift added."""
+    # The delay may be a part of a row: it is a sum of three neighboring ones.
     found = np.empty_like(expected)
     line = [np.ones(len(expected)), np.linspace(-1.0, 1.0, len(expected))]
     for index, (one, other) in enumerate(zip(expected.T, measured.T, strict=True)):
@@ -134,10 +124,8 @@ def _later(values: Array, rows: int) -> Array:
 
 
 def _other_rate(as_given: Sequence[Array], at_rates: Mapping[float, Array], measured: Array) -> float | None:
-    """The rate by which the model explains an octave of the measurement (N, A) that it leaves as given in each way, and none vice versa.
-
-    Slow motion has most of the power and knows nothing of the rate, so that a model's own discrepancy there hides it from the whole.
-    """
+    """The rate by which the model explains an octave of the measurement (N, A) that it leaves as given in each way, and none vice versa."""
+    # Slow motion has most of the power and knows nothing of the rate, so that a model's own discrepancy there hides it from the whole.
     power = _octaves(measured)
     own = np.min([_octaves(measured - expected) for expected in as_given], axis=0) / power
     left = {rate: _octaves(measured - expected) / power for rate, expected in at_rates.items() if np.isfinite(expected).all()}
@@ -226,14 +214,12 @@ def model_findings(trial: Trial, moving: Sequence[int]) -> list[Finding]:
 
 
 def _meant(trial: Trial, name: str, factor: float) -> Finding:
-    if name == "wrong_rate":
-        detail = (
-            f": a sample rate of {factor / trial.sample_time:.4g} Hz instead of {1.0 / trial.sample_time:.4g} Hz fits the model"
-        )
-        return Finding(name, trial.name, "", factor, 1.0, detail)
-    if name == "scaled_command":
-        return Finding(name, trial.name, "", factor, 1.0, f"(scaled by {factor:g} it fits)")
-    return Finding(name, trial.name, "", 1.0, 1.0, "(so the model fits)")
+    rate = 1.0 / trial.sample_time
+    details = {
+        "wrong_rate": f": a sample rate of {factor / trial.sample_time:.4g} Hz instead of {rate:.4g} Hz fits the model",
+        "scaled_command": f"(scaled by {factor:g} it fits)",
+    }
+    return Finding(name, trial.name, "", factor, 1.0, details.get(name, "(so the model fits)"))
 
 
 def _axis_against_the_model(trial: Trial, index: int) -> Iterator[Finding]:

@@ -42,14 +42,12 @@ from hyst_control.records.validity.rows import (
 from hyst_control.records.validity.sensor import unexpected_share
 from hyst_control.records.validity.time_shift import growing_lead, time_shifts
 
-FAR_LESS = 0.05
-"""Ratio of what an arrangement of few sines leaves to what it leaves at another time."""
+FAR_LESS = 0.05  # Ratio of what an arrangement of few sines leaves to what it leaves at another time
 
 SWITCHED = 8
 """Levels up to which a command is switched, such as a binary sequence: no sensor has so few, and play operators cut the noise off them."""
 
-FITS = 0.03
-"""Share of a measurement's power that a model of the record read backwards or exchanged leaves at most."""
+FITS = 0.03  # Share of a measurement's power that a model of the record read backwards or exchanged leaves at most
 
 
 def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Finding]:

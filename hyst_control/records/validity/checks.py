@@ -17,36 +17,21 @@ import numpy as np
 
 from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra
+from hyst_control.records.validity import facts
 from hyst_control.records.validity.beside_model import model_findings, refutes
 from hyst_control.records.validity.causality import direction_findings
-from hyst_control.records.validity.facts import (
-    copied_gain,
-    held_samples,
-    implausible,
-    longest_stand,
-    outliers,
-    rails,
-    simultaneous_gaps,
-)
 from hyst_control.records.validity.findings import NOTES, Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, linear_reference
 from hyst_control.records.validity.rows import MAX_PAIRED, CondensedRows
 from hyst_control.records.validity.sensor import dead_sensor, is_modeled, moves_less_than_a_step
 from hyst_control.records.validity.two_records import exchanged_axes, findings_between
 
-SHORTEST_RECORD = 1024
-"""Samples below which no model is fitted: a record must be longer than a plant rings."""
-
-
-def check_records(trials: Sequence[Trial]) -> list[Finding]:
-    """Everything that shows records to be no measurement of their commands, or of several plants."""
-    # trials: stretches of records, of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors
-    # only
-    return examined(trials)[0]
+SHORTEST_RECORD = 1024  # Samples below which no model is fitted: a record must be longer than a plant rings
 
 
 def examined(trials: Sequence[Trial]) -> tuple[list[Finding], list[Finding]]:
-    """Findings for which records are refused, as in `check_records`, and notes on those that are used all the same."""
+    """Everything that shows records to be no measurement of their commands, or of several plants, and notes on those used all the same."""
+    # trials: of finite numbers; those of fewer than `SHORTEST_RECORD` samples are looked at for dead sensors only
     found: list[Finding] = []
     sound: list[Trial] = []
     for trial in trials:
@@ -93,23 +78,23 @@ def _of_axis(trial: Trial, left: CondensedRows, index: int, dead: Finding | None
 
 def _facts(trial: Trial, index: int) -> Iterator[Finding]:
     command, measured, axis = trial.command[:, index], trial.measurement[:, index], trial.axes[index]
-    if (rail := rails(command, measured)) is not None:
+    if (rail := facts.rails(command, measured)) is not None:
         detail = f"at {rail[0]:.4g} {trial.unit} in {100 * rail[1]:.2g} % of the samples"
         yield Finding("at_range_end", trial.name, axis, rail[1], 0.0, detail)
-    if (held := held_samples(command)) > 1:
+    if (held := facts.held_samples(command)) > 1:
         rate = 1.0 / (held * trial.sample_time)
         yield Finding("held_command", trial.name, axis, held, 1.0, f"for {held} samples each, as if logged at {rate:.4g} Hz")
-    if (gain := copied_gain(command, measured)) is not None:
+    if (gain := facts.copied_gain(command, measured)) is not None:
         yield Finding("copied_command", trial.name, axis, gain, 0.0, f"({gain:.4g} times the command)")
-    if gaps := simultaneous_gaps(command, measured):
+    if gaps := facts.simultaneous_gaps(command, measured):
         yield Finding("lost_rows", trial.name, axis, gaps, 0.0, f"(command and measurement jump together in {gaps} places)")
-    if (count := outliers(measured)) > 0:
+    if (count := facts.outliers(measured)) > 0:
         yield Finding("single_outliers", trial.name, axis, count, 0.0, f"({count} of {len(measured)})")
-    if (stands := longest_stand(command, measured)) is not None:
+    if (stands := facts.longest_stand(command, measured)) is not None:
         begin, count = stands
         detail = f"on {measured[begin]:.4g} {trial.unit} for {count} samples from {begin * trial.sample_time:.4g} s on"
         yield Finding("stuck_measurement", trial.name, axis, count, 0.0, detail)
-    if (odd := implausible(command, measured, trial.unit)) is not None:
+    if (odd := facts.implausible(command, measured, trial.unit)) is not None:
         what, smaller = odd
         yield Finding("implausible_range", trial.name, axis, 0.0, 0.0, f"({what})", f"check the unit: is it in {smaller}?")
 

@@ -13,8 +13,7 @@ from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, continued, surely_better
 from hyst_control.records.validity.rows import CLEAR_LEAD, SATURATION_MATTERS
 
-CLIPPED_SHARES = (0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
-"""Shares of the command's range at which that is tried."""
+CLIPPED_SHARES = (0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)  # Shares of the command's range at which that is tried
 
 OUTER, MIN_OUTER, SPREAD, FLAT = 0.9, 20, 0.015, 0.35
 """Share of the range beyond which the measurement's slope is looked at, rows there and how far they spread, and the share of the whole

@@ -10,24 +10,17 @@ from hyst_control.base.arrays import Array
 from hyst_control.records.outliers import ROUNDED, outlying
 from hyst_control.records.stream.row_store import blocks
 
-LONGEST = 2**20
-"""Samples, from the beginning, that are looked at."""
-MIN_RAIL = 0.005
-"""Share of the samples at the extreme value from which it is the end of a range."""
-MOVES_ON = 0.01
-"""Share of its range by which a command goes on while the measurement stands at the end of its range."""
-MIN_HELD, MAX_HELD = 2, 64
-"""Samples over which a command that was logged too rarely is held."""
-REGULAR = 0.98
-"""Share of a held command's changes that lie on one grid."""
+LONGEST = 2**20  # Samples, from the beginning, that are looked at
+MIN_RAIL = 0.005  # Share of the samples at the extreme value from which it is the end of a range
+MOVES_ON = 0.01  # Share of its range by which a command goes on while the measurement stands at the end of its range
+MIN_HELD, MAX_HELD = 2, 64  # Samples over which a command that was logged too rarely is held
+REGULAR = 0.98  # Share of a held command's changes that lie on one grid
 MIN_CHANGES = 100
 COPY = 1e-4
 """Share of a copy's power that is not proportional to the command, at most; of that, another sample of the command leaves `EXACT` times."""
 EXACT = 1.5
-MIN_GAPS = 5
-"""Simultaneous jumps of command and measurement that are gaps."""
-JUMP = 8.0
-"""Size of a jump relative to the median second difference of its neighborhood."""
+MIN_GAPS = 5  # Simultaneous jumps of command and measurement that are gaps
+JUMP = 8.0  # Size of a jump relative to the median second difference of its neighborhood
 MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
 """Fewest outliers that are reported, and the share of the samples from which they count as something else."""
 MIN_STAND, MOVES_FAR = 10, 0.05
@@ -69,10 +62,8 @@ def outliers(measured: Array) -> int:
 
 
 def longest_stand(command: Array, measured: Array) -> tuple[int, int] | None:
-    """First sample and length of the stretch on which a measurement (N,) repeats one value while the command moves far.
-
-    Coarse steps of a sensor, and backlash, repeat values as well: here the measurement jumps before or behind.
-    """
+    """First sample and length of the stretch on which a measurement (N,) repeats one value while the command moves far."""
+    # Coarse steps of a sensor, and backlash, repeat values as well: here the measurement jumps before or behind.
     measured = measured[:LONGEST]
     steps = np.abs(np.diff(measured))
     edges = np.flatnonzero(np.diff(measured)) + 1
@@ -134,10 +125,8 @@ def copied_gain(command: Array, measured: Array) -> float | None:
 
 
 def simultaneous_gaps(command: Array, measured: Array) -> int:
-    """Rows between which a smooth command and its measurement (N,) jump together, as where rows of both were lost and closed up.
-
-    A plant answers a step of its command in a later sample, and a step begins and ends with another slope.
-    """
+    """Rows between which a smooth command and its measurement (N,) jump together, as where rows of both were lost and closed up."""
+    # A plant answers a step of its command in a later sample, and a step begins and ends with another slope.
     jumps = []
     for values in (command[:LONGEST], measured[:LONGEST]):
         steps = np.diff(values)

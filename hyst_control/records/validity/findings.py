@@ -17,39 +17,31 @@ Simulation = Callable[[Array, float], Array]
 
 @dataclass(frozen=True)
 class Trial:
-    """A gapless stretch of a record.
-
-    command (N, A) in V and measurement (N, A), sample_time in s, the axes' names, unit of the measurement; simulated (N, A): what a model
-    makes of the command; simulate: the model, at any command and sample time; modes: the frequencies of its modes, Hz; delay: its own, s.
-    """
+    """A gapless stretch of a record."""
 
     name: str
-    command: Array
-    measurement: Array
-    sample_time: float
-    axes: tuple[str, ...]
-    simulated: Array | None = None
-    unit: str = "um"
-    simulate: Simulation | None = None
-    modes: tuple[float, ...] = ()
-    delay: float = 0.0
+    command: Array  # (N, A), V
+    measurement: Array  # (N, A)
+    sample_time: float  # s
+    axes: tuple[str, ...]  # Their names
+    simulated: Array | None = None  # (N, A), what a model makes of the command
+    unit: str = "um"  # Of the measurement
+    simulate: Simulation | None = None  # The model, at any command and sample time
+    modes: tuple[float, ...] = ()  # Frequencies of its modes, Hz
+    delay: float = 0.0  # Its own, s
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a record.
+    """One thing that is wrong with a record."""
 
-    name: `NAMES`; record: its trial's name (two of them joined by " and "); axis: name, "" for all; value: what was found; limit: the
-    value that it may have; detail: the value in words.
-    """
-
-    name: str
-    record: str
-    axis: str
-    value: float
-    limit: float
-    detail: str = ""
-    remedy: str = ""
+    name: str  # Key of `NAMES`
+    record: str  # Its trial's name; two of them joined by " and "
+    axis: str  # Its name; "" for all
+    value: float  # What was found
+    limit: float  # The value that it may have
+    detail: str = ""  # The value in words
+    remedy: str = ""  # "" for the usual one
 
     def text(self) -> str:
         """As one line for a person: what, where, remedy."""
@@ -67,15 +59,7 @@ NAMES: dict[str, list[str]] = read_yaml(Path(__file__).with_name("findings.yaml"
 """Text of each finding, and the remedy."""
 
 NOTES = (
-    "late_measurement",
-    "lost_rows",
-    "at_range_end",
-    "clipped_command",
-    "copied_command",
-    "held_command",
-    "implausible_range",
-    "single_outliers",
-    "stuck_measurement",
-    "slow_sampling",
+    *("late_measurement", "lost_rows", "at_range_end", "clipped_command", "copied_command", "held_command", "implausible_range"),
+    *("single_outliers", "stuck_measurement", "slow_sampling"),
 )
 """Findings with which a record is used all the same."""

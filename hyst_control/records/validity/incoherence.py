@@ -12,25 +12,17 @@ from hyst_control.records.session_zero import without_zero
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, continued, hysteretic_reference, linear_reference
 
-LONGEST_RECORD = 2**20
-"""Samples, from the beginning, by whose coherence a record is judged."""
-
-ANOTHER_TIME = 0.382
-"""Share of a record from which its commands of another time are taken."""
+LONGEST_RECORD = 2**20  # Samples, from the beginning, by whose coherence a record is judged
+ANOTHER_TIME = 0.382  # Share of a record from which its commands of another time are taken
 OTHER_TIMES, LINEAR_FOLLOWS = (0.236, ANOTHER_TIME, 0.618), 0.5
 """Other times with which a linear model is compared, and the share of the least of theirs that its own command's leaves at most."""
 
 FOLLOWS = 0.2
 """Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
 
-EXPLAINED = 0.3
-"""Share of a measurement's power that is coherent with the commands, from which it follows them."""
-
-WHITE = 0.2
-"""Correlation of neighbors up to which a remainder is white noise."""
-
-EMPTY = 0.01
-"""Power relative to the mean below which a frequency is not excited."""
+EXPLAINED = 0.3  # Share of a measurement's power that is coherent with the commands, from which it follows them
+WHITE = 0.2  # Correlation of neighbors up to which a remainder is white noise
+EMPTY = 0.01  # Power relative to the mean below which a frequency is not excited
 
 MAINS = (50.0, 60.0)
 
@@ -89,10 +81,8 @@ def _kind_of_incoherence(trial: Trial, index: int) -> str:
 
 
 def in_no_order(values: Array) -> bool:
-    """True where a signal's power is the same at all frequencies, as that of noise and of shuffled samples is.
-
-    Of what was built to drive a stage many frequencies are empty; of noise's about one in a hundred have a hundredth of the mean.
-    """
+    """True where a signal's power is the same at all frequencies, as that of noise and of shuffled samples is."""
+    # Of what was built to drive a stage many frequencies are empty; of noise's about one in a hundred have a hundredth of the mean.
     power = np.abs(np.fft.rfft(values - values.mean()))[1:] ** 2
     return bool(np.mean(power < EMPTY * power.mean()) < 3.0 * EMPTY)
 

@@ -22,47 +22,37 @@ Poles = Complex
 
 MAX_ROWS = 8192
 """Rows that a model of one command is fitted to, half of them with several: of a longer record neighbors are averaged."""
-KEPT_POWER = 0.9
-"""Share of a command's power that averaging over neighbors must keep."""
-PAIRS = 4
-"""Pairs of poles to begin with, spread over the frequencies of the record."""
+KEPT_POWER = 0.9  # Share of a command's power that averaging over neighbors must keep
+PAIRS = 4  # Pairs of poles to begin with, spread over the frequencies of the record
 ITERATIONS = 5
-CONVERGED = 0.9
-"""Ratio of what successive iterations leave from which there is no further one."""
-THRESHOLDS = (0.01, 0.03, 0.07, 0.14, 0.22, 0.32)
-"""Thresholds of the play operators, as shares of the command's range."""
-BLOCKS, HELD_OUT = 40, 5
-"""Blocks of a record, and every how many-th is held out."""
+CONVERGED = 0.9  # Ratio of what successive iterations leave from which there is no further one
+THRESHOLDS = (0.01, 0.03, 0.07, 0.14, 0.22, 0.32)  # Thresholds of the play operators, as shares of the command's range
+BLOCKS, HELD_OUT = 40, 5  # Blocks of a record, and every how many-th is held out
 SURE, FLOOR = 2.0, 1e-2
 """Student's t from which a mean over held-out blocks is no chance, and the share of the mean that a block counts at least."""
-LINES_OF_A_SINE = 3.0
-"""Lines that a sine has in a spectrum with Hann's window."""
+LINES_OF_A_SINE = 3.0  # Lines that a sine has in a spectrum with Hann's window
 MIN_DECAY = 0.3
 """By how many factors of e an oscillation decays over the record, at least: one that goes on for ever needs no command."""
-RIDGE = 1e-10
-"""Regularization of the normal equations, relative to their diagonal."""
+RIDGE = 1e-10  # Regularization of the normal equations, relative to their diagonal
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A fitted reference model.
+    """A fitted reference model."""
 
-    unexplained: share of the measurement's power on held-out rows; by_block: that in each held-out block; without_command: the same of the
-    model's constant, line and initial states alone; predicted (N,), measurement unit; poles: of the filters; hysteresis: whether there
-    are play operators.
-    """
-
-    unexplained: float
-    by_block: Array
-    without_command: float
-    predicted: Array
-    poles: Poles
-    hysteresis: bool
+    unexplained: float  # Share of the measurement's power on held-out rows
+    fitted: float  # The same on the rows that it was fitted to
+    by_block: Array  # That in each held-out block
+    without_command: float  # The same of the model's constant, line and initial states alone
+    predicted: Array  # (N,), measurement unit
+    poles: Poles  # Of the filters
+    hysteresis: bool  # Whether there are play operators
 
 
 def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
     """True where a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
-    if one.unexplained * ratio >= other.unexplained:
+    # Where periods repeat, no model saw the phases that are held out in all of them: it must leave less of what it was fitted to, too.
+    if one.unexplained * ratio >= other.unexplained or one.fitted * ratio >= other.fitted:
         return False
     gain = np.log(other.by_block + FLOOR * other.unexplained) - np.log(one.by_block + FLOOR * one.unexplained)
     return bool(np.mean(gain) > SURE * np.std(gain, ddof=1) / np.sqrt(len(gain)))
@@ -134,10 +124,8 @@ def _thresholds(command: Array) -> tuple[float, ...]:
 
 
 def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Array:
-    """Unexplained shares (2 reach + 1,) where the measurement (N,) is taken -reach ... reach rows later, by a model of fixed poles.
-
-    The model's columns stay the same for all shifts: what they explain is a correlation with each of an orthonormal set of them.
-    """
+    """Unexplained shares (2 reach + 1,) where the measurement (N,) is taken -reach ... reach rows later, by a model of fixed poles."""
+    # The model's columns stay the same for all shifts: what they explain is a correlation with each of an orthonormal set of them.
     count = len(measured) - 2 * reach
     rows = slice(reach, reach + count)
     inputs = _inputs(command, THRESHOLDS[1::2])
@@ -195,7 +183,7 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
         product /= sizes
         normal[np.diag_indices_from(normal)] += RIDGE
         predicted = (np.linalg.solve(normal[:model, :model], product[:model]) / sizes[:model]) @ columns[:model]
-        left = float(np.sum((seen - predicted[:fitted]) ** 2)) / count
+        left = float(np.mean((seen - predicted[:fitted]) ** 2))
         done = left > CONVERGED * best[0]
         if left < best[0]:
             within = slice(filtered, model)
@@ -204,11 +192,11 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
         if done:
             break
         poles = _relocated(poles, np.linalg.solve(normal, product)[model:] / sizes[model:], count)
-    _, predicted, alone, poles = best
+    left, predicted, alone, poles = best
     unexplained, without_command = (float(np.mean((wanted - made)[fitted:] ** 2)) for made in (predicted, alone))
     number = (np.arange(count) * BLOCKS // count // HELD_OUT)[held_out]
     by_block = np.bincount(number, (wanted - predicted)[fitted:] ** 2) / np.bincount(number)
-    return Reference(unexplained, by_block, without_command, measured[0] + predicted[place] * size, poles, bool(thresholds))
+    return Reference(unexplained, left, by_block, without_command, measured[0] + predicted[place] * size, poles, bool(thresholds))
 
 
 def _inputs(command: Array, thresholds: Sequence[float]) -> Array:

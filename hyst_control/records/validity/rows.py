@@ -14,8 +14,7 @@ from hyst_control.records.validity.facts import interpolated
 from hyst_control.records.validity.findings import Trial
 from hyst_control.records.validity.reference_model import condensed
 
-SOUND = 1e-4
-"""Share of a measurement's power that a causal model leaves of a record which is not asked further."""
+SOUND = 1e-4  # Share of a measurement's power that a causal model leaves of a record which is not asked further
 
 CLEAR, CLEAR_LEAD, CLEAR_EXCHANGE = 2.0, 4.0, 1.5
 """Ratio of the powers that a model leaves of a record, and of the record read backwards, shifted, and exchanged, from which it is that.
@@ -34,8 +33,7 @@ HALF = 0.5
 SATURATION_MATTERS = 1e-3
 """Share of a measurement's power that a model leaves from which it is asked whether the command stops acting."""
 
-MAX_PAIRED = 4
-"""Axes up to which every order is tried, and commands up to which an axis may be driven by all of them."""
+MAX_PAIRED = 4  # Axes up to which every order is tried, and commands up to which an axis may be driven by all of them
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,8 @@ from hyst_control.records.validity.rows import CondensedRows
 MODELED = 0.02
 """Share of a measurement's power that a model leaves up to which standing still is the machine's, not the sensor's."""
 
-FROZEN = 0.3
-"""Share of the command's range that passes while the measurement stands still."""
-
-LONG_STILL = 0.05
-"""Share of a record for which a measurement must keep one value to stand still."""
+FROZEN = 0.3  # Share of the command's range that passes while the measurement stands still
+LONG_STILL = 0.05  # Share of a record for which a measurement must keep one value to stand still
 
 
 def is_modeled(trial: Trial, index: int) -> bool:

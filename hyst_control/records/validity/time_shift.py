@@ -12,11 +12,8 @@ from hyst_control.records.validity.reference_model import Reference, continued, 
 from hyst_control.records.validity.rows import CLEAR_LEAD, HALF, MAX_PAIRED, MIN_SINES, SOUND, CondensedRows
 from hyst_control.records.validity.sensor import MODELED
 
-LATE = 10.0
-"""Ratio of the powers that a model leaves without and with a delay from which the delay is reported."""
-
-SMALL_LEAD, MAX_SMALL_LEAD = 2, 8
-"""Rows of a lead that is always tried, and up to which it is doubled."""
+LATE = 10.0  # Ratio of the powers that a model leaves without and with a delay from which the delay is reported
+SMALL_LEAD, MAX_SMALL_LEAD = 2, 8  # Rows of a lead that is always tried, and up to which it is doubled
 
 SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
 """Sections of a record in which a lead is sought that grows, the rows of one, how many must show it, and by how many sines each."""
@@ -64,12 +61,8 @@ def time_shifts(trial: Trial, rows: CondensedRows, index: int, own: Reference) -
     if leads[best].unexplained < own.unexplained:
         own = min(own, continued(command, measured, leads[best]), key=lambda fit: fit.unexplained)
     if leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
-        return (
-            delayed,
-            own,
-            leads[best].unexplained,
-            finding("early_measurement", best, "check that both recordings start together, or pass"),
-        )
+        found = finding("early_measurement", best, "check that both recordings start together, or pass")
+        return delayed, own, leads[best].unexplained, found
     return delayed, own, np.inf, []
 
 

@@ -14,8 +14,7 @@ from hyst_control.records.averaged_spectra import FEWEST_LINES, LONGEST_SEGMENT,
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.rows import MAX_PAIRED
 
-PAIRED = 0.3
-"""Mean share by which another pairing of commands and measurements explains more."""
+PAIRED = 0.3  # Mean share by which another pairing of commands and measurements explains more
 
 DIFFERENCES = ((1.3, 0.35), (3.0, 0.5), (np.inf, 0.9))
 """Ratio of two records' command ranges, and the median relative difference of their responses that says two plants up to it.
@@ -23,11 +22,8 @@ DIFFERENCES = ((1.3, 0.35), (3.0, 0.5), (np.inf, 0.9))
 A hysteresis' gain grows with amplitude, fivefold from the smallest on. Records of one plant: 0.26, 0.4 and 0.57 at most.
 """
 
-SCALE = 20.0
-"""Ratio of one record's response to another's."""
-
-OPPOSED = -0.5
-"""Cosine between two records' responses."""
+SCALE = 20.0  # Ratio of one record's response to another's
+OPPOSED = -0.5  # Cosine between two records' responses
 
 
 def exchanged_axes(likeness: Array, name: str, axes: Sequence[str]) -> list[Finding]:
