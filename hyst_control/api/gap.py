@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from hyst_control import model_file
 from hyst_control.api.model import Model
 from hyst_control.api.record import Record
-from hyst_control.api.shown import Shown, check_seed, drawn, needed, promoted
+from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
 from hyst_control.chain.external_simulator import Simulate
@@ -142,7 +142,7 @@ def diagnose(
     >>> hc.diagnose(machine, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False).verdict
     'parameters'
     """
-    check_seed(seed)
+    SEED.checked(seed)
     given = [records] if isinstance(records, Record) else list(records)
     settings: dict[str, Any] = {"without": without, "warm_up": warm_up, "seed": seed, "progress": verbose}
     with progress.shown(verbose):

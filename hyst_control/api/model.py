@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 
 from hyst_control import model_file
 from hyst_control.api.record import Record, from_arrays
-from hyst_control.api.shown import Shown, check_seed, drawn, needed, promoted, rows_of, table_frame
+from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted, rows_for, step_of, table_frame
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import TEXT, Quantity
 from hyst_control.chain.coordinates import chain_coordinates
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 KINDS = ("hampi", "mhl")
 """Compensators that a model is inverted by where they fit it: of the hysteresis and the dynamics, and of the mirror's with its rate."""
+
+START = Quantity("start", None, "", "state at the first row", choices=("settled", "unknown", "auto"), kind=TEXT)
 
 
 @dataclass(frozen=True)
@@ -140,17 +143,14 @@ class Model(model_file.Model, Shown):
 
         The command (N,) or (N, A) in V, at a rate in Hz, the model's by default. A seed adds the model's noise, drawn with it.
         """
-        check_seed(seed)
-        rows = rows_of("command", command)
-        if rows.shape[1] != len(self.axes):
-            raise InputError(f"command: has {rows.shape[1]} columns, the model {len(self.axes)} axes")
-        rate = 1.0 / self.sample_time if rate is None else rate
-        measurement = np.array(model_file.simulate(self, rows, 1.0 / rate))
+        rows, sample_time = rows_for("command", command, self.axes), step_of(rate, self.sample_time)
+        measurement = np.array(model_file.simulate(self, rows, sample_time))
         if seed is not None:
+            SEED.checked(seed)
             sigma = np.asarray(self.noise.get("sigma", 0.0), dtype=float)
             measurement += sigma * np.random.default_rng(seed).standard_normal(measurement.shape)
         return from_arrays(
-            rows, measurement, rate, unit=self.units["measurement"], axes=self.axes, hold=self.hold, source=self.name
+            rows, measurement, 1.0 / sample_time, unit=self.units["measurement"], axes=self.axes, hold=self.hold, source=self.name
         )
 
     def score(self, record: Record) -> Score:
@@ -203,7 +203,7 @@ class Model(model_file.Model, Shown):
         """
         from scipy.signal import StateSpace
 
-        sample_time = self.sample_time if rate is None else 1.0 / rate
+        sample_time = step_of(rate, self.sample_time)
         mean, _ = hysteresis_slopes(self)
         return StateSpace(*state_space(linearized(self, mean), len(self.axes), sample_time), dt=sample_time)
 
@@ -222,7 +222,9 @@ class Model(model_file.Model, Shown):
         Inverse
             Of hysteresis and dynamics.
         """
-        sample_time = self.sample_time if rate is None else 1.0 / rate
+        sample_time = step_of(rate, self.sample_time)
+        if limits is not None and [np.size(side) in (1, len(self.axes)) for side in limits] != [True, True]:
+            raise InputError(f"limits: must be lower and upper, each a number or one for each of {', '.join(self.axes)}, got {limits!r}")
         drive_limits(self, limits)
         for kind in KINDS:
             try:
@@ -288,7 +290,7 @@ class Inverse(Shown):
         The reference (N,) or (N, A) in the measurement unit begins at rest. Give a path to write the figure as well, as in
         `Model.plot`.
         """
-        wanted = rows_of("reference", reference)
+        wanted = rows_for("reference", reference, self.model.axes)
         predicted = self.model.simulate(self(wanted), 1.0 / self.sample_time)
         motion = predicted.signal("measurement")
         signals = {"reference": replace(motion, values=wanted), "predicted": motion, "command": predicted.signal("command")}
@@ -296,9 +298,7 @@ class Inverse(Shown):
 
     def __call__(self, reference: ArrayLike) -> Array:
         """Command (N, A), V, of a reference (N,) or (N, A) in the measurement unit that begins at rest."""
-        rows = rows_of("reference", reference)
-        if rows.shape[1] != len(self.model.axes):
-            raise InputError(f"reference: has {rows.shape[1]} columns, the model {len(self.model.axes)} axes")
+        rows = rows_for("reference", reference, self.model.axes)
         if self.compensator is None:
             return lifted_inverse(self.model, rows, sample_time=self.sample_time, limits=self.limits).command
         ahead = self.compensator.preview
@@ -354,6 +354,7 @@ def identify(
     >>> found.report["family"], found.score(record).nrmse < 4
     ('pi', True)
     """
+    START.checked(start)
     given = [records] if isinstance(records, Record) else list(records)
     with progress.shown(verbose):
         fit = identify_records(given, family, method=method, start=start, allow_gaps=allow_gaps, force=force, **options)

@@ -9,7 +9,6 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import fields
 from importlib import import_module
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import INTEGER, NUMBER, Quantity
 from hyst_control.reporting.signal_figures import Panel, draw, write_drawing
 from hyst_control.reporting.tables import Table
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 
 Kind = TypeVar("Kind")
+RATE = Quantity("rate", None, "Hz", "sample rate", above=0.0, kind=NUMBER)
+SEED = Quantity("seed", None, "", "seed from which noise is drawn", lower=0, kind=INTEGER)
 
 
 class Shown:
@@ -56,21 +58,33 @@ def promoted(kind: type[Kind], found: Any, **more: Any) -> Kind:
     return kind(**{each.name: getattr(found, each.name) for each in fields(found)}, **more)
 
 
-def check_seed(seed: int | None) -> None:
-    """Refuse a seed from which nothing can be drawn."""
-    if seed is not None and (isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0):
-        raise InputError(f"seed: must be a whole number >= 0, got {seed!r}")
+def step_of(rate: float | None, own: float = np.nan) -> float:
+    """Sample time (s) of a sample rate in Hz, or the model's own where none is given and there is one."""
+    return own if rate is None and own == own else 1.0 / float(RATE.checked(rate))
 
 
 def rows_of(name: str, values: ArrayLike) -> Array:
     """Samples by axes (N, A) of an array (N,) or (N, A)."""
     try:
-        rows = np.asarray(values, dtype=float)
+        given = np.asarray(values)
+        rows = np.asarray(given, dtype=None if given.dtype.kind == "c" else float)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: must be numbers") from None
+        raise InputError(f"{name}: must be numbers: convert what is none") from None
+    if np.iscomplexobj(rows):
+        raise InputError(f"{name}: must be real numbers, got complex ones: take their real part or their size")
     rows = rows[:, None] if rows.ndim == 1 else rows
     if rows.ndim != 2 or not rows.size:
         raise InputError(f"{name}: must be samples (N,) or samples by axes (N, A), got shape {np.shape(values)}")
+    return rows
+
+
+def rows_for(name: str, values: ArrayLike, axes: Sequence[str]) -> Array:
+    """The same of what goes into a model: finite samples of each of its axes."""
+    rows = rows_of(name, values)
+    if rows.shape[1] != len(axes):
+        raise InputError(f"{name}: has {rows.shape[1]} columns, the model {len(axes)} axes: give a column for each of {', '.join(axes)}")
+    if not np.isfinite(rows).all():
+        raise InputError(f"{name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} holds no finite number: replace or cut it")
     return rows
 
 

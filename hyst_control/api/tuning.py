@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyst_control import model_file
-from hyst_control.api.shown import Shown, drawn, promoted, table_frame
-from hyst_control.base.errors import InputError
+from hyst_control.api.shown import Shown, drawn, promoted, step_of, table_frame
 from hyst_control.control import tuning
 from hyst_control.control.model_figures import tuning_panels
 
@@ -105,11 +104,9 @@ def tune(
     >>> sorted(hc.tune(model, rate=1000, structure="pid").parameters)[-2:]  # of the node pi_feedback
     ['ki', 'kp']
     """
-    if loop_delay < 0:
-        raise InputError(f"loop_delay: must be >= 0 ticks, got {loop_delay!r}")
     found = tuning.tune(
         model,
-        sample_time=None if rate is None else 1.0 / rate,
+        sample_time=step_of(rate, model.sample_time),
         gain_margin=gain_margin,
         phase_margin=phase_margin,
         peak_sensitivity=peak_sensitivity,

@@ -323,5 +323,4 @@ class Configuration:
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
 
-CONFIGURATION = Configuration()
-"""The committed configuration."""
+CONFIGURATION = Configuration()  # The committed configuration

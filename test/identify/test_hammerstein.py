@@ -254,6 +254,35 @@ def test_the_papers_sequence_names_the_missing_experiment():
         identify([data], "hampi", "paper")
 
 
+@pytest.mark.parametrize("family", ["pi", "rdpi", "hapi", "hampi"])
+def test_a_stage_that_falls_as_the_command_rises_is_fitted_like_its_mirror_image(family, tmp_path):
+    """It once left more than a gain did. The hysteresis rises as elsewhere; a gain of -1 turns it over, in the model file as well."""
+    rising = record(plant(), 4)
+    falling = rising.with_values(measurement=-rising.measurement)
+    known, found = (identify([data], family) for data in (rising, falling))
+    assert [stage.name for stage in found.model.chain.stages if stage.name != "offset"] == [
+        *(stage.name for stage in known.model.chain.stages if stage.name != "offset"),
+        "gain",
+    ]
+    assert found.model.chain.stages[0] == known.model.chain.stages[0]
+    save_model(found.model, tmp_path / "falling.yaml")
+    turned = simulate(load_model(tmp_path / "falling.yaml"), rising.command)
+    np.testing.assert_allclose(turned, -simulate(known.model, rising.command), rtol=0.0, atol=1e-12 * np.ptp(turned))
+
+
+def test_a_rising_stage_driven_beyond_its_resonance_is_not_turned_over():
+    """There the measurement falls as the command rises."""
+    mode = TransferFunction([4e6], [1.0, 200.0, 4e6])
+    model = replace(plant(), chain=Chain((ModifiedPrandtlIshlinskii(THRESHOLDS, WEIGHTS), mode)))
+    row = np.arange(8000)
+    sweep = 25.0 - 20.0 * np.cos(2 * np.pi * SAMPLE_TIME * (450.0 * row + 0.02 * row**2))
+    data = sampled_record("fast", sweep[:, None], simulate(model, sweep[:, None]), SAMPLE_TIME, ("x",), "um", start="settled")
+    assert np.cov(data.command[:, 0], data.measurement[:, 0])[0, 1] < 0.0
+    fit = identify([data], "hapi")
+    assert "gain" not in [stage.name for stage in fit.model.chain.stages]
+    assert fit.report["records"][0]["nrmse_own_zero"] < 1.0
+
+
 def test_turning_points_are_all_that_operators_remember():
     rng = np.random.default_rng(0)
     command = np.cumsum(rng.normal(size=3000))

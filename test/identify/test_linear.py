@@ -163,6 +163,11 @@ def test_unusable_records_are_refused_in_one_line(records, words):
     assert "\n" not in str(caught.value)
 
 
+def test_an_order_that_the_rows_cannot_tell_is_refused():
+    with pytest.raises(InputError, match="order: 400 states are more than 500 rows can tell: give 62 or fewer"):
+        identify([made(sweep(500))], "linear", order=400)
+
+
 def test_one_line_tells_a_gain_and_no_more():
     """Whole periods of one sine excite one frequency: the fit has that frequency's gain, and does not fail for want of a second one."""
     command = np.sin(2 * np.pi * np.arange(2000) / 100.0)[:, None]

@@ -33,8 +33,7 @@ from hyst_control.diagnose.evidence import (
 )
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 
-PARAMETERS = ("parameters",)
-"""Key of the coefficients alone in `Decision.probability`."""
+PARAMETERS = ("parameters",)  # Key of the coefficients alone in `Decision.probability`
 
 
 def join(decisions: Sequence[Decision]) -> JointDecision:

@@ -19,8 +19,7 @@ from hyst_control.diagnose.likelihood.hypotheses import FLICKER, Kind, Weighed
 from hyst_control.diagnose.verdict import Reason, Verdict
 
 Key = tuple[str, ...]
-PARAMETERS: Key = ("parameters",)
-"""Key of the coefficients alone, as the old core has it."""
+PARAMETERS: Key = ("parameters",)  # Key of the coefficients alone, as the old core has it
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.diagnose.likelihood.octaves import Octaves
 from hyst_control.diagnose.search.fit import TAIL
 
-ROUNDS = 8
-"""Steps with renewed weights."""
-LENGTHS = (1.0, 0.5, 0.25)
-"""Lengths of a step that are tried."""
-ENOUGH = 0.01
-"""Gain (nats) under which no further step is taken."""
+ROUNDS = 8  # Steps with renewed weights
+LENGTHS = (1.0, 0.5, 0.25)  # Lengths of a step that are tried
+ENOUGH = 0.01  # Gain (nats) under which no further step is taken
 NORMALIZATION = float(
     0.5 * np.log(2.0 * np.pi) - np.log(TAIL * np.sqrt(np.pi)) - gammaln(0.5 * (TAIL**2 - 1.0)) + gammaln(0.5 * TAIL**2)
 )

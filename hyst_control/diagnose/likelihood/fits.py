@@ -23,8 +23,7 @@ from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 from hyst_control.diagnose.validate.constancy import variables_of
 
-FEATURE_SIZE = 0.01
-"""Size of a feature of the command at weight 1, in the measurement's range."""
+FEATURE_SIZE = 0.01  # Size of a feature of the command at weight 1, in the measurement's range
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,8 @@ from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.effects.effect import RecordCheck
 
 FALLING = effect_found_by(RecordCheck.FALLING_SPECTRUM)
-FLICKER = "" if FALLING is None else FALLING.name
-"""Name of 1/f noise."""
-Weights = tuple[tuple[float, float], ...]
-"""Values of a number that is not known, each with its prior probability."""
+FLICKER = "" if FALLING is None else FALLING.name  # Name of 1/f noise
+Weights = tuple[tuple[float, float], ...]  # Values of a number that is not known, each with its prior probability
 
 
 class Kind(Enum):

@@ -24,10 +24,8 @@ from hyst_control.base.arrays import Array
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 
-FIRST = 4
-"""Cosine coefficients of the slowest octave."""
-CHANCE = 2.0
-"""Standard deviations that the mean square of an octave may exceed its variance by chance."""
+FIRST = 4  # Cosine coefficients of the slowest octave
+CHANCE = 2.0  # Standard deviations that the mean square of an octave may exceed its variance by chance
 
 
 def cosine(problem: Problem, flat: Array) -> Array:

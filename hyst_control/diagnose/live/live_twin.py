@@ -31,8 +31,7 @@ from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.model_file import Model, Simulator
 
-STEP = 0.1
-"""Standard deviations by which a coefficient is moved for its slope."""
+STEP = 0.1  # Standard deviations by which a coefficient is moved for its slope
 
 
 class LiveTwin:

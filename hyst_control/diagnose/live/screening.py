@@ -31,8 +31,7 @@ from hyst_control.diagnose.verdict import Verdict
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-CLEARLY = 2.0
-"""Energy that the first fit leaves, in those that are no gap, from which it is not gone on with."""
+CLEARLY = 2.0  # Energy that the first fit leaves, in those that are no gap, from which it is not gone on with
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from hyst_control.records.repeated_periods import period_of
 
 MIN_PERIODS = 3
 """Whole periods beside which a discrepancy comes back: the first one still fills the memory, and two are compared."""
-COURSE = 3
-"""Degree of the polynomial of time that stands for the course of a gain."""
+COURSE = 3  # Degree of the polynomial of time that stands for the course of a gain
 
 
 def by_periods(baseline: Baseline, problem: Problem) -> Baseline | None:

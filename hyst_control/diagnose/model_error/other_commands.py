@@ -21,8 +21,7 @@ from hyst_control.records.session_zero import without_zero
 
 MIN_DIRECTION = 0.1
 """Least rms of a direction of the learned error, in the rms of what it leaves, that is free in a diagnosis."""
-UNEXCITED = 1e-6
-"""Power of a command, as a share of its largest, below which it excites nothing."""
+UNEXCITED = 1e-6  # Power of a command, as a share of its largest, below which it excites nothing
 
 
 def own_error_spectrum(errors: Sequence[Array], everything: Sequence[Array], clean: Problem, count: int) -> ErrorSpectrum:

@@ -25,10 +25,8 @@ WIDTHS = (0.03, 0.08, 0.15, 0.25, 0.35, 0.45, 0.49)
 """Half widths of the operators, as shares of the command's span; an operator of half the span never moves."""
 NEARLY = 0.05
 """Distance from an extreme, in shares of the span, at which it is nearly met: the rest of the memory is in few operators."""
-SETTLES = 0.01
-"""Share of a record's rows for which what a change of the memory has set off may go on."""
-LEAST = 1e-3
-"""Least size at the rows that count, in the largest one of all rows, of a direction that is kept."""
+SETTLES = 0.01  # Share of a record's rows for which what a change of the memory has set off may go on
+LEAST = 1e-3  # Least size at the rows that count, in the largest one of all rows, of a direction that is kept
 
 
 def initial_memory(problem: Problem, share: float) -> LearnedError | None:

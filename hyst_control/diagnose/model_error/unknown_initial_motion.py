@@ -19,8 +19,7 @@ from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedE
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
 
-SMALLEST = 1e-6
-"""Size of a direction, in that of the largest one, under which it is left out."""
+SMALLEST = 1e-6  # Size of a direction, in that of the largest one, under which it is left out
 
 
 def with_initial_motion(problem: Problem) -> Problem:

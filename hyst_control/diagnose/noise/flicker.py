@@ -17,12 +17,9 @@ from hyst_control.diagnose.configuration import CONFIGURATION, FlickerSettings
 from hyst_control.diagnose.evidence import FlickerEvidence
 from hyst_control.records.repeated_periods import period_of
 
-LINE_BINS = 1.5
-"""Bins to either side of a line that Hann's window spreads it over."""
-NORMAL_MEDIAN = 0.6745
-"""Median of a normal variable's size."""
-MIN_APART = 4.0
-"""Bins between lines from which those in between tell the noise."""
+LINE_BINS = 1.5  # Bins to either side of a line that Hann's window spreads it over
+NORMAL_MEDIAN = 0.6745  # Median of a normal variable's size
+MIN_APART = 4.0  # Bins between lines from which those in between tell the noise
 
 
 def flicker(

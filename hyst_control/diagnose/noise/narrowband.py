@@ -15,16 +15,11 @@ from hyst_control.base.simplex import lowest
 from hyst_control.diagnose.configuration import CONFIGURATION, HumpSettings
 from hyst_control.diagnose.evidence import HumpEvidence
 
-HANN_BINS = 35.0 / 18.0
-"""Bins of a Hann window's spectrum per independent one: N Σw⁴ / (Σw²)²."""
-NORMAL_95 = 1.645
-"""95 % quantile of the normal distribution: half a 90 % interval."""
-OUTSIDE = 1e300
-"""Misfit outside the range: finite, since the simplex subtracts misfits."""
-MAX_LOG = 300.0
-"""Logarithm up to which the floor, height and width of a trial are taken: their products are finite."""
-SHAPES = ("tone", "mode")
-"""Sources of a hump: a tone whose phase wanders, or a mode excited by white noise."""
+HANN_BINS = 35.0 / 18.0  # Bins of a Hann window's spectrum per independent one: N Σw⁴ / (Σw²)²
+NORMAL_95 = 1.645  # 95 % quantile of the normal distribution: half a 90 % interval
+OUTSIDE = 1e300  # Misfit outside the range: finite, since the simplex subtracts misfits
+MAX_LOG = 300.0  # Logarithm up to which the floor, height and width of a trial are taken: their products are finite
+SHAPES = ("tone", "mode")  # Sources of a hump: a tone whose phase wanders, or a mode excited by white noise
 
 
 @dataclass(frozen=True)

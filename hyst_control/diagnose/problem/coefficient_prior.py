@@ -28,8 +28,7 @@ from hyst_control.model_file import Model
 
 LARGEST = 0.3
 """Largest relative deviation (1 sigma) of a coefficient beside the model discrepancy: a direction that the data cannot tell."""
-DIFFERENCE = 1e-4
-"""Relative change of a coefficient from which its slope is read."""
+DIFFERENCE = 1e-4  # Relative change of a coefficient from which its slope is read
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,7 @@ class Scatter:
 
     model: Model
     coefficients: tuple[Coefficient, ...]
-    joint: Joint | None = None
-    """Numbers that scatter together, by the first coefficients; None where each scatters by itself."""
+    joint: Joint | None = None  # Numbers that scatter together, by the first coefficients; None where each scatters by itself
     _known: dict[bytes, tuple[Stage, ...]] = field(default_factory=dict, init=False, compare=False, repr=False)
     _made: dict[object, Stage] = field(default_factory=dict, init=False, compare=False, repr=False)
     """Stages by other values: where one coefficient moves, the other stages are those of the chain before."""

@@ -161,8 +161,7 @@ class LearnedError(Stage):
     name: ClassVar[str] = "learned_error"
     weights: AllAxes = all_axes("", "of the posterior's directions", 1, scatter=Scattering.COMPANION)
     basis: ErrorBasis | None = None
-    index: int = 0
-    """Index of the record."""
+    index: int = 0  # Index of the record
 
     @property
     def commutes_with_delay(self) -> bool:

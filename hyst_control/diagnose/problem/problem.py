@@ -27,10 +27,8 @@ from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum, filt
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-SAME_POLE = 1e-6
-"""Relative distance up to which two poles are one: axes without coupling have each a copy of the modes."""
-FAR_POLE = 5.0
-"""A real pole that has no other to make a mode with gets one this many times faster."""
+SAME_POLE = 1e-6  # Relative distance up to which two poles are one: axes without coupling have each a copy of the modes
+FAR_POLE = 5.0  # A real pole that has no other to make a mode with gets one this many times faster
 
 
 @dataclass(frozen=True)
@@ -64,12 +62,10 @@ class Problem:
     sample_time: float
     hold: str
     sigma: Array
-    beside_error: bool = False
-    """True where the model discrepancy is known, from baseline records or from the model file."""
+    beside_error: bool = False  # True where the model discrepancy is known, from baseline records or from the model file
     own_error: Array | None = None
     """Rms (A,) of what the model leaves on baseline records, measurement unit; None where it is not known."""
-    own_correlation: float = 1.0
-    """Samples of that error per independent one."""
+    own_correlation: float = 1.0  # Samples of that error per independent one
     own_spectrum: ErrorSpectrum | PeriodicError | None = None
     """Spectrum of that error, or how it comes back, by which flat vectors are whitened; None: only its size and correlation are known."""
     independent: float = 1.0

@@ -12,8 +12,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain import Sampling, Stage
 from hyst_control.chain.chain import Link, Parallel, arrange, link_of, pieces, resolved, started_link
 
-MAX_BYTES = 64_000_000
-"""Memory for the outputs that are kept; the one that was not asked for longest is dropped first."""
+MAX_BYTES = 64_000_000  # Memory for the outputs that are kept; the one that was not asked for longest is dropped first
 
 
 class Signal(NamedTuple):

@@ -19,10 +19,8 @@ from hyst_control.diagnose.evidence import RoughnessEvidence
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.command_smoothing import smoothed, white_part
 
-BANDS = 4
-"""Bands of equal information in which the residual is regressed on d."""
-MIN_ROWS = 64
-"""Rows that a record needs."""
+BANDS = 4  # Bands of equal information in which the residual is regressed on d
+MIN_ROWS = 64  # Rows that a record needs
 MIN_SHARE = 1e-6
 """White part of a command, as a share of its rms, under which nothing is looked at: numbers of few digits."""
 

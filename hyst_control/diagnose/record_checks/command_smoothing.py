@@ -21,16 +21,11 @@ from scipy.fft import dct, idct
 from hyst_control.base.arrays import Array
 from hyst_control.base.signals import convolved
 
-WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-"""Samples to one side of the parabola's windows."""
-AGREEMENT = 1.5
-"""Standard deviations up to which estimates of two windows agree."""
-OWN = 2.0
-"""Standard deviations up to which a sample itself agrees with a window; what is uniform is 1.7 off at most."""
-NEIGHBORS = 40
-"""Most bins to either side over which the power of the cosine transform is averaged."""
-NORMAL_MEDIAN = 0.6745
-"""Median of the absolute value of a standard normal variable."""
+WINDOWS = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256)  # Samples to one side of the parabola's windows
+AGREEMENT = 1.5  # Standard deviations up to which estimates of two windows agree
+OWN = 2.0  # Standard deviations up to which a sample itself agrees with a window; what is uniform is 1.7 off at most
+NEIGHBORS = 40  # Most bins to either side over which the power of the cosine transform is averaged
+NORMAL_MEDIAN = 0.6745  # Median of the absolute value of a standard normal variable
 
 
 def white_part(values: Annotated[Array, "N"]) -> float:

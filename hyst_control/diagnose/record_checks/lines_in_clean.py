@@ -13,8 +13,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CheckSettings
 from hyst_control.effects import EFFECTS
 
-DETUNED = (-3.0, 3.0)
-"""Bins around a frequency at which there is no line if there is one at it."""
+DETUNED = (-3.0, 3.0)  # Bins around a frequency at which there is no line if there is one at it
 
 
 def beyond_clean(

@@ -16,14 +16,11 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
 
-STANDS = 4.0
-"""Noise rms within which a measurement stands on one level."""
-PASSED = 10.0
-"""Times as far as these the simulation must pass it meanwhile."""
+STANDS = 4.0  # Noise rms within which a measurement stands on one level
+PASSED = 10.0  # Times as far as these the simulation must pass it meanwhile
 STANDING = 1.0 / 3.0
 """Least share of all passages through the level: where a hum cancels the motion now and then, most pass."""
-MAX_LEVELS = 1e6
-"""Levels up to which a range is resolved: beyond, the noise is that of a simulation without any."""
+MAX_LEVELS = 1e6  # Levels up to which a range is resolved: beyond, the noise is that of a simulation without any
 
 
 def repeated_samples(

@@ -23,8 +23,7 @@ from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import Effect, RecordCheck
 from hyst_control.records.quantization_step import quantization_step
 
-NORMAL_95 = 1.645
-"""95 % quantile of the normal distribution: half a 90 % interval."""
+NORMAL_95 = 1.645  # 95 % quantile of the normal distribution: half a 90 % interval
 
 
 def effect_found_by(check: RecordCheck) -> Effect | None:

@@ -21,8 +21,7 @@ from hyst_control.diagnose.validate.cross_validation import HeldOut, held_out, s
 from hyst_control.effects import EFFECTS
 from hyst_control.records.correlation import matching_length
 
-Value = tuple[float, tuple[float, float], str]
-"""Value of a parameter, its 90 % interval and its unit."""
+Value = tuple[float, tuple[float, float], str]  # Value of a parameter, its 90 % interval and its unit
 
 Axes = tuple[int, ...]
 

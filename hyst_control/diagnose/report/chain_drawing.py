@@ -30,12 +30,10 @@ BOX_OF = {
 """Which box a place of `effects.effect.PLACES`, or a software block of the replay, belongs to."""
 
 WIDTH, HEIGHT, TOP, GAP = 104, 62, 22, 14
-LETTERS = 13
-"""Most letters that fit on a line in a box."""
+LETTERS = 13  # Most letters that fit on a line in a box
 
 
-MIN_SHARE = 0.005
-"""Share of the gap under which a box stays white."""
+MIN_SHARE = 0.005  # Share of the gap under which a box stays white
 
 
 def chain_picture(document: Mapping[str, Any]) -> Markup:

@@ -18,8 +18,7 @@ from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.effects import EFFECTS
 
 THIRDS = ("lower third", "middle third", "upper third")
-SESSION = "session"
-"""Name of what differs from session to session: zero, drift, initial memory."""
+SESSION = "session"  # Name of what differs from session to session: zero, drift, initial memory
 
 Rows = list[dict[str, Any]]
 

@@ -22,17 +22,12 @@ from hyst_control.chain.stage import Sampling
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.model_file import Model, simulate
 
-MAX_ROWS = 2**15
-"""Rows from the beginning of a record that are used."""
+MAX_ROWS = 2**15  # Rows from the beginning of a record that are used
 BLOCKS = 10
-RIDGES = (1e-4, 1e-2, 1.0)
-"""Of the regression, of which each group takes the best: short records bear few functions."""
-LAGS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""Multiples of the time in which the motion's autocorrelation falls to a half."""
-HALF_WIDTHS = (0.1, 0.25, 0.5)
-"""Of the stop operators, as shares of the largest distance from the mean."""
-MIN_SHARE = 0.02
-"""Share of the gap that a group must remove, beyond its scatter, to count as there."""
+RIDGES = (1e-4, 1e-2, 1.0)  # Of the regression, of which each group takes the best: short records bear few functions
+LAGS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)  # Multiples of the time in which the motion's autocorrelation falls to a half
+HALF_WIDTHS = (0.1, 0.25, 0.5)  # Of the stop operators, as shares of the largest distance from the mean
+MIN_SHARE = 0.02  # Share of the gap that a group must remove, beyond its scatter, to count as there
 GROUPS = ("linear", "odd", "even", "odd memory", "even memory")
 
 

@@ -17,8 +17,7 @@ from hyst_control.records.validity.checks import examined
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.reporting.provenance import Origin
 
-INVALID_RECORD = "invalid_record"
-"""First of the report's reasons; the findings' names follow it."""
+INVALID_RECORD = "invalid_record"  # First of the report's reasons; the findings' names follow it
 
 
 def invalid_report(records: Sequence[Record], model: Model) -> tuple[tuple[dict[str, Any], str] | None, list[str]]:

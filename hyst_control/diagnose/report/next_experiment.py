@@ -21,11 +21,9 @@ from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
 from hyst_control.records.excitation.excitation import build
 
-OTHER_SENSOR = "a second, independent displacement sensor"
-"""Experiment to record where no effect proposes a better one."""
+OTHER_SENSOR = "a second, independent displacement sensor"  # Experiment to record where no effect proposes a better one
 
-Excitation = dict[str, Any]
-"""Configuration of the reference generator."""
+Excitation = dict[str, Any]  # Configuration of the reference generator
 
 
 def library(

@@ -34,8 +34,7 @@ from hyst_control.reporting.provenance import Origin
 from hyst_control.reporting.quantities import quantity
 from hyst_control.reporting.signal_figures import thinned
 
-BINS = 1000
-"""Stretches of a drawn signal of which the least and the greatest sample are kept."""
+BINS = 1000  # Stretches of a drawn signal of which the least and the greatest sample are kept
 
 BAND_POINTS = 400
 LOOP_POINTS = 1500
@@ -43,8 +42,7 @@ MAX_FIGURES = 4
 MAX_CANDIDATES = 12
 MAX_REJECTED = 8
 MAX_COEFFICIENTS = 15
-LIKELY = 1.645
-"""Standard deviations on either side that hold 90 %."""
+LIKELY = 1.645  # Standard deviations on either side that hold 90 %
 PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
 MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
 ADVICE = {

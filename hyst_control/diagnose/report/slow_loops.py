@@ -11,8 +11,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.identify.data.reversal_points import turning_points
 
-MIN_HEIGHT = 0.3
-"""Least height of a loop, in the command's range."""
+MIN_HEIGHT = 0.3  # Least height of a loop, in the command's range
 
 
 def slow_loops(command: Annotated[Array, "N"], most: int = 2) -> list[slice]:

@@ -42,10 +42,8 @@ from hyst_control.effects.gain_drift import EFFECT as GAIN_DRIFT
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-OUTSIDE = 5e-4
-"""Share of a command outside the model's range from which a note says it."""
-RULES, LIKELIHOOD = "rules", "likelihood"
-"""Cores that weigh hypotheses."""
+OUTSIDE = 5e-4  # Share of a command outside the model's range from which a note says it
+RULES, LIKELIHOOD = "rules", "likelihood"  # Cores that weigh hypotheses
 
 
 @dataclass(frozen=True)

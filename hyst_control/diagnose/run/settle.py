@@ -22,8 +22,7 @@ from hyst_control.diagnose.validate.cross_validation import holds, widens
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck
 
-VETOES = 6
-"""Explanations in turn that are dropped."""
+VETOES = 6  # Explanations in turn that are dropped
 
 
 class Tests(Protocol):

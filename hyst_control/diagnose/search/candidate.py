@@ -22,10 +22,8 @@ from hyst_control.effects import EFFECTS, insert
 from hyst_control.effects.effect import Effect, Line, Parameter
 from hyst_control.effects.placement import mechanics_index
 
-STEP = 0.02
-"""Of difference quotients by scaled parameters."""
-AT_BOUND = 1e-3
-"""Distance of a scaled parameter from its bound up to which it is there."""
+STEP = 0.02  # Of difference quotients by scaled parameters
+AT_BOUND = 1e-3  # Distance of a scaled parameter from its bound up to which it is there
 
 
 @dataclass(frozen=True)
@@ -36,14 +34,10 @@ class Member:
     parameters: tuple[Parameter, ...]
     problem: Problem
     axis: int | None = None
-    frequency: float = 0.0
-    """Hz, of a line."""
-    fixed: tuple[tuple[str, float], ...] = ()
-    """Parameters of the variant, which are tried instead of fitted."""
-    shape: Line | None = None
-    """Shape of a line, where it is not the effect's usual one."""
-    elsewhere: str = ""
-    """Place, where it is not the effect's usual one."""
+    frequency: float = 0.0  # Hz, of a line
+    fixed: tuple[tuple[str, float], ...] = ()  # Parameters of the variant, which are tried instead of fitted
+    shape: Line | None = None  # Shape of a line, where it is not the effect's usual one
+    elsewhere: str = ""  # Place, where it is not the effect's usual one
     separate_sizes: bool = False
     """True where each axis has a size of its own: the parameters are then those of one axis after those of the other."""
 

@@ -22,8 +22,7 @@ from hyst_control.base.parallel import map_known
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
 
-OFTEN = 3
-"""Combinations that an effect which does not lead by itself may be in."""
+OFTEN = 3  # Combinations that an effect which does not lead by itself may be in
 
 
 @dataclass(frozen=True)

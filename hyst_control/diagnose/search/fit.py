@@ -34,31 +34,22 @@ from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.problem.coefficient_prior import Scatter
 from hyst_control.diagnose.problem.problem import Problem
 
-STEP = 0.05
-"""Difference step for z: a twentieth of a standard deviation."""
-
-RAN_AWAY = 1e60
-"""Residual from which a chain is taken to be unstable."""
-
-TAIL = 3.0
-"""Size of a parameter, in usual deviations, from which its prior falls more slowly than a normal one."""
+STEP = 0.05  # Difference step for z: a twentieth of a standard deviation
+RAN_AWAY = 1e60  # Residual from which a chain is taken to be unstable
+TAIL = 3.0  # Size of a parameter, in usual deviations, from which its prior falls more slowly than a normal one
 
 MIN_GAIN = 0.02
 """Misfit (nats) under which a step is not worth taking; a hundred thousandth of the misfit counts as little."""
 
-ROWS_TOGETHER = 2**13
-"""Rows of many vectors whose products are summed at a time."""
+ROWS_TOGETHER = 2**13  # Rows of many vectors whose products are summed at a time
 MIN_APPROACH = 0.25
 """Share of the distance to a better fit under which a step is not worth taking either: such a fit will not reach it."""
 
 LINEAR_FIT_TOLERANCE_FACTOR = 50.0
 """Factor on the least gain of a step beside linear coefficients: they are right to about a per cent, so finer steps say nothing."""
 
-SAFETY = 4.0
-"""Factor on what is estimated of the misfit that further steps take off."""
-
-LENGTHS = (1.0, 0.5, 0.25, 0.1)
-"""Lengths of a step that are tried, in full steps."""
+SAFETY = 4.0  # Factor on what is estimated of the misfit that further steps take off
+LENGTHS = (1.0, 0.5, 0.25, 0.1)  # Lengths of a step that are tried, in full steps
 
 
 @dataclass(frozen=True)
@@ -77,8 +68,7 @@ class Unknowns:
     centre: Array
     step: float | Array = 0.02
     known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
-    again: Callable[[], Unknowns] | None = None
-    """Makes the same unknowns in another process."""
+    again: Callable[[], Unknowns] | None = None  # Makes the same unknowns in another process
 
     def __reduce__(self) -> tuple[object, ...]:
         return self.again, ()
@@ -98,10 +88,8 @@ class Solution:
     x: Array
     residual: Array
     covariance: Array
-    information: Array
-    """(P, P): of x, z marginalized."""
-    remaining: float = 0.0
-    """Misfit (nats) that further steps may take off; 0 where the fit has ended."""
+    information: Array  # (P, P): of x, z marginalized
+    remaining: float = 0.0  # Misfit (nats) that further steps may take off; 0 where the fit has ended
 
 
 class Linearized:

@@ -25,10 +25,8 @@ from hyst_control.diagnose.search.beam_search import FittedHypothesis, effective
 from hyst_control.diagnose.search.fit import Linearized, is_bounded
 
 VARIABLES = ("time", "level", "rate", "branch")
-MIN_LEFT = 0.1
-"""Least share of a distortion that coefficients and parameters leave for it to be tested."""
-STRETCHES = 5
-"""Stretches of the rows, any one of which is left out: a size that changes does so without it too."""
+MIN_LEFT = 0.1  # Least share of a distortion that coefficients and parameters leave for it to be tested
+STRETCHES = 5  # Stretches of the rows, any one of which is left out: a size that changes does so without it too
 
 
 def distortions(linearized: Linearized, scored: FittedHypothesis, temper: float) -> tuple[DistortionEvidence, ...]:

@@ -23,14 +23,11 @@ from hyst_control.effects.learned_residual import LearnedResidual
 from hyst_control.records.repeated_periods import period_of
 from hyst_control.records.session_zero import without_zero
 
-RIDGE = 1e-6
-"""Ridge of the regression, as a share of the features' energy."""
+RIDGE = 1e-6  # Ridge of the regression, as a share of the features' energy
 LEVELS = ("lower third", "middle third", "upper third")
 BRANCHES = ("rising", "falling", "resting")
-RESTING = 0.02
-"""Share of the command's largest rate under which it counts as resting."""
-MIN_EXCESS = 0.02
-"""Least share of the residual's energy beyond the noise that a part of it must have to be listed."""
+RESTING = 0.02  # Share of the command's largest rate under which it counts as resting
+MIN_EXCESS = 0.02  # Least share of the residual's energy beyond the noise that a part of it must have to be listed
 
 
 @dataclass(frozen=True)

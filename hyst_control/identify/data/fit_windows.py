@@ -16,7 +16,7 @@ from hyst_control.identify.data.reversal_points import surviving_turns, turning_
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.records.quantization_step import rounding_weights
 from hyst_control.records.record import Beginning, Record
-from hyst_control.records.stream.row_store import column, empty_rows, first_row, total_variation
+from hyst_control.records.stream.row_store import blocks, column, empty_rows, first_row, total_variation
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
@@ -50,6 +50,23 @@ def with_sign(window: Window, sign: float) -> Window:
     measurement = empty_rows(len(window.measurement))
     np.multiply(window.measurement, sign, out=measurement)
     return replace(window, measurement=measurement)
+
+
+def response_sign(windows: Sequence[Window]) -> float:
+    """Sign of the response: 1 where the measurement rises with the command, else -1."""
+    covariance = 0.0
+    for window in windows:
+        means = window.command.mean(), window.measurement.mean()
+        for part in blocks(len(window.command)):
+            covariance += float((window.command[part] - means[0]) @ (window.measurement[part] - means[1]))
+    return -1.0 if covariance < 0 else 1.0
+
+
+def turned_over(data: Record) -> Record:
+    """The record with its measurement multiplied by -1."""
+    measurement = empty_rows(*data.measurement.shape)
+    np.negative(data.measurement, out=measurement)
+    return data.with_values(measurement=measurement)
 
 
 def balanced_weights(data: Record, axis: int) -> Array | None:

@@ -20,6 +20,7 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import per_axis_scalars
 from hyst_control.identify.assess.assembly import AxisFit
+from hyst_control.identify.data.fit_windows import response_sign as response_sign
 from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
@@ -189,16 +190,6 @@ def curve_ends(windows: Sequence[Window], options: CurveOptions) -> Ends:
     if upper <= lower:
         raise InputError(f"input_scale: must be > {lower:g} V, the lower end of the curves, got {upper:g}")
     return Ends(lower, upper - lower)
-
-
-def response_sign(windows: Sequence[Window]) -> float:
-    """Sign of the response: 1 where the measurement rises with the command, else -1."""
-    covariance = 0.0
-    for window in windows:
-        means = window.command.mean(), window.measurement.mean()
-        for part in blocks(len(window.command)):
-            covariance += float((window.command[part] - means[0]) @ (window.measurement[part] - means[1]))
-    return -1.0 if covariance < 0 else 1.0
 
 
 def mean_offset(solution: Solution, windows: Sequence[Window], nuisance: str) -> float:

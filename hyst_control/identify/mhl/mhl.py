@@ -20,7 +20,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.identify.assess.assembly import chain_model, fit_of, side_by_side
 from hyst_control.identify.data.fit import Fit, check_records
-from hyst_control.identify.data.fit_windows import short_stretches, thinned, virgin_rows, whole_records, with_sign
+from hyst_control.identify.data.fit_windows import response_sign, short_stretches, thinned, virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.mhl import paper_mhl
 from hyst_control.identify.mhl.coupling import Coupling, fit_coupling, simulated_rows, without_coupling
@@ -28,7 +28,6 @@ from hyst_control.identify.mhl.madelung import (
     curve_ends,
     fit_curves,
     mean_offset,
-    response_sign,
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions

@@ -30,9 +30,9 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.fit import check_records
-from hyst_control.identify.data.fit_windows import as_window, cut, short_stretches, virgin_rows, whole_records, with_sign
+from hyst_control.identify.data.fit_windows import as_window, cut, response_sign, short_stretches, virgin_rows, whole_records, with_sign
 from hyst_control.identify.data.record_segmentation import moving_stretches
-from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse, response_sign
+from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse
 from hyst_control.identify.mhl.madelung_curves import Ends
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
 from hyst_control.identify.solve.gram_sums import Window

@@ -23,7 +23,7 @@ from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit import Fit, Number, OrderRow, ParameterRow, check_records
-from hyst_control.identify.data.fit_windows import as_window
+from hyst_control.identify.data.fit_windows import as_window, response_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.modal import coupled_linear
 from hyst_control.identify.modal.linear_options import LinearOptions
@@ -34,6 +34,8 @@ from hyst_control.identify.solve.simulation_error import Parametrization, Simula
 from hyst_control.records.record import Record
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
+LEAST_ROWS = 8
+"""Rows for each state of a model."""
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
 WHOLE_ROWS = 2**22
@@ -141,15 +143,18 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     sample_time = few[0].sample_time
     band = REACH * excited_band(few) or np.inf
     fastest = 2 * np.pi * min(band, 1.5 / sample_time)
-    slope = float(np.sum([_covariance(window) for window in few]))
     travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
-    gain = travel if slope >= 0 else -travel
+    gain = response_sign(few) * travel
     exact = (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2
     guess = options.delay == "estimate"
     late = _dead_time(few) if guess else float(options.delay) / sample_time
     # The first rows answer commands from before the record, which an initial state does not stand for.
     few = [replace(window, skip=max(window.skip, int(np.ceil(1.5 * late)))) for window in few]
-    orders = [options.order] if options.order else [order for order in ORDERS if 8 * order < sum(len(w.command) for w in few)]
+    total = sum(len(window.command) for window in few)
+    if options.order and LEAST_ROWS * options.order >= total:
+        most = total // LEAST_ROWS
+        raise InputError(f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer")
+    orders = [options.order] if options.order else [order for order in ORDERS if LEAST_ROWS * order < total]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
     tried: list[Candidate] = []
@@ -197,9 +202,9 @@ def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions)
     free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
     rest = "offset" if options.nuisance == "linear" else options.nuisance
     plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
-    rows = sum(len(window.command) for window in windows)
+    blocks = len(free.grams.blocks)  # an observation each: what is left is alike throughout one
     columns = len(windows) * (sections.order + (rest != options.nuisance))
-    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
+    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(blocks) / blocks) + chosen.exact else free
 
 
 def _fit(
@@ -349,10 +354,6 @@ def _middle(window: Window) -> Window:
     begin = max(len(window.command) - WHOLE_ROWS, 0) // 2
     rows = slice(begin, begin + WHOLE_ROWS)
     return window if begin == 0 else replace(window, command=window.command[rows], measurement=window.measurement[rows])
-
-
-def _covariance(window: Window) -> float:
-    return float(np.mean((window.command - np.mean(window.command)) * (window.measurement - np.mean(window.measurement))))
 
 
 def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFit:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,9 +13,11 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
+from hyst_control.chain.memoryless import Gain
 from hyst_control.identify.assess.assembly import AxisFit, fit_of
 from hyst_control.identify.data.excited_band import REACH
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, StructureRow, check_records
+from hyst_control.identify.data.fit_windows import as_window, response_sign, turned_over
 from hyst_control.identify.families.estimator import Estimator, O, register
 from hyst_control.identify.play import paper_hampi
 from hyst_control.identify.play.hammerstein import (
@@ -43,9 +46,20 @@ class _Operators(Estimator[O]):
 
     def fit(self, records: Sequence[Record], options: O) -> Fit:
         check_records(records)
-        axes = [self.fit_axis(records, index, options) for index in range(len(records[0].axes))]
+        axes = [self._either_way(records, index, options) for index in range(len(records[0].axes))]
         title = f"{self.name}_{options.method}"
         return fit_of(records, axes, self.name, options.method, name=title, offset=SENSOR_OFFSET)
+
+    def _either_way(self, records: Sequence[Record], index: int, options: O) -> AxisFit:
+        """The fit of one axis or, where the measurement falls as the command rises, of its measurement turned over, if that is better."""
+        found = self.fit_axis(records, index, options)
+        if response_sign([as_window(data, index, number) for number, data in enumerate(records)]) > 0.0:
+            return found
+        # Beyond a resonance that of a stage of positive gain falls, too: rows held out tell which it is.
+        other = self.fit_axis([turned_over(data) for data in records], index, options)
+        if (other.held_out or 0.0) >= (found.held_out or 0.0):
+            return found
+        return replace(other, stages=lambda at: [*other.stages(at), Gain(-1.0)])
 
 
 @register

@@ -31,9 +31,9 @@ BLOCK, CHUNK = 4000, 32000
 few places of the cache."""
 STEP = 1e-5
 """Difference of neighboring parameters, which are all of order one."""
-DRIFT = 0.02
+DRIFT = 0.05
 """Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
-FREE_MOTION = 10.0
+FREE_MOTION = 1.0
 """Usual size (rms) of what an initial state does, in ranges of the measurement: states of nearly equal poles would grow without limit."""
 ROUNDING = 1e-15
 """Relative size of rounding in a sum of squares."""
@@ -192,10 +192,10 @@ class SimulationError:
                     own[which] += len(block)
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
             span = max(float(np.ptp(window.measurement)) for window in record)
-            effects, penalty = _eliminated(known, size, extra, span, int(used))
+            effects, penalty = _eliminated(known, size, extra, span, int(used), length)
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
-            grams[0] += _kept(sums[0], keep) + penalty
-            grams[1] += _kept(sums[1], keep)
+            for part, product in enumerate(sums):  # rows held out pay their share of it: what fits them is then as usual as elsewhere
+                grams[part] += _kept(product, keep) + penalty * own[part] / max(used, 1)
             blocks += [_kept(piece, keep) for piece in pieces]
             nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
             rows += own
@@ -246,7 +246,7 @@ def _kept(gram: Array, keep: Array) -> Array:
     return found
 
 
-def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> tuple[Array, Array]:
+def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int, length: int) -> tuple[Array, Array]:
     """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1).
 
     `extra` of them are offset and drift, the others initial states; span: range of the measurement.
@@ -262,7 +262,8 @@ def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> t
 
     effects = solved()
     if span > 0.0 and len(inner):
-        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows, 1)
+        # What a chain misses is alike throughout a block of rows, which counts as one observation.
+        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows / length, 1.0)
         prior[1:extra] = left / (DRIFT * span) ** 2
         prior[extra:] = left * (scale[extra:] / (FREE_MOTION * span)) ** 2 / max(rows, 1)
         effects = solved()

@@ -51,8 +51,7 @@ class Reference:
 
 def surely_better(one: Reference, other: Reference, ratio: float) -> bool:
     """True where a model leaves less than another by a ratio, and by more than held-out blocks scatter (a paired t-test of logarithms)."""
-    # Where periods repeat, no model saw the phases that are held out in all of them: it must leave less of what it was fitted to, too.
-    if one.unexplained * ratio >= other.unexplained or one.fitted * ratio >= other.fitted:
+    if one.unexplained * ratio >= other.unexplained:
         return False
     gain = np.log(other.by_block + FLOOR * other.unexplained) - np.log(one.by_block + FLOOR * one.unexplained)
     return bool(np.mean(gain) > SURE * np.std(gain, ddof=1) / np.sqrt(len(gain)))

@@ -9,7 +9,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, continued, independent_sines, shift_curve, surely_better
-from hyst_control.records.validity.rows import CLEAR_LEAD, HALF, MAX_PAIRED, MIN_SINES, SOUND, CondensedRows
+from hyst_control.records.validity.rows import CLEAR, CLEAR_LEAD, HALF, MAX_PAIRED, MIN_SINES, SOUND, CondensedRows
 from hyst_control.records.validity.sensor import MODELED
 
 LATE = 10.0  # Ratio of the powers that a model leaves without and with a delay from which the delay is reported
@@ -60,7 +60,9 @@ def time_shifts(trial: Trial, rows: CondensedRows, index: int, own: Reference) -
     best = min(leads, key=lambda each: leads[each].unexplained)
     if leads[best].unexplained < own.unexplained:
         own = min(own, continued(command, measured, leads[best]), key=lambda fit: fit.unexplained)
-    if leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
+    # Where periods repeat, no model saw the phases that are held out in all of them, and chance decides how well it goes on there.
+    identifiable = leads[best].fitted * CLEAR < own.fitted
+    if identifiable and leads[best].unexplained < HALF and surely_better(leads[best], own, CLEAR_LEAD):
         found = finding("early_measurement", best, "check that both recordings start together, or pass")
         return delayed, own, leads[best].unexplained, found
     return delayed, own, np.inf, []
