@@ -70,7 +70,7 @@ class Model:
     # s, "zero": zero, drift and curvature up to which a session is usual, by axis, absent for one record, "zero_mean": their
     # means, "learned": by axis, the error as a function of the command (`identify.learned_discrepancy`), absent where the
     # command does not predict it, "spectrum": by axis, the power of the error and of the output in bands of frequency
-    # (`identify.stated_spectrum`)}
+    # (`identify.stated_spectrum`), "step": step of the sensor's values, by axis, absent where it shows none}
     discrepancy: Mapping[str, Any] = field(default_factory=dict)
 
     def filter(self, sample_time: float | None = None, hold: str | None = None) -> Filter:
@@ -420,9 +420,9 @@ def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
         raise InputError(
             f"discrepancy: must be a mapping with version {DISCREPANCY_VERSION}: identify the model again, or leave it out"
         )
-    for key, shape in (("rms", (axes,)), ("zero", (axes, 3))):
+    for key, shape in (("rms", (axes,)), ("zero", (axes, 3)), ("step", (axes,))):
         value: Any = discrepancy.get(key)
-        if value is None and key == "zero":
+        if value is None and key != "rms":
             continue
         if not _numeric(value) or np.shape(value) != shape or np.any(np.array(value, dtype=float) < 0):
             raise InputError(f"discrepancy.{key}: must be numbers >= 0 of shape {shape}, got {value!r}")

@@ -109,9 +109,13 @@ def prepare(
         problem = replace(problem, independent=configuration.baseline.stated_independent)
     linearized = Linearized(problem, scatter)
     none = fit(linearized)
-    record = record_evidence(problem, problem.rows(none.residual), configuration.checks, configuration.noise)
+    record: Sequence[RecordEvidence] = record_evidence(
+        problem, problem.rows(none.residual), configuration.checks, configuration.noise
+    )
     if baseline is not None and baseline.clean is not None:
         record = _beside_usual(record, baseline.clean, configuration)
+    elif steps := problem.model.discrepancy.get("step"):
+        record = [replace(seen, usual_step=float(step)) for seen, step in zip(record, steps, strict=True)]
     findings = detected(record, checks, thresholds)
     suggested = partial(_suggested, problem, linearized, none, baseline, configuration)
     # The first noise estimate still contained spectral leakage from the gap.

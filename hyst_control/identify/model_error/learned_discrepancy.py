@@ -28,6 +28,7 @@ from hyst_control.chain.command_features import CommandFeatures, rate_quantile
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, rounded
 from hyst_control.model_file import DISCREPANCY_VERSION
 from hyst_control.records.correlation import correlation_length
+from hyst_control.records.quantization_step import quantization_step
 from hyst_control.records.session_zero import basis, usual_zero, without_zero, zero_of
 from hyst_control.records.stream.row_store import mean_square, spread_parts
 
@@ -148,6 +149,9 @@ def discrepancy_of(
             _spectrum(_column(commands, axis), _column(errors, axis), _column(measurements, axis), one, sample_time)
             for axis, one in enumerate(learned)
         ]
+        steps = [min(quantization_step(rows[:LONGEST]) for rows in _column(measurements, axis)) for axis in range(len(learned))]
+        if any(steps):
+            found["step"] = steps
     return found
 
 
