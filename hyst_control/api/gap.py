@@ -142,9 +142,8 @@ def diagnose(
     >>> hc.diagnose(machine, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False).verdict
     'parameters'
     """
-    SEED.checked(seed)
     given = [records] if isinstance(records, Record) else list(records)
-    settings: dict[str, Any] = {"without": without, "warm_up": warm_up, "seed": seed, "progress": verbose}
+    settings: dict[str, Any] = {"without": without, "warm_up": warm_up, "seed": SEED.checked(seed), "progress": verbose}
     with progress.shown(verbose):
         if isinstance(model, model_file.Model) or model is None:
             if parameters is not None:

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from scipy.signal import StateSpace
 
-KINDS = ("hampi", "mhl")
-"""Compensators that a model is inverted by where they fit it: of the hysteresis and the dynamics, and of the mirror's with its rate."""
+KINDS = ("hampi", "mhl_inverse", "mhl")
+"""Compensators that a model is inverted by, the first that fits it: both papers' of hysteresis and dynamics, and that of slow motion."""
 
 START = Quantity("start", None, "", "state at the first row", choices=("settled", "unknown", "auto"), kind=TEXT)
 
@@ -146,9 +146,8 @@ class Model(model_file.Model, Shown):
         rows, sample_time = rows_for("command", command, self.axes), step_of(rate, self.sample_time)
         measurement = np.array(model_file.simulate(self, rows, sample_time))
         if seed is not None:
-            SEED.checked(seed)
             sigma = np.asarray(self.noise.get("sigma", 0.0), dtype=float)
-            measurement += sigma * np.random.default_rng(seed).standard_normal(measurement.shape)
+            measurement += sigma * np.random.default_rng(SEED.checked(seed)).standard_normal(measurement.shape)
         return from_arrays(
             rows, measurement, 1.0 / sample_time, unit=self.units["measurement"], axes=self.axes, hold=self.hold, source=self.name
         )
@@ -223,8 +222,11 @@ class Model(model_file.Model, Shown):
             Of hysteresis and dynamics.
         """
         sample_time = step_of(rate, self.sample_time)
-        if limits is not None and [np.size(side) in (1, len(self.axes)) for side in limits] != [True, True]:
-            raise InputError(f"limits: must be lower and upper, each a number or one for each of {', '.join(self.axes)}, got {limits!r}")
+        sides = [np.size(side) in (1, len(self.axes)) for side in limits] if np.iterable(limits) else []
+        if limits is not None and sides != [True, True]:
+            raise InputError(
+                f"limits: must be lower and upper, each a number or one for each of {', '.join(self.axes)}, got {limits!r}"
+            )
         drive_limits(self, limits)
         for kind in KINDS:
             try:
@@ -251,7 +253,7 @@ class Inverse(Shown):
     limits
         Lower and upper limit of the command, V; None: the model's.
     compensator
-        The streaming compensator that the node `hampi_feedforward` runs; None: the model has none, and is inverted over the whole
+        The streaming compensator that the node of the feedforward runs; None: the model has none, and is inverted over the whole
         reference by iterations.
 
     Examples

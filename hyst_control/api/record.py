@@ -13,15 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hyst_control.api.shown import Shown, drawn, needed, promoted, rows_of
+from hyst_control.api.shown import Shown, drawn, needed, promoted, rows_of, step_of
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import LISTS, TEXT, Quantity
 from hyst_control.records import record as records
 from hyst_control.records.bags.bag_reader import read_bag as read_signals
 from hyst_control.records.editing import EditableRecord
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.tables.columns import Column, unit_and_scale
-from hyst_control.records.tables.importing import import_table, write_bag
+from hyst_control.records.tables.importing import import_table, record_of_run, write_bag
 from hyst_control.records.tables.selection import column_indices
 from hyst_control.records.tables.units import unit_of
 from hyst_control.reporting.frequency_figures import bode_of_record
@@ -30,6 +31,9 @@ from hyst_control.reporting.signal_figures import columns_of, over_each_other, o
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+AXES = Quantity("axes", None, "", "names of the axes", kind=LISTS[str])
+HOLD = Quantity("hold", "zoh", "", "the command between samples", choices=("zoh", "foh"))
+SOURCE = Quantity("source", None, "", "name of the record", kind=TEXT)
 _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
 
 
@@ -342,22 +346,25 @@ def from_arrays(
     >>> float(record.signal("measurement").values[-1, 0])
     89.0
     """
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
+    step = step_of(rate)
+    SOURCE.checked(source)
+    HOLD.checked("zoh" if hold is None else hold)
     rows = [rows_of(name, values) for name, values in zip(records.TOPICS, (command, measurement), strict=True)]
     if rows[0].shape != rows[1].shape:
         raise InputError(f"measurement: has shape {rows[1].shape}, command {rows[0].shape}: give both of the same samples and axes")
-    names = records.axis_names(rows[0].shape[1]) if axes is None else tuple(axes)
+    names = records.axis_names(rows[0].shape[1]) if axes is None else AXES.checked(axes)
     if len(names) != rows[0].shape[1]:
-        raise InputError(f"axes: {len(names)} names for {rows[0].shape[1]} columns")
+        raise InputError(f"axes: {len(names)} names for {rows[0].shape[1]} columns: give one for each")
+    if not all(names) or len(set(names)) < len(names):
+        raise InputError(f"axes: must be names that differ and are not empty, got {', '.join(map(repr, names))}: name each axis")
     units = []
     for index, given in enumerate((command_unit, unit)):
-        found = unit_of(given)
+        found = unit_of(given) if isinstance(given, str) else None
         if found is None:
             raise InputError(f"unit: {given!r} is not known, must be one such as V, um, mrad, deg, A or counts")
         units.append(found[0])
         rows[index] = found[1] * rows[index]
-    made = records.sampled_record(source, rows[0], rows[1], 1.0 / rate, names, units[1], hold, command_unit=units[0])
+    made = records.sampled_record(source, rows[0], rows[1], step, names, units[1], hold, command_unit=units[0])
     return promoted(Record, made)
 
 
@@ -371,7 +378,7 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
     command, measurement
         Column and unit, such as "u [V]"; several for several axes.
     rate
-        Sample rate, Hz; None: the index holds sample times in s.
+        Sample rate, Hz; None: the index holds sample times, numbers in s or dates.
 
     Returns
     -------
@@ -381,7 +388,7 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
     Raises
     ------
     InputError
-        A column or unit is not known, or the index tells no rate.
+        A column or unit is not known, or the index tells no rate, as where rows are missing.
 
     Examples
     --------
@@ -391,22 +398,23 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
     >>> record.to_frame().columns.tolist()
     ['command [V]', 'measurement [um]']
     """
+    if not isinstance(frame, needed("pandas").DataFrame):
+        raise InputError(f"frame: must be a pandas DataFrame, got {type(frame).__name__}: take from_arrays for arrays")
+    if rate is None and isinstance(frame.index, needed("pandas").RangeIndex):
+        raise InputError("rate: is missing, and the frame's index counts its rows: give it in Hz, or make sample times the index")
     chosen = [_column(topic, given) for topic, given in zip(records.TOPICS, (command, measurement), strict=True)]
     columns = [str(name) for name in frame.columns]
     values = []
     for column in chosen:
         picked = [index for name in column.columns for index in column_indices("frame", name, columns, len(columns))]
-        values.append(column.scales[0] * np.asarray(frame.iloc[:, picked], dtype=float))
-    if rate is None:
-        time = np.asarray(frame.index, dtype=float)
-        if len(time) < 2 or not records.increasing(time):
-            raise InputError("rate: is missing: give it in Hz, or make times in s, which increase, the frame's index")
-        rate = 1.0 / records.commonest_step(time)
-    return from_arrays(values[0], values[1], rate, command_unit=chosen[0].unit, unit=chosen[1].unit, source="frame")
+        values.append(column.scales[0] * rows_of(column.topic, frame.iloc[:, picked]))
+    given = 1.0 if rate is None else rate  # till the times are known
+    made = from_arrays(values[0], values[1], given, command_unit=chosen[0].unit, unit=chosen[1].unit, source="frame")
+    return made if rate is not None else _at_times(made, frame.index)
 
 
 def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "measurement") -> Record:
-    """Make a record of an xarray Dataset with the coordinate `time` in s and the attribute `units` of its arrays.
+    """Make a record of an xarray Dataset with the coordinate `time`, in s or dates, and the attribute `units` of its arrays.
 
     Parameters
     ----------
@@ -423,7 +431,7 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
     Raises
     ------
     InputError
-        An array, its unit or the time is missing.
+        An array, its unit or the time is missing, or rows are.
 
     Examples
     --------
@@ -438,19 +446,20 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
             raise InputError(
                 f"{name}: has no array of this name with the attribute units: name one of {', '.join(map(str, dataset))}"
             )
-    if "time" not in dataset.coords or len(dataset["time"]) < 2:
-        raise InputError("time: is no coordinate with two samples or more: add the sample times in s")
+    if "time" not in dataset.coords:
+        raise InputError("time: is no coordinate of the dataset: add the sample times, in s or as dates")
     driven, measured = (dataset[name].transpose("time", ...) for name in (command, measurement))
-    return from_arrays(
+    made = from_arrays(
         driven.values,
         measured.values,
-        1.0 / records.commonest_step(np.asarray(dataset["time"], dtype=float)),
+        1.0,
         command_unit=str(driven.attrs["units"]),
         unit=str(measured.attrs["units"]),
         axes=[str(name) for name in driven["axis"].values] if "axis" in driven.coords else None,
         hold=dataset.attrs.get("hold"),
         source="dataset",
     )
+    return _at_times(made, dataset["time"])
 
 
 def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) -> Array:
@@ -483,9 +492,22 @@ def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) ->
     >>> hc.excitation("sine", rate=1000, frequency=10, amplitude=40, offset=50, duration=1).shape
     (1000, 1)
     """
-    if not (np.isfinite(rate) and rate > 0):
-        raise InputError(f"rate: must be > 0 Hz, got {rate!r}")
-    return build({"signal": signal, **parameters}, 1.0 / rate, axes)
+    return build({"signal": signal, **parameters}, step_of(rate), axes)
+
+
+def _at_times(made: Record, times: Any) -> Record:
+    """A record whose rows are at these sample times, which come onto the ticks of one clock as those of a file do."""
+    given = (times if getattr(times, "tz", None) is None else times.tz_convert(None)).values
+    if given.dtype.kind in "mM":
+        given = (given - given[:1]) / np.timedelta64(1, "s")
+    time = np.ascontiguousarray(rows_of(f"{made.source}: time", given)[:, 0])
+    records.check_times(f"{made.source}: time", time)
+    if len(time) < 2 or not records.increasing(time, equal=True):
+        raise InputError(f"{made.source}: time: must be sample times that increase, in s or dates: sort the rows, or give the rate")
+    units = {topic: signal.unit for topic, signal in made.signals.items()}
+    found = record_of_run(made.source, time, made.values, units, made.hold if made.states_hold else None)
+    signals = {topic: replace(signal, axes=made.axes) for topic, signal in found.signals.items()}
+    return replace(made, signals=signals, notes=found.notes)
 
 
 def _imported(

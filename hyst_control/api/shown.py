@@ -58,9 +58,9 @@ def promoted(kind: type[Kind], found: Any, **more: Any) -> Kind:
     return kind(**{each.name: getattr(found, each.name) for each in fields(found)}, **more)
 
 
-def step_of(rate: float | None, own: float = np.nan) -> float:
+def step_of(rate: float | None, own: float | None = None) -> float:
     """Sample time (s) of a sample rate in Hz, or the model's own where none is given and there is one."""
-    return own if rate is None and own == own else 1.0 / float(RATE.checked(rate))
+    return own if rate is None and own else 1.0 / float(RATE.checked(rate))
 
 
 def rows_of(name: str, values: ArrayLike) -> Array:
@@ -82,7 +82,9 @@ def rows_for(name: str, values: ArrayLike, axes: Sequence[str]) -> Array:
     """The same of what goes into a model: finite samples of each of its axes."""
     rows = rows_of(name, values)
     if rows.shape[1] != len(axes):
-        raise InputError(f"{name}: has {rows.shape[1]} columns, the model {len(axes)} axes: give a column for each of {', '.join(axes)}")
+        raise InputError(
+            f"{name}: has {rows.shape[1]} columns, the model {len(axes)} axes: give a column for each of {', '.join(axes)}"
+        )
     if not np.isfinite(rows).all():
         raise InputError(f"{name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} holds no finite number: replace or cut it")
     return rows

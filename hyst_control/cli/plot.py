@@ -141,9 +141,12 @@ def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...
     notes = tuple(note for each in records for note in each.notes)
     if arguments.model:
         from hyst_control.control.model_figures import beside, bode_of  # with every stage, for which the others need not wait
+        from hyst_control.identify.validation import check_pair
         from hyst_control.model_file import load_model
 
-        return (bode_of if arguments.bode else beside)(load_model(arguments.model), record), record.notes
+        model = load_model(arguments.model)
+        panels = (bode_of if arguments.bode else beside)(model, record)
+        return panels, (*record.notes, *check_pair(model.name, model, record))
     if arguments.bode:
         return bode_of_record(record), record.notes
     if xy is not None:

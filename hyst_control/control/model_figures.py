@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
-from hyst_control.base.errors import InputError
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.state_space import Discrete, state_space
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
@@ -49,9 +48,7 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
     unit = f"{model.units['measurement']}/V"
     if record is None:
         return bode(model_responses(model, frequencies(model.sample_time)), unit)
-    measured = record.signal("measurement")
-    if (measured.axes, measured.unit) != (model.axes, model.units["measurement"]):
-        raise InputError(f"{model.name}: has other axes or another unit than {record.source}: use a model of this plant")
+    check_pair(model.name, model, record)
     step = record.sample_time
     return bode([*measured_responses(record), *model_responses(model, frequencies(step), step)], unit)
 
@@ -92,7 +89,6 @@ def _of_axis(system: Discrete, index: int) -> tuple[Complex, Complex]:
 def beside(model: Model, record: Record) -> list[Panel]:
     """Measured against simulated signals, what is left, the loops, and how the rest correlates, of the record's longest stretch."""
     data = max(compared_stretches(record, model), key=lambda each: len(each.command))
-    check_pair(model.name, model, data)
     error = residual(model, data)
     begin = len(data.command) - len(error)
     time: Array = np.arange(begin, len(data.command), dtype=float) * data.sample_time

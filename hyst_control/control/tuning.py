@@ -29,6 +29,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import Quantity
 from hyst_control.chain import Chain
 from hyst_control.control.feedback.filters import Filters, response
 from hyst_control.control.feedback.loop import run_loop
@@ -103,8 +104,9 @@ class Tuning:
         """Greatest |1 / (1 + L)| (F,) of all axes of a nominal model at a frequency, Hz, with a loop_delay of further ticks."""
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
         plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
-        loops = plants * controller_response(self.law, z)
-        return np.asarray(np.abs(1.0 / (1.0 + loops)).max(axis=0))
+        with np.errstate(divide="ignore", invalid="ignore"):  # at 0 Hz, where integral action has no bound
+            loops = plants * controller_response(self.law, z)
+            return np.where((z == 1.0) & (self.ki > 0.0), 0.0, np.abs(1.0 / (1.0 + loops)).max(axis=0))
 
     def step(self, model: Model, length: int) -> Array:
         """Measurement (length, A) of `model` in the linear loop when the reference jumps from 0 to 1."""
@@ -132,6 +134,16 @@ class Tuning:
 
 
 AUTOMATIC = "auto"
+ASKED = (
+    Quantity("gain_margin", 6.0, "dB", "least gain margin", above=0.0),
+    Quantity("phase_margin", 45.0, "degrees", "least phase margin", above=0.0, below=90.0),
+    Quantity("peak_sensitivity", 2.0, "", "greatest peak of the sensitivity", above=1.0),
+    Quantity("loop_delay", 0, "ticks", "further delay of the loop", lower=0, upper=1000),
+    *(Quantity(name, 0.0, "", "relative spread", lower=0.0, below=1.0) for name in ("gain_spread", "mode_spread", "model_error")),
+    Quantity("roll_off", 0.0, "Hz", "corner of the roll-off", lower=0.0, choices=(AUTOMATIC,)),
+    Quantity("structure", "pi", "", "what the feedback is made of", choices=(*STRUCTURES, AUTOMATIC)),
+)
+"""What may be asked of a tuning."""
 
 
 def tune(
@@ -190,21 +202,10 @@ def tune(
         A parameter is out of its range, or no controller keeps the margins.
     """
     sample_time = float(sample_time or model.sample_time)
-    if not (
-        gain_margin > 0
-        and 0 < phase_margin < 90
-        and peak_sensitivity > 1
-        and loop_delay >= 0
-        and all(0 <= spread < 1 for spread in (gain_spread, mode_spread, model_error))
-    ):
-        raise InputError(
-            "margins: must be gain margin above 0 dB, phase margin between 0 and 90 degrees, peak sensitivity above 1, "
-            "spreads and model error from 0 to below 1"
-        )
-    if roll_off != AUTOMATIC and not (isinstance(roll_off, (int, float)) and 0.0 <= roll_off < np.inf):
-        raise InputError(f"roll_off: must be a corner in Hz, 0 for none, or {AUTOMATIC!r}, got {roll_off!r}")
-    if structure not in (*STRUCTURES, AUTOMATIC):
-        raise InputError(f"structure: {structure!r} is not one of {', '.join((*STRUCTURES, AUTOMATIC))}")
+    spreads = gain_spread, mode_spread, model_error
+    given = gain_margin, phase_margin, peak_sensitivity, loop_delay, *spreads, roll_off, structure
+    for asked, value in zip(ASKED, given, strict=True):
+        asked.checked(value)
     mean, greatest = hysteresis_slopes(model)
     stages, axes = linearized(model, mean), len(model.axes)
     z = _points(modes(stages, axes), mode_spread, sample_time)
@@ -214,7 +215,7 @@ def tune(
         raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
     mode = first_mode(linearized(model, greatest), axes)
-    given = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
+    tried = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
 
     def step(law: PI) -> Step:
         return linear_step(stages, axes, law, loop_delay)
@@ -222,10 +223,10 @@ def tune(
     def law_of(shape: Shape, every: int = 1) -> PI | None:
         return _greatest_integral(plants[:, ::every], static, sample_time, shape, z[::every], limits)
 
-    if len(given) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
-        coarse = [(shape, law) for shape in given if (law := law_of(shape, 3))]
-        given = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
-    law = next((law for shape in given if (law := law_of(shape))), None)
+    if len(tried) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
+        coarse = [(shape, law) for shape in tried if (law := law_of(shape, 3))]
+        tried = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
+    law = next((law for shape in tried if (law := law_of(shape))), None)
     if law is None:
         raise InputError("margins: no controller of this structure keeps them for this model: ask for less, or sample faster")
     controller = controller_response(law, z)

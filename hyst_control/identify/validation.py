@@ -67,22 +67,23 @@ def validate_bags(
         found = validate_record(loaded, record, source, hold, start)
         table.rows += found.rows
         table.notes += found.notes
+        table.exit_status = max(table.exit_status, found.exit_status if strict else 0)
     table.notes = list(dict.fromkeys(table.notes))
-    table.exit_status = 3 if strict and table.notes else 0
     return table
 
 
 def validate_record(
     models: Mapping[str, Model], record: Record, source: str = "validate", hold: str | None = None, start: str = "auto"
 ) -> Table:
-    """Score models by name on a record; the table is that of `validate_bags`."""
+    """Score models by name on a record; the table is that of `validate_bags` with `strict`."""
     table = Table(source)
     for name, model in models.items():
-        for data in compared_stretches(record, model, hold, start):
+        for data in compared_stretches(record, model, hold, start, name):
             progress.step(f"{name} on {data.name}")
-            check_pair(name, model, data)
             add_rows(table, name, model, data)
-            table.notes += _remarks(table, name, model, data)
+            faults = _remarks(table, name, model, data)
+            table.notes += [*check_pair(name, model, data), *faults]
+            table.exit_status = 3 if faults else table.exit_status
     return table
 
 
@@ -108,20 +109,30 @@ def _remarks(table: Table, name: str, model: Model, data: Record) -> list[str]:
     return found
 
 
-def compared_stretches(record: Record, model: Model, hold: str | None = None, start: str = "auto") -> list[Record]:
+def compared_stretches(record: Record, model: Model, hold: str | None = None, start: str = "auto", name: str = "") -> list[Record]:
     """Gapless stretches of a record with the memory that each begins with, as a model is compared on them; it knows how they are held."""
     if hold in (None, AUTO) and not record.states_hold:
         hold = model.hold
-    return [with_beginning(data) for data in gapless_records(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)]
+    found = gapless_records(aligned_by_reception(record, TOPICS), hold, start, allow_gaps=True)
+    check_pair(name or model.name, model, found[0])
+    return [with_beginning(data) for data in found]
 
 
-def check_pair(name: str, model: Model, data: Record) -> None:
-    """Check that model and record have the same axes and unit."""
-    if model.axes != data.axes or model.units != {"command": data.command_unit, "measurement": data.unit}:
+def check_pair(name: str, model: Model, data: Record) -> list[str]:
+    """Check that model and record have as many axes in the same units; a note where the names differ, which are matched in their order."""
+    own, theirs = ", ".join(model.axes), ", ".join(data.axes)
+    if len(model.axes) != len(data.axes):
+        raise InputError(f"{name}: has the axes {own}, the record {data.name} {theirs}: use a model of this plant")
+    if model.units != {"command": data.command_unit, "measurement": data.unit}:
         raise InputError(
-            f"{name}: has axes {', '.join(model.axes)} in {model.units['measurement']} of {model.units['command']}, the record "
-            f"{data.name} has {', '.join(data.axes)} in {data.unit} of {data.command_unit}: use a model of this plant"
+            f"{name}: is in {model.units['measurement']} of {model.units['command']}, the record {data.name} in {data.unit} of "
+            f"{data.command_unit}: use a model of this plant, or import the record with its units"
         )
+    if own != theirs and set(model.axes) == set(data.axes):
+        raise InputError(
+            f"{name}: has the axes {own}, the record {data.name} {theirs}: import the record with its axes in that order"
+        )
+    return [] if own == theirs else [f"{data.name}: its axes {theirs} are taken for the axes {own} of {name}, in this order"]
 
 
 def add_rows(table: Table, name: str, model: Model, data: Record) -> None:

@@ -13,10 +13,12 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import Quantity
 from hyst_control.records.outliers import THRESHOLD, WINDOW, outlying
 from hyst_control.records.record import Record, Signal
 
 MEASUREMENT = ("measurement",)
+ORDER = Quantity("order", 4, "", "order of the filter", lower=1)
 MAX_FACTOR = 1000  # Largest numerator and denominator of the ratio of two rates
 
 Edited = TypeVar("Edited", bound="EditableRecord")
@@ -96,6 +98,7 @@ class EditableRecord(Record):
         from scipy.signal import butter, sosfiltfilt
 
         step, begin = self._clock()
+        ORDER.checked(order)
         corners = {"high_pass": high_pass, "low_pass": low_pass}
         given = {name: corner for name, corner in corners.items() if corner is not None}
         for name, corner in given.items():
@@ -135,7 +138,9 @@ class EditableRecord(Record):
         done = self._changed(tuple(topics), lambda _, values: detrend(values, axis=0, type=kind), begin, step)
         return done._noted(f"{kind} trend removed from {', '.join(topics)}")
 
-    def remove_outliers(self: Edited, threshold: float = THRESHOLD, *, window: int = WINDOW, topics: Sequence[str] = MEASUREMENT) -> Edited:
+    def remove_outliers(
+        self: Edited, threshold: float = THRESHOLD, *, window: int = WINDOW, topics: Sequence[str] = MEASUREMENT
+    ) -> Edited:
         """Replace samples that jump away from both neighbors and from the running median by the line between their neighbors.
 
         Steps and turning points stay: the median follows the former, and the latter are no steeper than the motion around them.

@@ -211,6 +211,10 @@ class Record:
     def with_values(self: Cut, **values: Array) -> Cut:
         """The record with other values (N, A) of some signals."""
         changed = {topic: replace(self.signal(topic), values=rows) for topic, rows in values.items()}
+        for topic, signal in changed.items():
+            due = len(signal.time), len(signal.axes)
+            if np.shape(signal.values) != due:
+                raise InputError(f"{topic}: has shape {np.shape(signal.values)}, the record {due}: give as many rows and axes")
         return replace(self, signals={**self.signals, **changed})
 
     def signal(self, topic: str) -> Signal:
@@ -242,6 +246,8 @@ class Record:
         """The record with its measurement taken later by some seconds, in whole samples; a note tells by how many."""
         if seconds == 0.0:
             return self
+        if not np.isfinite(seconds):
+            raise InputError(f"--shift {seconds:g}: is no time: give a number of s")
         signal = self.signal("measurement")
         step = self.sample_time
         ticks = round(seconds / step)

@@ -13,6 +13,7 @@ from scipy.signal import StateSpace, dlsim
 
 import hyst_control as hc
 from hyst_control.api.shown import promoted
+from hyst_control.base.config_files import config_path
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.memoryless import Gain
@@ -57,15 +58,49 @@ def test_noise_is_drawn_by_its_seed():
 @pytest.mark.parametrize("seed", [-1, 1.5, "one"])
 def test_a_seed_that_is_none_is_refused(seed):
     stage = model(LAG)
-    with pytest.raises(hc.InputError, match="seed: must be a whole number >= 0"):
+    with pytest.raises(hc.InputError, match="seed: must be an integer >= 0"):
         stage.simulate(COMMAND, seed=seed)
-    with pytest.raises(hc.InputError, match="seed: must be a whole number >= 0"):
+    with pytest.raises(hc.InputError, match="seed: must be an integer >= 0"):
         hc.diagnose(stage.simulate(COMMAND), stage, seed=seed, verbose=False)
 
 
-def test_a_loop_delay_below_zero_is_named():
-    with pytest.raises(hc.InputError, match="loop_delay: must be >= 0 ticks, got -3"):
-        hc.tune(model(LAG), loop_delay=-3)
+@pytest.mark.parametrize("delay", [-3, 0.5, 10**6, np.nan])
+def test_a_loop_delay_that_is_none_is_named(delay):
+    with pytest.raises(hc.InputError, match=f"loop_delay: must be an integer from 0 to 1000 ticks, got {delay}"):
+        hc.tune(model(LAG), loop_delay=delay)
+
+
+@pytest.mark.parametrize("rate", [0, -5, np.inf, np.nan, "1000"])
+@pytest.mark.parametrize("call", [lambda stage, rate: stage.simulate(COMMAND, rate), hc.Model.inverse, hc.Model.linear, hc.tune])
+def test_a_rate_that_is_none_is_named(call, rate):
+    with pytest.raises(hc.InputError, match="rate: must be a (finite )?number > 0 Hz"):
+        call(model(LAG), rate)
+
+
+def test_numbers_of_numpy_are_numbers():
+    first, *others = (hc.tune(model(LAG), roll_off=kind(300)).ki for kind in (float, np.int64, np.float32))
+    assert others == [first, first]
+
+
+def test_integral_action_leaves_no_error_at_rest(recwarn):
+    stage = model(LAG)
+    sensitivity = hc.tune(stage).sensitivity(stage, [0.0, 1.0])
+    assert sensitivity[0] == 0.0 < sensitivity[1] < 1.0 and not recwarn
+
+
+def test_axes_of_other_names_are_matched_in_their_order():
+    stage = model(LAG, axes=("a", "b"))
+    simulated = stage.simulate(np.c_[COMMAND, COMMAND[::-1]])
+    record = hc.from_arrays(simulated.command, simulated.measurement, RATE)
+    score = stage.score(record)
+    assert score.nrmse < 1e-6 and "its axes x, y are taken for the axes a, b of stage, in this order" in score.summary()
+    assert len(stage.plot(record)) == 8 and stage.bode(record)
+    turned = hc.from_arrays(simulated.command, simulated.measurement, RATE, axes=["b", "a"])
+    with pytest.raises(
+        hc.InputError, match="has the axes a, b, the record arrays b, a: import the record with its axes in that order"
+    ):
+        stage.score(turned)
+    pyplot.close("all")
 
 
 @pytest.mark.parametrize("rate", [None, 400.0])
@@ -76,6 +111,19 @@ def test_a_linear_model_is_its_linear_system(rate):
     _, found, _ = dlsim(system, COMMAND - COMMAND[0])
     rows = stage.simulate(COMMAND, rate).signal("measurement").values
     np.testing.assert_allclose(found, rows - rows[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("frequency", [10.0, 300.0])
+def test_the_inverse_of_a_mirror_has_its_dynamics(frequency):
+    """About the angles that a command of 40 V amplitude reaches at this frequency."""
+    mirror = hc.load_model(config_path("models/fsm_mhl.yaml"))
+    time = np.arange(8000) * mirror.sample_time
+    command = 50.0 + 40.0 * np.minimum(time / 0.05, 1.0) * np.sin(2 * np.pi * frequency * time)
+    reference = mirror.simulate(np.repeat(command[:, None], 2, axis=1)).signal("measurement").values
+    inverse = mirror.inverse(limits=(-20.0, 120.0))
+    error = mirror.simulate(inverse(reference)).signal("measurement").values - reference
+    ahead = inverse.compensator.preview
+    assert np.sqrt(np.mean(error[2000 : len(error) - ahead] ** 2)) < 0.01 * np.std(reference)
 
 
 def test_what_has_no_compensator_is_inverted_over_the_whole_reference():
@@ -98,6 +146,27 @@ def test_what_has_no_compensator_is_inverted_over_the_whole_reference():
     [
         (lambda stage: stage.simulate(np.zeros((9, 2))), "command: has 2 columns, the model 1 axes"),
         (lambda stage: stage.inverse()(np.zeros((9, 2))), "reference: has 2 columns"),
+        (lambda stage: stage.simulate([0.0, np.nan]), "command: row 1 holds no finite number"),
+        (lambda stage: stage.inverse()([np.inf, 0.0]), "reference: row 0 holds no finite number"),
+        *(
+            (
+                lambda stage, limits=limits: stage.inverse(limits=limits),
+                "limits: must be lower and upper, each a number or one for each of x",
+            )
+            for limits in (([0, 0], [1, 1]), (0, 1, 2), 5)
+        ),
+        (
+            lambda stage: hc.identify(stage.simulate(COMMAND), "pi", start="x"),
+            "start: must be one of settled, unknown, auto, got 'x'",
+        ),
+        (
+            lambda stage: stage.score(hc.from_arrays(np.c_[COMMAND, COMMAND], np.c_[COMMAND, COMMAND], RATE)),
+            "has the axes x, the record arrays x, y: use a model of this plant",
+        ),
+        (
+            lambda stage: stage.score(hc.from_arrays(COMMAND, COMMAND, RATE, unit="mrad")),
+            "is in um of V, the record arrays in mrad of V",
+        ),
         (lambda stage: hc.load_model("no_such_model"), "pea_hampi.yaml"),
         (lambda stage: stage.bode(hc.from_arrays(COMMAND, COMMAND, RATE, unit="mrad")), "use a model of this plant"),
         (lambda stage: hc.identify(hc.from_arrays(COMMAND, np.random.default_rng(0).standard_normal(3000), RATE)), "noise"),

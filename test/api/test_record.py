@@ -36,9 +36,16 @@ def test_a_cut_that_leaves_nothing_is_refused(share):
     ("arguments", "words"),
     [
         (((RAMP, RAMP[:-1], 1000), {}), "measurement: has shape"),
-        (((RAMP, RAMP, 0), {}), "rate: must be > 0 Hz"),
-        (((RAMP, RAMP, 1000), {"unit": "inch"}), "unit: 'inch' is not known"),
+        *((((RAMP, RAMP, rate), {}), "rate: must be a (finite )?number > 0 Hz") for rate in (0, np.inf, "1000", None)),
+        *((((RAMP, RAMP, 1000), {"unit": unit}), f"unit: {unit!r} is not known") for unit in ("inch", 5)),
         (((RAMP, RAMP, 1000), {"axes": ["x", "y"]}), "axes: 2 names for 1 columns"),
+        (((RAMP, RAMP, 1000), {"axes": [""]}), "axes: must be names that differ and are not empty"),
+        (((RAMP, RAMP, 1000), {"axes": [1]}), "axes: must be a list of texts"),
+        (((np.c_[RAMP, RAMP], np.c_[RAMP, RAMP], 1000), {"axes": ["a", "a"]}), "axes: must be names that differ"),
+        (((RAMP, RAMP, 1000), {"hold": "x"}), "hold: must be one of zoh, foh"),
+        (((RAMP, RAMP, 1000), {"source": 5}), "source: must be a text"),
+        (((RAMP + 1j, RAMP, 1000), {}), "command: must be real numbers"),
+        (((list(RAMP + 1j), RAMP, 1000), {}), "command: must be real numbers"),
         ((("text", RAMP, 1000), {}), "command: must be numbers"),
         (((np.zeros((2, 2, 2)), RAMP, 1000), {}), "command: must be samples"),
     ],
@@ -99,6 +106,72 @@ def test_a_frame_goes_in_and_comes_out():
     assert record.to_frame().index[-1] == pytest.approx(199 / 250)
     with pytest.raises(hc.InputError, match="increase"):
         hc.from_pandas(frame.iloc[::-1], "u [mV]", "a [um]")
+    with pytest.raises(hc.InputError, match="rate: is missing"):
+        hc.from_pandas(frame.reset_index(drop=True), "u [mV]", "a [um]")
+    with pytest.raises(hc.InputError, match="frame: must be a pandas DataFrame, got int"):
+        hc.from_pandas(5, "u [mV]", "a [um]")
+    with pytest.raises(hc.InputError, match="command: must be real numbers"):
+        hc.from_pandas(frame + 1j, "u [mV]", "a [um]")
+
+
+MICROSECONDS = (5000 * RAMP).astype("timedelta64[us]")  # 200 Hz
+
+
+def read_at(times, rows=slice(None)):
+    """A ramp of some rows at these times, out of a frame and out of a dataset."""
+    pandas, _ = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    frame = pandas.DataFrame({"u": RAMP[rows], "y": RAMP[rows]}, index=times)
+    dataset = hc.from_arrays(RAMP[rows], RAMP[rows], 1).to_xarray().assign_coords(time=np.asarray(times))
+    return (lambda: hc.from_pandas(frame, "u [V]", "y [um]")), (lambda: hc.from_xarray(dataset))
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+@pytest.mark.parametrize("begin", [np.timedelta64(0, "s"), np.datetime64("2026-01-01T00:00:00")])
+def test_dates_and_durations_of_any_unit_are_times(unit, begin):
+    kind = "datetime64" if begin.dtype.kind == "M" else "timedelta64"
+    for read in read_at((begin + MICROSECONDS).astype(f"{kind}[{unit}]")):
+        assert read().sample_time == pytest.approx(1 / 200) and read().is_gapless and not read().notes
+
+
+def test_dates_of_a_time_zone_are_times(recwarn):
+    pandas = pytest.importorskip("pandas")
+    index = pandas.DatetimeIndex(np.datetime64("2026-03-29T00:59:59") + MICROSECONDS).tz_localize("UTC").tz_convert("Europe/Berlin")
+    record = hc.from_pandas(pandas.DataFrame({"u": RAMP, "y": RAMP}, index=index), "u [V]", "y [um]")
+    assert record.sample_time == pytest.approx(1 / 200) and not recwarn
+
+
+def test_times_of_frames_and_datasets_come_onto_one_clock_as_those_of_files_do(tmp_path):
+    jittered = RAMP / 200 + np.random.default_rng(0).uniform(-2e-4, 2e-4, len(RAMP))
+    np.savetxt(tmp_path / "jittered.csv", np.c_[jittered, RAMP, RAMP], delimiter=",", header="t,u,y", comments="")
+    due = hc.read_csv(tmp_path / "jittered.csv", "u [V]", "y [um]", time="t [s]")
+    for read in read_at(jittered):
+        found = read()
+        assert found.sample_time == due.sample_time == pytest.approx(1 / 200, rel=1e-9)
+        assert [note.partition(": ")[2] for note in found.notes] == [note.partition(": ")[2] for note in due.notes] != []
+    kept = np.r_[0:50, 70:200]
+    for times in (RAMP / 200, MICROSECONDS):
+        for read in read_at(times[kept], kept):
+            with pytest.raises(hc.InputError, match="time: 20 rows are missing, after 0.245 s"):
+                read()
+    for times, words in ((["a", *"b" * 199], "time: must be numbers"), (1e9 * RAMP, "no clock goes beyond")):
+        with pytest.raises(hc.InputError, match=words):
+            read_at(times)[0]()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda record: record.shifted(np.nan), "--shift nan: is no time"),
+        (
+            lambda record: record.with_values(measurement=np.zeros((5, 1))),
+            r"measurement: has shape \(5, 1\), the record \(200, 1\)",
+        ),
+        (lambda record: record.filter(low_pass=10, order=0), "order: must be an integer >= 1, got 0"),
+    ],
+)
+def test_edits_that_make_no_record_are_refused(edit, words):
+    with pytest.raises(hc.InputError, match=words):
+        edit(hc.from_arrays(RAMP, RAMP, 1000))
 
 
 def test_an_xarray_goes_in_and_comes_out():

@@ -124,3 +124,13 @@ def test_identification_and_diagnosis_tell_what_their_records_lack(tmp_path, cap
         lost = {row["topic"]: row for row in report["losses"]}
         assert [lost["measurement"][key] for key in ("sent", "received", "missed")] == [2000, 1996, 4]
         assert lost["command"]["missed"] == 0
+
+
+@pytest.mark.parametrize("topics", [(), tuple(LABELS)])
+def test_a_bag_in_which_nothing_arrived_is_empty(tmp_path, topics, capsys):
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in topics:
+            writer.add_topic(topic)
+    assert main(["check", str(tmp_path / "bag")]) == 2
+    where = f" on {', '.join(topics)}" if topics else ""
+    assert f"bag: is empty: nothing was recorded{where}: record while the nodes run and publish" in capsys.readouterr().err

@@ -13,6 +13,7 @@ from scipy.signal import cont2discrete
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PlayOperator
 from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.control.feedback.loop import run_loop
@@ -95,6 +96,13 @@ def test_hysteresis_slopes_of_a_classical_model():
     mean, greatest = hysteresis_slopes(model)
     assert greatest[0] == pytest.approx(1.0, rel=1e-6)
     assert 0.85 < mean[0] <= 1.0
+
+
+def test_hysteresis_besides_the_first_has_its_own_mean_slope():
+    first, *rest = HAMPI.chain.stages
+    play, slope = HAMPI.with_stages((first, PlayOperator(0.05), *rest)), hysteresis_slopes(HAMPI)[0]
+    found, expected = (sampled_response(linearized(model, slope), 1, 1e-4, np.exp([0.1j, 1j])) for model in (play, HAMPI))
+    np.testing.assert_allclose(found, expected)
 
 
 @pytest.mark.parametrize(("model", "sample_time", "stroke"), [(HAMPI, 1e-4, 2.0), (MHL, 2e-4, 0.5)], ids=["pea", "fsm"])
@@ -211,8 +219,9 @@ def test_settling_time_is_that_of_the_simulated_step():
     ("model", "options", "word"),
     [
         (plain(Gain(-0.1)), {}, "falls"),
-        (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase margin"),
-        (plain(Gain(0.1)), {"roll_off": -1.0}, "roll_off"),
+        (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase_margin: must be a number > 0 and < 90 degrees, got 95"),
+        (plain(Gain(0.1)), {"roll_off": -1.0}, "roll_off: must be a number >= 0 Hz or auto, got -1"),
+        (plain(Gain(0.1)), {"structure": "p"}, "structure: must be one of pi, pid, notch, damping, auto"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(model, options, word):

@@ -55,7 +55,7 @@ def test_a_model_keeps_the_units_of_its_record(pairs, capsys):
     volts = ["--columns", "command=u[V],measurement=y[arcsec]", "--rate", "1"]
     assert main(["import", str(pairs / "a.csv"), *volts, "--output", str(pairs / "volts")]) == 0
     assert main(["validate", str(model), str(pairs / "volts")]) == 2
-    assert "in arcsec of A, the record volts has x in arcsec of V" in capsys.readouterr().err
+    assert "m: is in arcsec of A, the record volts in arcsec of V" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import hyst_control as hc
+from hyst_control.cli import main
 from hyst_control.identify.validation import MAX_MOTIONS, Motion, by_motion
 
 
@@ -24,3 +26,16 @@ def test_many_motions_are_told_by_octaves_and_none_is_lost():
     assert len(found) <= MAX_MOTIONS and sum(rows for *_, rows in found) == 300 * 100
     assert all(share == pytest.approx(0.01) for _, share, _ in found)
     assert found[0][0].startswith("4-8 Hz, ")
+
+
+@pytest.mark.parametrize("words", [["validate"], ["compare", "model.yaml"], ["plot", "record", "--model"]])
+def test_a_record_whose_axes_have_other_names_is_no_fault_of_it(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    stage = hc.load_model("pea_hampi")
+    stage.save("model.yaml")
+    command = 25 - 20 * np.cos(2 * np.pi * 50 * np.arange(5000) * stage.sample_time)
+    simulated = stage.simulate(command, seed=1)
+    hc.from_arrays(command, simulated.measurement, 1 / stage.sample_time, axes=["tip"], hold=stage.hold).save("record")
+    rest = ["record", "--strict"] if words[0] != "plot" else ["--output", "drawn.png"]
+    assert main([*words, "model.yaml", *rest]) == 0
+    assert "record: its axes tip are taken for the axes x of" in capsys.readouterr().out

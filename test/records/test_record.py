@@ -227,7 +227,7 @@ def test_nothing_to_read(tmp_path):
         read_bag(tmp_path / "zero.mcap")
     with BagWriter(tmp_path / "silent") as writer:
         writer.add_topic("/command")
-    with pytest.raises(InputError, match="holds no std_msgs"):
+    with pytest.raises(InputError, match="silent: is empty: nothing was recorded on /command"):
         read_bag(tmp_path / "silent")
     (tmp_path / "text.db3").write_text("no database")
     with pytest.raises(InputError, match="no SQLite3 bag"):

@@ -339,6 +339,13 @@ def test_records_too_short_to_judge_or_at_rest_are_left_alone():
     assert Finding("dead_sensor", "a", "x", 1.0, 0.3).text().startswith("a: x: the measurement does not move")
 
 
+def test_periods_that_repeat_have_no_lead_by_chance():
+    """Four alike of ten blocks each: the two blocks of a period that are held out are those of every period, which no model saw."""
+    spec = {"signal": "multisine", "period": 0.1, "lower_frequency": 10.0, "upper_frequency": 170.0}
+    spec |= {"rms": 7.2, "offset": 45.0, "periods": 4, "seed": 729}
+    assert examined([driven("fsm_published", spec, 0, "few sines")])[0] == []
+
+
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.5, 0.8, 0.98])
 def test_a_lag_of_a_good_part_of_a_period_is_no_invalid_record(share):
     """It is what a diagnosis is to find: short records of one sine whose amplitude falls, late by a share of a period."""

@@ -4,6 +4,7 @@
 
 import gzip
 import io
+import os
 import sqlite3
 import struct
 import zlib
@@ -260,7 +261,7 @@ def test_a_folder_that_is_no_bag_says_why(tmp_path):
     assert list(read_bag(two, "b").signals) == ["command"]
     nothing = MAGIC + SCHEMA + channel() + FOOTER + MAGIC
     (tmp_path / "nothing.mcap").write_bytes(nothing)
-    refused(tmp_path / "nothing.mcap", f"holds no {MESSAGE_TYPE} messages")
+    refused(tmp_path / "nothing.mcap", "is empty: nothing was recorded on /command: record while")
 
 
 def test_a_finished_bag_that_holds_less_than_it_says(tmp_path):
@@ -382,6 +383,9 @@ def test_files_that_do_not_fit_are_named(tmp_path):
     columns = parse_columns(BOTH)
     with pytest.raises(InputError, match="nowhere.csv: does not exist"):
         import_table(tmp_path / "nowhere.csv", columns, 10.0)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe: is a pipe or device, which is read once only: save it to a file first"):
+        import_table(tmp_path / "pipe", columns, 10.0)
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"1,2\n3,4\n")[:-6])
     with pytest.raises(InputError, match="cannot be read as text .*: give a CSV"):
         import_table(tmp_path / "a.csv.gz", columns, 10.0)

@@ -84,6 +84,9 @@ def read_bag(
         if topic not in found:
             found[topic] = _Topic(topics is None or topic.rpartition("/")[2] in topics)
         found[topic].add(raw, time)
+    if not found and (bag.topics or not bag.types):
+        where = f" on {', '.join(sorted(bag.topics))}" if bag.topics else ""
+        raise InputError(f"{path}: is empty: nothing was recorded{where}: record while the nodes run and publish")
     if not found:
         raise InputError(
             f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded, or name fields as in --columns "

@@ -108,7 +108,7 @@ def import_records(
     found, runs = [], runs_of(str(path), time, numbers, gaps=resample is not None)
     for run in runs:
         parts = {topic: array[run] for topic, array in values.items()}
-        found.append(_of_run(path, time[run], parts, units, hold, rate, int(numbers[run.start]), resample, allow_gaps))
+        found.append(record_of_run(path, time[run], parts, units, hold, rate, int(numbers[run.start]), resample, allow_gaps))
     if len(found) > 1:
         starts = ", ".join(str(numbers[run.start]) for run in runs[1:])
         what = "starts again" if resample is None else "starts again, or goes on behind a long gap,"
@@ -117,16 +117,16 @@ def import_records(
     return found
 
 
-def _of_run(
-    path: Path,
+def record_of_run(
+    path: str | Path,
     time: Array,
     values: dict[str, Array],
     units: dict[str, str],
     hold: str | None,
-    rate: float | None,
-    begin: int,
-    resample: float | None,
-    allow_gaps: bool,
+    rate: float | None = None,
+    begin: int = 0,
+    resample: float | None = None,
+    allow_gaps: bool = False,
 ) -> Record:
     """The record of a run, whose rows are counted from `begin`, on the ticks of its clock."""
     notes = []

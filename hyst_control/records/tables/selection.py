@@ -34,7 +34,12 @@ class Selected:
 def open_table(path: Path, variable: str | None = None, skip: int = 0) -> TextTable | Container:
     """A file as a text with a layout, or as arrays. Raises `InputError` where it is neither."""
     if not path.is_file():
-        raise InputError(f"{path}: does not exist: give the path of a file")
+        piped = path.exists() and not path.is_dir()
+        raise InputError(
+            f"{path}: is a pipe or device, which is read once only: save it to a file first"
+            if piped
+            else f"{path}: does not exist: give the path of a file"
+        )
     suffixes = [suffix.lower() for suffix in path.suffixes]
     kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1] if suffixes else "")
     if kind in (".xlsx", ".xlsm"):
