@@ -108,6 +108,8 @@ class PlantNode(ManagedNode):
     def activate(self) -> None:
         if self._tick is None:
             self.reset()
+            if self.lockstep:
+                self.once(self.measurement.repeat)  # a node of this process may be made after the plant
 
     def advance(self) -> None:
         if not self.working:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -30,7 +30,7 @@ from hyst_control.model_file import Model
 def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     """Mean and greatest local slope (A,) of the hysteresis at rest over the valid range, without the first percent after a reversal."""
     axes = len(model.axes)
-    core = next((stage for stage in model.chain.stages if stage.has_compensator), None)
+    core = next(_hystereses(resolved(model.chain.stages, axes), axes), None)
     if core is None:
         return np.ones(axes), np.ones(axes)
     valid = model.valid.get("command", [0.0, 100.0])
@@ -47,19 +47,40 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
 
 
 def linearized(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
-    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; modes that soften stand still."""
-    return tuple(_replaced(resolved(model.chain.stages, len(model.axes)), slope))
+    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; modes that soften stand still.
+
+    Hysteresis besides the first one, such as play, gets its own mean slope.
+    """
+    axes = len(model.axes)
+    stages = resolved(model.chain.stages, axes)
+    slopes: dict[int, Array] = {}
+    for stage in _hystereses(stages, axes):
+        own = stage.mean_slope(axes) if slopes else slope
+        if own is not None:
+            slopes[id(stage)] = own
+    return tuple(_replaced(stages, slopes, axes))
 
 
-def _replaced(stages: Sequence[Stage], slope: Array) -> list[Stage]:
+def _hystereses(stages: Sequence[Stage], axes: int) -> Iterator[Stage]:
+    """Stages that a slope of each axis stands in for, also those inside others."""
+    for stage in stages:
+        for chain in stage.inner_chains:
+            yield from _hystereses(chain, axes)
+        if not stage.inner_chains and stage.is_hysteresis and not stage.mixes_axes and stage.linearized(axes) is None:
+            yield stage
+
+
+def _replaced(stages: Sequence[Stage], slopes: Mapping[int, Array], axes: int) -> list[Stage]:
+    """The stages with those that have a slope (A,), by identity, replaced by it."""
     kept: list[Stage] = []
     for stage in stages:
+        slope = slopes.get(id(stage))
         if stage.inner_chains:
-            kept.append(stage.with_inner_chains([_replaced(chain, slope) for chain in stage.inner_chains]))
-        elif stage.has_compensator:
+            kept.append(stage.with_inner_chains([_replaced(chain, slopes, axes) for chain in stage.inner_chains]))
+        elif slope is not None:
             kept.append(TransferFunction([[float(value)] for value in slope], [1.0]))
         else:
-            linear = stage.linearized(len(slope))
+            linear = stage.linearized(axes)
             if linear is None:
                 raise InputError(f"chain ({stage.name}): has no linear description to tune a controller on")
             kept.extend(linear)

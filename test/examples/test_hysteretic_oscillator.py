@@ -11,8 +11,14 @@ from scipy.integrate import solve_ivp
 from hyst_control.base.errors import InputError
 from hyst_control.chain.chain import Chain
 from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Sampling, Stage
+from hyst_control.control.feedback.loop import run_loop
+from hyst_control.control.linearization import hysteresis_slopes
+from hyst_control.control.tuning import tune
+from hyst_control.model_file import Model, Simulator
 from hysteretic_oscillators.stages.bouc_wen import BoucWen
+from hysteretic_oscillators.stages.duhem import Duhem
 from hysteretic_oscillators.stages.duhem_oscillator import DuhemOscillator
 
 SAMPLE_TIME = 1e-4
@@ -106,3 +112,19 @@ def test_what_makes_no_sense_is_refused_in_one_line(make, words):
     with pytest.raises(InputError, match=words) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+def test_margins_hold_on_a_hysteresis_that_no_compensator_knows():
+    """It has its greatest slope in the tuning: the loop settles at 10 % more gain and less, and at twice the gain (6 dB)."""
+    hysteresis, mode = Duhem(0.1, -0.03, 0.03, -0.01), TransferFunction([2.5e7], [1.0, 500.0, 2.5e7])
+    units = {"command": "V", "measurement": "um"}
+    model = Model("m", ("x",), units, 2e-4, Chain((hysteresis, mode)), valid={"command": [0.0, 80.0]})
+    (mean,), (greatest,) = hysteresis_slopes(model)
+    rise = np.diff(hysteresis.at_rest(np.linspace(0.0, 80.0, 401)[:, None])[:, 0]) / 0.2
+    assert rise.min() < mean < greatest <= 1.01 * rise.max()
+    gains = tune(model)
+    reference = np.full((1500, 1), 4.0)
+    for factor in (0.9, 1.1, 2.0):
+        plant = Simulator(model.with_stages((hysteresis, Gain(factor), mode)), 2e-4)
+        error = run_loop(reference, None, gains.controller(0.0, 150.0).start(1), plant)["measurement"][-300:] - reference[-300:]
+        assert np.abs(error).max() < 0.01

@@ -12,11 +12,14 @@ from hyst_control.base.errors import InputError
 from hyst_control.chain import STAGES, Chain, Sampling
 from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.chain.hysteresis.madelung import CAPACITY
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.chain.stage import Filter
+from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.effects.softening_modes import SofteningModes
 from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.compiled import CompiledProgram
+from hyst_control.model_file import Model
 
 RANDOM = {"sensor_noise", "flicker_noise", "held_samples"}
 """Stages that draw random numbers: the only ones without C."""
@@ -92,6 +95,21 @@ def test_float_is_within_1e_5_of_the_range(case):
         assert np.abs(found - expected).max() <= 1.001 * step and beyond.mean() < 1e-2
     else:
         assert not beyond.any(), off.max()
+
+
+@pytest.mark.parametrize("frequency", [1.0, 3.16, 10.0, 40.0])
+def test_an_inverse_of_slow_dynamics_is_within_1e_5_in_float(frequency):
+    """At 333 Hz: what is left of large parts that cancel would be their rounding."""
+    w, units = 2.0 * np.pi * frequency, {"command": "V", "measurement": "um"}
+    chain = Chain((PrandtlIshlinskii([0.0, 5.0, 20.0], [0.02, 0.01, 0.01]), TransferFunction([w**2], [1.0, 1.6 * w, w**2])))
+    python = build_compensator(Model("slow", ("x",), units, 3e-3, chain), "hapi", limits=(0.0, 80.0))
+    c = compiled(python.c_code(), 1, "float")
+    time = 3e-3 * np.arange(ROWS)[:, None]
+    u = (1.2 - np.cos(3.0 * time) - 0.2 * np.cos(17.0 * time)).astype(np.float32).astype(float)
+    python.settle(u[0])
+    c.settle(u[0])
+    expected = python.process(u)
+    assert np.abs(c.process(u) - expected).max() < 1e-5 * np.ptp(expected)
 
 
 def test_a_wider_madelung_loop_has_the_same_bits_too():

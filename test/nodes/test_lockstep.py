@@ -54,6 +54,12 @@ def test_starting_order_does_not_matter(tmp_path, ros_context):
     assert_same_bits(recorded(tmp_path / "bag"), offline(200))
 
 
+def test_a_short_run_that_waits_for_no_recorder_is_recorded_from_its_first_row_on(tmp_path, ros_context):
+    """The plant sends it before the recorder is there: the run ended without it, and the recorder waited for ever."""
+    composed(ros_context, parameters(tmp_path, 300, plant={"wait_for_recorder": False}))
+    assert_same_bits(recorded(tmp_path / "bag"), offline(300))
+
+
 def test_message_objects_give_the_same_bits(tmp_path, ros_context):
     settings = parameters(tmp_path, 200)
     for node in settings.values():

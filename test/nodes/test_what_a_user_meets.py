@@ -83,6 +83,19 @@ def test_a_composed_node_may_be_given_what_another_one_declares(ros_context, mon
     ).destroy_node()
 
 
+def test_what_is_given_to_a_composed_node_by_its_name_is_its_own(ros_context, monkeypatch, tmp_path):
+    """Alone it refuses what it does not know; composed, a gain below the wrong name acted nowhere."""
+    file = tmp_path / "p.yaml"
+    file.write_text("/**: {ros__parameters: {ki: 1.0}}\n/**/reference_generator: {ros__parameters: {kp: 1.0}}\n")
+    named = command_line.given_by_name(["--params-file", str(file), "-p", "plant:kp:=2.0"])
+    assert named["reference_generator"] == named["plant"] == {"kp"}
+    monkeypatch.setattr(EndingNode, "elsewhere", frozenset({"kp", "ki"}))
+    monkeypatch.setattr(EndingNode, "named", named)
+    given = [Parameter("ki", value=1.0), Parameter("kp", value=1.0)]
+    with pytest.raises(InputError, match="reference_generator: parameter kp: there is no such parameter"):
+        ReferenceGenerator(context=ros_context, parameter_overrides=given, signal=np.zeros((5, 1)))
+
+
 def test_what_cannot_act_live_is_read_only_and_what_is_accepted_acts(bench):
     node = bench.add(PiFeedback, kp=1.0, ki=10.0, upper=100.0, rate_hz=RATE)
     for name, value in {"backend": "c", "feedback": False, "rate_hz": 10.0}.items():

@@ -111,7 +111,7 @@ def test_held_rows_lose_nothing_that_came(sent):
     """The recorder: every tick that came after all comes out once, in order; those that never came are counted."""
     state, found = SignalRows(Missing.HOLD, PLENTY, 0.0), []
     for first, end in sent:
-        assert state.receive(first, rows(first, end), 0.0) in (Receipt.ACCEPTED, Receipt.HELD, Receipt.DUPLICATE)
+        assert state.receive(first, rows(first, end), 0.0) in (Receipt.ACCEPTED, Receipt.HELD, Receipt.DUPLICATE, Receipt.LATE)
         state.release(0.0)
         found += take_all(state)
     complete = list(found)
@@ -124,7 +124,7 @@ def test_held_rows_lose_nothing_that_came(sent):
     assert found == sorted(set(found)) and set(found) <= came
     assert found == sorted(tick for tick in came if not found or tick >= found[0])
     if complete:
-        assert state.missed == found[-1] + 1 - found[0] - len(found)
+        assert state.missed == found[-1] + 1 - len(found)
         assert sum(end - first for first, end in state.gaps) == state.missed
     assert not state.held and not state.available
 
@@ -254,6 +254,18 @@ def test_rows_before_the_first_ones_heard_are_waited_for_no_longer_than_that():
     assert waits({"command": state}, 2.0) == [Wait("command", 0, 2.0)]
     assert state.receive(10, rows(10, 11), 1.001 + LONGEST_JOINING) is Receipt.ACCEPTED
     assert state.start == 10
+
+
+def test_first_rows_are_lost_once_none_has_come_before_them_for_long_enough():
+    """The end of a run that is shorter than this: no further row comes, by which it could be known."""
+    state = SignalRows(Missing.HOLD, PLENTY, 0.0)
+    state.receive(1, rows(1, 4), 1.0)
+    state.release(1.0 + LONGEST_JOINING)
+    assert not state.joined and take_all(state) == []
+    state.release(1.001 + LONGEST_JOINING)
+    assert take_all(state) == [1, 2, 3] and state.awaited == 4
+    assert state.missed == 1 and list(state.gaps) == [(0, 1)]
+    assert state.receive(0, rows(0, 1), 9.0) is Receipt.LATE
 
 
 def test_a_gap_is_given_up_after_its_patience():

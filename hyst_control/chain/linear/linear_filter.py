@@ -26,6 +26,9 @@ from hyst_control.chain.linear.linear_kernels import (
 from hyst_control.chain.stage import Filter
 
 FLOAT_LOSS = 1e-6  # Share of a signal that a system run in single precision may lose to rounding; a slower one is run in double
+MOST_CANCELLED = 100.0
+"""Parts of an output over the output, up to which rounding them to float does no harm: an inverse of slow dynamics has more."""
+NOTHING_LEFT = 1e-12  # Share of its parts that the output at rest is of a system without one
 
 
 class LinearFilter(Filter):
@@ -105,7 +108,7 @@ class LinearFilter(Filter):
     def c_code(self) -> CCode:
         count, _, n, m = self.b.shape
         slowest = max((float(np.abs(np.linalg.eigvals(a)).max()) for a in self.a if n), default=0.0)
-        wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest))
+        wide = bool(np.finfo(np.float32).eps > FLOAT_LOSS * (1.0 - slowest)) or self._cancellation() > MOST_CANCELLED
         columns = (int(self.whole.max()) + 3, count * m)
         return CCode(
             "linear",
@@ -131,6 +134,12 @@ class LinearFilter(Filter):
             },
             wide=wide,
         )
+
+    def _cancellation(self) -> float:
+        """What makes up the output at rest, signs left out, over this output; systems with none but for rounding do not count."""
+        parts = (np.abs(self.c) @ np.abs(self.rest) + np.abs(self.d).sum(axis=1)).max(axis=(1, 2))
+        whole = np.abs(self.static_gain).max(axis=(1, 2))
+        return float((parts / np.where(whole > NOTHING_LEFT * parts, whole, np.inf)).max())
 
 
 def _times(matrices: Array, value: Array) -> Array:

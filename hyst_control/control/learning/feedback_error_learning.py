@@ -122,7 +122,7 @@ class RunningFeedbackErrorLearning(Learner):
             self._observed = max(self._observed, first + len(feedback))
 
 
-LARGEST = 1e9  # Voltage (V) beyond all drives to which rows are limited, so that no difference of two of them leaves the finite numbers
+LARGEST = 1e9  # V, beyond all drives: rows are limited to it, so that no difference of two of them leaves the finite numbers
 
 
 @njit(cache=True)

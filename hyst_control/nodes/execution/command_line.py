@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import inspect
 import textwrap
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,19 @@ def check(arguments: Sequence[str]) -> list[str]:
                 if name not in (*NODES, *renamed, "*", "**"):
                     warnings.append(f"{value}: {section}: no node of this package has this name{nearest(name, NODES, '')}")
     return warnings
+
+
+def given_by_name(arguments: Sequence[str]) -> dict[str, set[str]]:
+    """Parameters that parameter files and `-p NODE:PARAMETER:=VALUE` give to a node by its name instead of to all nodes."""
+    given: dict[str, set[str]] = defaultdict(set)
+    for option, value in zip(arguments, arguments[1:]):
+        if option == "--params-file":
+            for section, content in _sections(value):
+                given[section.rpartition("/")[2]].update(content["ros__parameters"] or ())
+        elif option in ("-p", "--param"):
+            node, _, parameter = value.partition(":=")[0].rpartition(":")
+            given[node].add(parameter)
+    return given
 
 
 def _sections(path: str) -> Iterator[tuple[str, Any]]:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Set
 from typing import Any
 
 from rclpy.clock import Clock
@@ -28,6 +28,7 @@ class EndingNode(Node):
     FURTHER = ""  # Sentence about parameters that depend on others
     elsewhere: frozenset[str] = frozenset()
     """Parameters of the other nodes in the process: an argument without a node's name reaches all of them."""
+    named: Mapping[str, Set[str]] = {}  # Parameters that belong to a node of the process alone, by its name
     ends = False  # True when the node ends by itself
 
     def __init__(self, name: str, **options: Any) -> None:

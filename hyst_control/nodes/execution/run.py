@@ -210,7 +210,7 @@ def _body(factories: Sequence[Callable[[], EndingNode]], args: Sequence[str]) ->
     nodes: list[EndingNode] = []
     try:
         _initialize(args)
-        EndingNode.elsewhere = _parameters_of(factories)
+        EndingNode.elsewhere, EndingNode.named = _parameters_of(factories), command_line.given_by_name(args)
         for factory in factories:
             nodes.append(_made(factory))
         if interrupts.received():  # a library has suppressed the interrupt

@@ -41,9 +41,8 @@ class SignalNode(ScheduledNode):
         self.receptions: list[CallbackSubscription] = []
         self.senders: list[Sender] = []
         super().__init__(name, **options)
-        self.settings = declare(
-            self, (*COMMON, *self.SETTINGS), self.changed, self.check_change, self.further_settings, self.elsewhere
-        )
+        elsewhere = self.elsewhere - self.named.get(self.get_name(), set())
+        self.settings = declare(self, (*COMMON, *self.SETTINGS), self.changed, self.check_change, self.further_settings, elsewhere)
         self.lockstep = self.settings.schedule == LOCKSTEP
         self.period = 1.0 / self.settings.rate_hz
         self.axes: tuple[str, ...] = self.settings.axes

@@ -19,7 +19,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from hyst_control.base.arrays import Array
 from hyst_control.records.stream.signal_message import ROW_LABEL, Decoder, Encoder
 
-LOOK_INTERVAL = 0.01  # s, between two looks beyond the process, for subscribers or for messages, while there is enough to do within it
+LOOK_INTERVAL = 0.01  # s, between two looks beyond the process, for subscribers or messages, while there is enough to do in it
 
 # Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
@@ -124,7 +124,8 @@ class CallbackSubscription:
         self._callback(label, block)
 
 
-_Found = tuple[Any, int, str, Array | None]  # Message, its time in ns since the epoch, and label and rows where they need not be decoded
+# Message, its time in ns since the epoch, and label and rows where they need not be decoded
+_Found = tuple[Any, int, str, Array | None]
 
 
 class PolledSubscription:

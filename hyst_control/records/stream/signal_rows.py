@@ -10,7 +10,7 @@ can be used. What becomes of rows before which others are missing is the receive
 `Missing`  rows behind a gap                                    the first rows that are heard
 =========  ===================================================  ==============================================================
 `REFUSE`   refused (`GAP`): their source sends them again       refused (`JOINING`) unless they are those of tick 0 or a repetition
-`HOLD`     kept (`HELD`) until the gap is filled or given up    kept, and used once it is known that none was sent before them
+`HOLD`     kept (`HELD`) until the gap is filled or given up    kept, and used once none is waited for before them: these are lost
 `SKIP`     taken: the missing ones are lost                     taken
 =========  ===================================================  ==============================================================
 
@@ -159,7 +159,7 @@ class SignalRows:
         if self.available >= self.max_queued_rows and not self.drop_oldest:
             if self.missing is not Missing.HOLD or self.joined:
                 return Receipt.FULL
-            self.joined = True
+            self._begin()
         self._append(first, new)
         self._newest = tick, rows
         self.arrived = now
@@ -178,9 +178,12 @@ class SignalRows:
         return oldest
 
     def release(self, now: float, give_up: bool = False) -> None:
-        """Move rows behind gaps into the queue once these are filled or were waited for long enough, and with `give_up` in any case."""
-        if give_up:
-            self.joined = True
+        """Move rows behind gaps into the queue once these are filled or were waited for long enough, and with `give_up` in any case.
+
+        What may come before the first rows is waited for in the same way: of a run that is over nothing comes any more.
+        """
+        if self._blocks and (give_up or now - self._joining_since > LONGEST_JOINING):
+            self._begin()
         if self._held:
             self._release(now, give_up or now - self._gap_since > GAP_PATIENCE)
 
@@ -267,10 +270,22 @@ class SignalRows:
                 self.expect(tick)
                 for first_of_block, block in heard:
                     self._hold(first_of_block, block, now)
-            self.joined = first
+            self.joined = False
+            if first:
+                self._begin()
             return True
         self.joined = first
         return first
+
+    def _begin(self) -> None:
+        """Join with the rows held so far: of those before them none is waited for any more."""
+        if self.joined:
+            return
+        self.joined = True
+        first = self._blocks[0][0] if self._blocks else self.end
+        if first:
+            self.missed += first
+            self.gaps.append((0, first))
 
     def _receive_again(self, tick: int, rows: Array, now: float) -> Receipt:
         """Judge rows of ticks that were there: a repetition, late ones, a second source, or a clock that was set back."""
@@ -330,7 +345,8 @@ class SignalRows:
             rows = self._held.pop(tick)
             self._held_rows -= len(rows)
             if tick + len(rows) > self.end:
-                self.joined |= tick > self.end
+                if tick > self.end:
+                    self._begin()
                 self._append(max(tick, self.end), rows[max(self.end - tick, 0) :])
                 self._gap_since = now  # of the next one
 
