@@ -23,12 +23,10 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Beginning, Record
 from hyst_control.records.session_zero import without_zero
 
-LEAST = 32
-"""Samples from which on the beginning and the drift of a record are looked for."""
+LEAST = 32  # Samples from which on the beginning and the drift of a record are looked for
 REFITS, GAIN = 4, 0.9
 """Most repetitions of a fit to records that begin amid a motion, and the share of the energy that each leaves at most."""
-LINEAR_ROWS = 2**14
-"""First rows of each record to which a linear model is fitted."""
+LINEAR_ROWS = 2**14  # First rows of each record to which a linear model is fitted
 
 
 def identify(records: Sequence[Record], family: str, method: str = "joint", **options: object) -> Fit:

@@ -12,8 +12,7 @@ from hyst_control.chain.linear.linear_stages import Delay, LinearStage
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.validity.findings import Simulation, Trial
 
-LIGHT = 0.3
-"""Damping up to which a pair of poles is a mode."""
+LIGHT = 0.3  # Damping up to which a pair of poles is a mode
 
 
 def trial_beside(model: Model, name: str, command: Array, measurement: Array, sample_time: float, hold: str | None) -> Trial:

@@ -44,8 +44,7 @@ from hyst_control.records.tables.units import refusal_of_unit
 from hyst_control.records.validity.checks import examined, refuse_invalid
 from hyst_control.records.validity.findings import Trial
 
-AUTO = "auto"
-"""In place of a family: the best one."""
+AUTO = "auto"  # In place of a family: the best one
 BY_THEMSELVES = (
     "the axes were fitted by themselves: where the command of one moves another, name a family that couples axes, such as --model mhl "
     "or --model linear"
@@ -54,8 +53,7 @@ BY_THEMSELVES = (
 LONGEST_JUDGED = 2**22
 """Rows of a record, from its beginning, by which it is judged whether it is a measurement of its command: 84 s at 50 kHz."""
 
-MAX_NOTES = 5
-"""Lines of notes on a terminal."""
+MAX_NOTES = 5  # Lines of notes on a terminal
 SHORTEST_SHARE, SHORTEST_STRETCH = 0.05, 32
 """Least length of a stretch between gaps that is used: share of the longest one, and samples."""
 

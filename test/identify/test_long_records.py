@@ -16,8 +16,7 @@ from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.identify import identify
 from hyst_control.identify.assess import fit_report
-from hyst_control.identify.data.fit_windows import first_motion, memory_filled, virgin_rows, with_sign
-from hyst_control.identify.mhl.madelung import response_sign
+from hyst_control.identify.data.fit_windows import first_motion, memory_filled, response_sign, virgin_rows, with_sign
 from hyst_control.identify.model_error import learned_discrepancy
 from hyst_control.identify.model_error.learned_discrepancy import discrepancy_of, learn
 from hyst_control.identify.solve import gram_sums

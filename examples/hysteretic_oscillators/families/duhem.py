@@ -23,11 +23,10 @@ from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.chain.parameter import declared
 from hyst_control.identify.assess.assembly import AxisFit
 from hyst_control.identify.data.fit import Number
-from hyst_control.identify.data.fit_windows import short_stretches, whole_records
+from hyst_control.identify.data.fit_windows import response_sign, short_stretches, whole_records
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import TRUTH, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.mhl.madelung import response_sign
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.identify.solve.stable_dynamics import Structure

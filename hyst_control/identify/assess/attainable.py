@@ -23,10 +23,8 @@ from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.stream.row_store import mean_square
 
-ROWS, ORDER = 2**13, 8
-"""Rows that are compared, and order of the linear reference."""
-DIES = 3.0
-"""Factors of e by which an oscillation of the linear reference decays over these rows, at least."""
+ROWS, ORDER = 2**13, 8  # Rows that are compared, and order of the linear reference
+DIES = 3.0  # Factors of e by which an oscillation of the linear reference decays over these rows, at least
 LITTLE, MUCH, BETTER = 0.01, 0.05, 2.0
 """Shares of the range: less is no reason to look further, more is poor whatever the references leave; and how much less they leave."""
 
@@ -41,8 +39,7 @@ class Poor:
     reference_name: str
     follows: str
     share: float
-    linear: bool
-    """The reference is linear."""
+    linear: bool  # The reference is linear
 
     def text(self) -> str:
         """As one line."""

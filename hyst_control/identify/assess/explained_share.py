@@ -13,12 +13,9 @@ from hyst_control.base.arrays import Array
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
-LEAST = 0.1
-"""Share of a measurement's power, about one zero a record, that a model explains if it explains anything."""
-AS_GOOD = 0.999
-"""Share from which a model is not held against a gain: both are then within the noise of small records."""
-WORSE = 1.25
-"""Ratio of the unexplained powers of a model and a gain from which the model explains less."""
+LEAST = 0.1  # Share of a measurement's power, about one zero a record, that a model explains if it explains anything
+AS_GOOD = 0.999  # Share from which a model is not held against a gain: both are then within the noise of small records
+WORSE = 1.25  # Ratio of the unexplained powers of a model and a gain from which the model explains less
 
 EXPLAINS, POORLY, DISAGREE = "explains", "explains_poorly", "records_disagree"
 NOTHING, INVALID = "explains_nothing", "invalid_record"

@@ -33,8 +33,7 @@ BEGINNING_ROWS, AT_REST_SHARE, OTHER_SHARE = 4096, 0.5, 0.8
 
 The smaller share is for a record whose hysteresis begins at rest: there the error of the first rows is mostly the model's own.
 """
-OFFSET_SHARE = 0.02
-"""Share of the mean square error that a common offset makes where the model states it."""
+OFFSET_SHARE = 0.02  # Share of the mean square error that a common offset makes where the model states it
 
 
 def residual(model: Model, data: Record) -> Array:

@@ -19,12 +19,9 @@ from hyst_control.records.record import Record
 from hyst_control.records.session_zero import basis
 from hyst_control.records.stream.row_store import blocks
 
-ROWS = 2**16
-"""First rows of a record from which its motion from before is estimated."""
-MOST_LEFT = 0.5
-"""Share of an error's energy that its free motion may leave where there is one."""
-GONE = 1e-9
-"""Share of the largest free motion under which it has died away."""
+ROWS = 2**16  # First rows of a record from which its motion from before is estimated
+MOST_LEFT = 0.5  # Share of an error's energy that its free motion may leave where there is one
+GONE = 1e-9  # Share of the largest free motion under which it has died away
 SMALLEST = 1e-4
 """Relative singular value from which a motion is estimated beside the others and the session's zero and drift."""
 

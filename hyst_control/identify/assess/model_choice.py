@@ -14,8 +14,7 @@ from hyst_control.identify.data.fit import Fit, TriedRow
 
 AS_GOOD = 0.01
 """The model with fewest parameters is taken of those whose error exceeds the least one by no more than this share."""
-POOR = 0.5
-"""Held-out NRMSE, % of the range, above which the families of the second choice are tried as well."""
+POOR = 0.5  # Held-out NRMSE, % of the range, above which the families of the second choice are tried as well
 USELESS = "its simulation of the whole records explains less than a constant and a gain"
 """Why a family that does well on held-out rows is passed over."""
 

@@ -24,10 +24,8 @@ from hyst_control.records.validity.checks import SHORTEST_RECORD
 
 LIKE = 1.3
 """Ratio of two records' ranges up to which they are compared: what a model lacks of a hysteresis changes with the amplitude."""
-FEWEST_LINES = 3
-"""Frequencies of an octave at which both responses are known."""
-DISAGREEMENT = 0.1
-"""Difference of two responses, as a share, from which records are said to disagree."""
+FEWEST_LINES = 3  # Frequencies of an octave at which both responses are known
+DISAGREEMENT = 0.1  # Difference of two responses, as a share, from which records are said to disagree
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,10 @@ from hyst_control.records.quantization_step import quantization_step
 
 SEGMENT, SEGMENT_ROWS = 0.25, 64
 """Length (s), and least number of rows, of the segments that are looked at: a step among long loops is seen in its own."""
-ABOVE_NOISE = 5.0
-"""Amplitude of the motion beyond a frequency, in amplitudes of the noise there."""
-MIN_SHARE = 0.005
-"""The same as a share of the segment's whole motion: what hysteresis models leave is rarely less."""
-QUIETEST = 0.05
-"""Share of the spectrum that is taken for noise alone."""
-LOW_SHARE = 0.02
-"""Share of a command's power that lies below what counts as its lowest frequency."""
+ABOVE_NOISE = 5.0  # Amplitude of the motion beyond a frequency, in amplitudes of the noise there
+MIN_SHARE = 0.005  # The same as a share of the segment's whole motion: what hysteresis models leave is rarely less
+QUIETEST = 0.05  # Share of the spectrum that is taken for noise alone
+LOW_SHARE = 0.02  # Share of a command's power that lies below what counts as its lowest frequency
 REACH = 6.0
 """Multiple of the band's end up to which a pole is fitted: a lag there still turns the phase at the end by 10 degrees, one further beyond
 is not distinguished from a delay. Nor may a nearer bound stop the search on its way: at 3 the lag of the tour's record was lost, whose

@@ -30,8 +30,7 @@ LATEST = 3
 ROUNDING = 1e-9  # Of the range: errors below it are those of the arithmetic, and tell nothing
 CLEAR, CLEAR_AT_NOISE = 0.7, 0.95
 """Share of the error under `zoh` that must be left under `foh` for the latter to be taken; and where nothing but white noise is left."""
-WHITE = 0.1
-"""Correlation of neighbors up to which an error is white."""
+WHITE = 0.1  # Correlation of neighbors up to which an error is white
 
 
 class HoldErrors(NamedTuple):

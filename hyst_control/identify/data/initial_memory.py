@@ -27,8 +27,7 @@ from hyst_control.records.stream.row_store import all_finite, blocks, total_vari
 
 OPERATORS, ROWS, TURNS = 12, 2000, 9
 """Play operators of the fit; its rows before and behind the first visit to both extremes; further turning points that are tried."""
-AT_ZERO = 0.01
-"""Share of the largest command up to which a record begins at 0 V."""
+AT_ZERO = 0.01  # Share of the largest command up to which a record begins at 0 V
 DOUBT = 1.1
 """Factor by which the square error may be larger than that of one on its initial loading curve, or of one preceded by itself."""
 LITTLE, HALF = 0.9, 0.5

@@ -15,8 +15,7 @@ from hyst_control.identify.data.reversal_points import turning_points
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import blocks
 
-REST_TIME = 5e-3
-"""A command that holds still for this long (s) rests."""
+REST_TIME = 5e-3  # A command that holds still for this long (s) rests
 
 
 @dataclass(frozen=True)

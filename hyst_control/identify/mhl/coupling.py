@@ -28,8 +28,7 @@ from hyst_control.records.stream.row_store import empty_rows
 CORNERS = (None, 30.0, 60.0, 100.0, 150.0, 220.0, 320.0, 470.0, 700.0, 1000.0, 2000.0)
 """Corners (Hz) that are tried; none is a static coupling."""
 BLOCKS, ROWS = 90, 200_000
-WORTHWHILE = 0.03
-"""The coupling is kept when it lowers some axis' held-out mean square error by more than this share."""
+WORTHWHILE = 0.03  # The coupling is kept when it lowers some axis' held-out mean square error by more than this share
 
 
 @dataclass(frozen=True)

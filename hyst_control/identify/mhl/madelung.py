@@ -20,8 +20,7 @@ from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.chain.stage import per_axis_scalars
 from hyst_control.identify.assess.assembly import AxisFit
-from hyst_control.identify.data.fit_windows import response_sign as response_sign
-from hyst_control.identify.data.fit_windows import virgin_rows, whole_records, with_sign
+from hyst_control.identify.data.fit_windows import response_sign, virgin_rows, whole_records, with_sign
 from hyst_control.identify.families.estimator import Estimator, register
 from hyst_control.identify.families.options import INTEGER, NUMBER, NUMBERS, Options, option
 from hyst_control.identify.families.shared_options import nuisance_option
@@ -29,7 +28,6 @@ from hyst_control.identify.mhl.madelung_curves import Curves, Ends
 from hyst_control.identify.solve.gram_sums import NUISANCES, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, Solution, minimize_simulation_error
 from hyst_control.records.record import Record
-from hyst_control.records.stream.row_store import blocks
 
 NEAR = 0.05
 """Share of the upper end up to which a lowest command is near 0 V, and of the curves' range that no record need reach."""

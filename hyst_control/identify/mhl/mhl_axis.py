@@ -25,8 +25,7 @@ from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.record import Record
 
 MOST = 0.95  # Of the mean slope: from it on the passes of the whole inverse may not converge
-K2_UNIT = 1e-3
-"""Unit (s) of k2 in the parameter vector, which holds its logarithm."""
+K2_UNIT = 1e-3  # Unit (s) of k2 in the parameter vector, which holds its logarithm
 
 
 @dataclass(frozen=True)

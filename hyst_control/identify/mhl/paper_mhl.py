@@ -30,7 +30,15 @@ from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.assembly import side_by_side
 from hyst_control.identify.assess.fit_report import command_bandwidth
 from hyst_control.identify.data.fit import check_records
-from hyst_control.identify.data.fit_windows import as_window, cut, response_sign, short_stretches, virgin_rows, whole_records, with_sign
+from hyst_control.identify.data.fit_windows import (
+    as_window,
+    cut,
+    response_sign,
+    short_stretches,
+    virgin_rows,
+    whole_records,
+    with_sign,
+)
 from hyst_control.identify.data.record_segmentation import moving_stretches
 from hyst_control.identify.mhl.madelung import curve_ends, fit_curves, fit_inverse
 from hyst_control.identify.mhl.madelung_curves import Ends
@@ -47,14 +55,10 @@ from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
-REST_TIME = 0.02
-"""A command that holds still for this long (s) rests."""
-SLOW, MEDIUM = 5.0, 150.0
-"""Bandwidths (Hz) of the slow loops and of the sweep for the rate correction, at most."""
-PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)
-"""The order of Eq. 12."""
-STEP_TIME = 0.05
-"""Length of a step's response that is used, s."""
+REST_TIME = 0.02  # A command that holds still for this long (s) rests
+SLOW, MEDIUM = 5.0, 150.0  # Bandwidths (Hz) of the slow loops and of the sweep for the rate correction, at most
+PAPER_STRUCTURE = Structure(modes=1, lags=1, zeros=2)  # The order of Eq. 12
+STEP_TIME = 0.05  # Length of a step's response that is used, s
 REST_KEPT = 0.3
 """Length of the rest after a motion that is kept, s: it may be all the time in which the other axis moves, and tell nothing."""
 ROWS = 60_000

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 
-EXCITED = 1e-3
-"""A line is excited when the command's power there exceeds this fraction of the mean power per line."""
+EXCITED = 1e-3  # A line is excited when the command's power there exceeds this fraction of the mean power per line
 
 
 @dataclass(frozen=True)

@@ -34,24 +34,19 @@ from hyst_control.identify.solve.simulation_error import Parametrization, Simula
 from hyst_control.records.record import Record
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
-LEAST_ROWS = 8
-"""Rows for each state of a model."""
+LEAST_ROWS = 8  # Rows for each state of a model
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
-WHOLE_ROWS = 2**22
-"""Rows of a record to which the chosen structure is fitted, from the middle of a longer one."""
-MIN_GAIN = 0.02
-"""Share of the held-out mean square error by which a larger model has to be better, at least."""
+WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, from the middle of a longer one
+MIN_GAIN = 0.02  # Share of the held-out mean square error by which a larger model has to be better, at least
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 TWO_MODES = 4
 """Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
-EXACT = 1e-6
-"""Share of the range that no larger model needs to explain: records without noise leave rounding."""
-UNSURE = 0.1
-"""Relative standard deviation of the static gain from which a note says it."""
+EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
+UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
 
 class Variant(NamedTuple):
@@ -80,10 +75,8 @@ class Candidate:
     sections: Sections
     solution: Solution
     seconds: float
-    exact: float
-    """Mean square error from which a fit counts as exact."""
-    search_error: float | None = None
-    """Mean square error on the blocks held out, before the fit to all rows."""
+    exact: float  # Mean square error from which a fit counts as exact
+    search_error: float | None = None  # Mean square error on the blocks held out, before the fit to all rows
 
     @property
     def held_out(self) -> float:
@@ -153,7 +146,9 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     total = sum(len(window.command) for window in few)
     if options.order and LEAST_ROWS * options.order >= total:
         most = total // LEAST_ROWS
-        raise InputError(f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer")
+        raise InputError(
+            f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
+        )
     orders = [options.order] if options.order else [order for order in ORDERS if LEAST_ROWS * order < total]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
@@ -296,7 +291,7 @@ def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate], windows
     """
     if not smaller:
         return False
-    best = min(smaller, key=lambda each: each.held_out)
+    best = min(smaller, key=lambda each: _usual_error(each.solution.grams))
     fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
     if known - fitted <= MIN_GAIN * known + candidate.exact:
         return False  # what it gains is in few rows, such as those behind a step

@@ -34,8 +34,7 @@ from hyst_control.identify.modal.modal_model import Layout, ModalModel, Spectra,
 from hyst_control.identify.solve import gauss_newton
 from hyst_control.identify.solve.gauss_newton import End, Rules, Trial, solve_damped
 
-CHUNK = 400_000
-"""Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product."""
+CHUNK = 400_000  # Entries of the matrix W worked on at once: few enough for the cache, enough for the matrix product
 SLOWEST = {True: 1.0, False: 0.05}
 """Least decay of a pole, in line spacings, for periodic records and for others.
 

@@ -33,13 +33,10 @@ class Sections:
     direct: bool
     delay: bool
     smooth: bool
-    gain: float
-    """Unit of gains: range of the measurement / range of the command, with its sign."""
-    late: float
-    """Delay in s where it is not estimated; else its unit."""
+    gain: float  # Unit of gains: range of the measurement / range of the command, with its sign
+    late: float  # Delay in s where it is not estimated; else its unit
     slowest: float
-    fastest: float
-    """Bounds of w, rad/s."""
+    fastest: float  # Bounds of w, rad/s
 
     @property
     def pairs(self) -> int:

@@ -22,10 +22,8 @@ from hyst_control.identify.solve.gram_sums import Window
 
 RELOCATIONS, SETTLED = 10, 0.99
 """Most relocations of the poles; two in a row that leave more than this share of the least error end them."""
-SLOWEST, MIN_DECAY = 0.05, 0.02
-"""Least rate of a real pole and least decay of a pair, in inverse record lengths."""
-FASTEST = -20.0
-"""Fastest real pole, in inverse samples: a faster one is a direct path."""
+SLOWEST, MIN_DECAY = 0.05, 0.02  # Least rate of a real pole and least decay of a pair, in inverse record lengths
+FASTEST = -20.0  # Fastest real pole, in inverse samples: a faster one is a direct path
 
 
 @dataclass(frozen=True)

@@ -25,20 +25,15 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hyst_control.base.arrays import Array
 
-OCTAVES = 1.0 / 3.0
-"""Octaves to either side over which the largest bin counts: another command's lines are elsewhere."""
+OCTAVES = 1.0 / 3.0  # Octaves to either side over which the largest bin counts: another command's lines are elsewhere
 FUNDAMENTALS = 1.0
 """The same in slowest excited frequencies, at most: a line far above the command, such as mains hum, is no error of the model."""
-SMOOTHED = 3
-"""Bins that are averaged before: a line between two bins has its power in both."""
+SMOOTHED = 3  # Bins that are averaged before: a line between two bins has its power in both
 MUCH_MORE = 4.0
 """Factor of the output's power (twice its amplitude) beyond which the baseline records say nothing of the model at a frequency."""
-MAX_MORE = 100.0
-"""Largest factor by which more power of the output raises that of the error."""
-UPPER = 0.6
-"""Share of the Nyquist frequency above which the median bin is the white noise's."""
-MEDIAN = 0.4549
-"""Median of a squared normal variable."""
+MAX_MORE = 100.0  # Largest factor by which more power of the output raises that of the error
+UPPER = 0.6  # Share of the Nyquist frequency above which the median bin is the white noise's
+MEDIAN = 0.4549  # Median of a squared normal variable
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,14 +35,10 @@ from hyst_control.records.stream.row_store import mean_square, spread_parts
 SIZES = np.geomspace(0.01, 0.5, 15)
 """Standard deviations of the prior weights that are tried, in error rms of a feature of rms 1: no feature alone is much larger than the
 error, for large weights that cancel on the baseline records do not cancel on other commands."""
-ROUNDS = 4
-"""Rounds in which rest and prior are found in turn."""
-WORTH = 0.1
-"""Least share of the error's energy that must be predicted on commands that were not learned from."""
-ALIKE = 0.05
-"""Relative difference of range and rate up to which two commands are the same."""
-ROWS = 4000
-"""Most rows per record that are learned from; of a longer one every few rows."""
+ROUNDS = 4  # Rounds in which rest and prior are found in turn
+WORTH = 0.1  # Least share of the error's energy that must be predicted on commands that were not learned from
+ALIKE = 0.05  # Relative difference of range and rate up to which two commands are the same
+ROWS = 4000  # Most rows per record that are learned from; of a longer one every few rows
 LONGEST, SHORTEST_PART, PARTS = 2**20, 2**16, 16
 """Rows of all records together up to which they are kept whole; fewest rows of a record that are kept of more, and parts that these
 are."""

@@ -22,12 +22,9 @@ from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.stream.row_store import spread_parts
 
-BANDS = 6
-"""Bands an octave."""
-MAX_ROWS, MAX_PARTS = 2**18, 4
-"""Rows of a part, and parts, that are read of a longer record."""
-DIGITS = 3
-"""That are stated: a spectrum is hardly ever known to a percent."""
+BANDS = 6  # Bands an octave
+MAX_ROWS, MAX_PARTS = 2**18, 4  # Rows of a part, and parts, that are read of a longer record
+DIGITS = 3  # That are stated: a spectrum is hardly ever known to a percent
 
 
 @dataclass(frozen=True, eq=False)

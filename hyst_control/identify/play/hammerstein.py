@@ -30,22 +30,15 @@ from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
 
 SELECTION_ROWS = 60_000
-MIN_FOR_LOADING = 6
-"""Number of operators below which the first loading gets none."""
-PRECISION = 1e-3
-"""Share of the bracket to which the widening with the rate is found."""
-MOST_MODES = 2
-"""Largest number of modes of G."""
-MOST_PAIRS = 4
-"""Largest number of modes of G, where the further ones come with zeros of their own."""
-SEEN_ROWS = 16_000
-"""Rows in which vector fitting looks for modes."""
+MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets none
+PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
+MOST_MODES = 2  # Largest number of modes of G
+MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with zeros of their own
+SEEN_ROWS = 16_000  # Rows in which vector fitting looks for modes
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
-MIN_IMPROVEMENT = 0.03
-"""A factor of G is kept when it lowers the held-out mean square error by more than this fraction."""
-PAIR_IMPROVEMENT = 0.12
-"""The same for a mode with a pair of zeros, which has four parameters."""
+MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
+PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from hyst_control.identify.solve.variable_projection import Problem, Solution, s
 from hyst_control.records.record import Record
 
 DYNAMIC_FREQUENCY = 100.0
-PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)
-"""The factors of the paper's Eq. 7."""
+PAPER_STRUCTURE = Structure(modes=1, zeros=1, slow_pair=True)  # The factors of the paper's Eq. 7
 
 
 def fit_axis(

@@ -79,8 +79,7 @@ class _Hammerstein(_Operators[HammersteinOptions]):
     """Play operators in front of dynamics."""
 
     Options = HammersteinOptions
-    dynamic = False
-    """Weights that follow the command's rate and level."""
+    dynamic = False  # Weights that follow the command's rate and level
 
     def fit_axis(self, records: Sequence[Record], index: int, options: HammersteinOptions) -> AxisFit:
         if options.method == "paper":

@@ -11,8 +11,7 @@ from scipy.special import ndtri, stdtrit
 
 from hyst_control.base.arrays import Array
 
-MIN_REST = 1e-4
-"""Share of what a block tells of a parameter that the others tell at least: no score grows beyond it."""
+MIN_REST = 1e-4  # Share of what a block tells of a parameter that the others tell at least: no score grows beyond it
 
 
 def solve_bounded(

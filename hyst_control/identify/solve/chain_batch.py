@@ -24,11 +24,8 @@ from hyst_control.chain.linear.linear_filter import LinearFilter
 from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Delay, Discretised
 
-SOURCE = -1
-"""Number of the signal that enters all chains, which stands behind those of all nodes."""
-
-NEGLIGIBLE = 1e-9
-"""Share of its beginning below which a free motion has died away."""
+SOURCE = -1  # Number of the signal that enters all chains, which stands behind those of all nodes
+NEGLIGIBLE = 1e-9  # Share of its beginning below which a free motion has died away
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,8 @@ from hyst_control.records.stream import row_store
 
 BLOCK = 4000
 """Rows that are computed at once: no power of two, at which all columns would share a few places of the cache."""
-MAX_BLOCKS = 2048
-"""Gram matrices that a window keeps: of longer ones neighboring blocks are added up."""
-HELD_OUT_BLOCKS = 90
-"""A record is cut into at least this many blocks."""
+MAX_BLOCKS = 2048  # Gram matrices that a window keeps: of longer ones neighboring blocks are added up
+HELD_OUT_BLOCKS = 90  # A record is cut into at least this many blocks
 NUISANCES = {"none": 0, "offset": 1, "linear": 2}
 
 

@@ -19,16 +19,12 @@ from hyst_control.base.arrays import Array
 from hyst_control.chain import Stage
 from hyst_control.chain.coordinates import chain_coordinates
 
-PRIOR = 0.3
-"""Relative standard deviation of a number that the data cannot tell."""
-STEP = 1e-5
-"""Difference of neighboring parameters of a fit, which are all of order one unless their own size is given."""
+PRIOR = 0.3  # Relative standard deviation of a number that the data cannot tell
+STEP = 1e-5  # Difference of neighboring parameters of a fit, which are all of order one unless their own size is given
 NAMED = 0.7
-MAX_NAMED = 6
-"""Directions that a note lists."""
+MAX_NAMED = 6  # Directions that a note lists
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
-DIGITS = 6
-"""Significant digits of the factor: what correlated numbers need to cancel."""
+DIGITS = 6  # Significant digits of the factor: what correlated numbers need to cancel
 
 
 @dataclass(frozen=True)
@@ -41,8 +37,7 @@ class Uncertainty:
     # Factor (P, P) of the covariance, the symmetric root in units of the prior: column k is mostly number k
     factor: Annotated[Array, "P P"]
     relative: Annotated[Array, "P"]  # Relative standard deviation (P,), PRIOR at most
-    data_relative: Array
-    """The same by the data alone, without the prior."""
+    data_relative: Array  # The same by the data alone, without the prior
     # Of every direction that the data cannot tell, the names of the numbers that make it up
     undetermined: tuple[tuple[str, ...], ...]
 

@@ -18,12 +18,9 @@ from numpy.typing import NDArray
 from hyst_control.base.arrays import Array
 from hyst_control.identify.solve.stable_dynamics import Structure
 
-PAIR_DAMPINGS = (0.05, 0.2)
-"""Of a mode and the zeros upon it, from which the two are parted."""
-SEGMENTS = 2**10
-"""Segments of spectra that are worked on at a time."""
-WORTHWHILE = 0.01
-"""A factor of G is kept when it lowers the held-out mean square error by more than this share."""
+PAIR_DAMPINGS = (0.05, 0.2)  # Of a mode and the zeros upon it, from which the two are parted
+SEGMENTS = 2**10  # Segments of spectra that are worked on at a time
+WORTHWHILE = 0.01  # A factor of G is kept when it lowers the held-out mean square error by more than this share
 
 
 def unexplained_frequency(

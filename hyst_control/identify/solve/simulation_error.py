@@ -29,14 +29,12 @@ from hyst_control.records.stream.row_store import empty_rows
 BLOCK, CHUNK = 4000, 32000
 """Largest number of rows of one block's Gram matrix, and rows simulated at a time: no powers of two, at which all columns would share a
 few places of the cache."""
-STEP = 1e-5
-"""Difference of neighboring parameters, which are all of order one."""
+STEP = 1e-5  # Difference of neighboring parameters, which are all of order one
 DRIFT = 0.05
 """Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
 FREE_MOTION = 1.0
 """Usual size (rms) of what an initial state does, in ranges of the measurement: states of nearly equal poles would grow without limit."""
-ROUNDING = 1e-15
-"""Relative size of rounding in a sum of squares."""
+ROUNDING = 1e-15  # Relative size of rounding in a sum of squares
 PRIOR = 1e-10
 """Weight of the prior on every parameter relative to the strongest one: determines only directions that the data do not show at all."""
 
@@ -68,15 +66,11 @@ class Solution:
     """Solution of a simulation-error fit."""
 
     parameters: Array
-    nuisances: Array
-    """Offset and drift of every record, one record behind the other."""
+    nuisances: Array  # Offset and drift of every record, one record behind the other
     fitted: float
-    held_out: float
-    """Mean square errors on the rows fitted and held out."""
-    grams: Grams
-    """Gram matrices of [derivatives, error], the session effects eliminated."""
-    linearized: Array
-    """Parameters at which the derivatives in `grams` were taken: these, or those one step before."""
+    held_out: float  # Mean square errors on the rows fitted and held out
+    grams: Grams  # Gram matrices of [derivatives, error], the session effects eliminated
+    linearized: Array  # Parameters at which the derivatives in `grams` were taken: these, or those one step before
 
     @property
     def covariance(self) -> Array:
@@ -129,10 +123,8 @@ class SimulationError:
     parametrization: Parametrization
     nuisance: str = "linear"
     unknown_state: bool = False
-    everything: bool = True
-    """True: cost and session effects are those of all rows, the held-out ones included."""
-    origin: Array | float = 0.0
-    """Parameters that the prior pulls to."""
+    everything: bool = True  # True: cost and session effects are those of all rows, the held-out ones included
+    origin: Array | float = 0.0  # Parameters that the prior pulls to
 
     def cost(self, point: Solution) -> float:
         """Return the mean square error of the `point`."""
@@ -194,8 +186,8 @@ class SimulationError:
             span = max(float(np.ptp(window.measurement)) for window in record)
             effects, penalty = _eliminated(known, size, extra, span, int(used), length)
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
-            for part, product in enumerate(sums):  # rows held out pay their share of it: what fits them is then as usual as elsewhere
-                grams[part] += _kept(product, keep) + penalty * own[part] / max(used, 1)
+            # Rows held out pay for unusual session effects, too: else a slow pole that these take back would pass for the better model.
+            grams += [_kept(product, keep) + penalty * share for product, share in zip(sums, own / max(used, 1), strict=True)]
             blocks += [_kept(piece, keep) for piece in pieces]
             nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
             rows += own

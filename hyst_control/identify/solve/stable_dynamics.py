@@ -27,8 +27,7 @@ from hyst_control.chain.stage import Sampling, Stage
 from hyst_control.identify.data.fit import Number
 
 MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
-NEAR = 0.01
-"""Relative distance from a bound at which a parameter is at it."""
+NEAR = 0.01  # Relative distance from a bound at which a parameter is at it
 TAU_UNIT = 1e-4
 """The delay's unit in the parameter vector, so that every entry is of order one: seconds, or the sample time of slower records."""
 

@@ -19,10 +19,8 @@ from hyst_control.identify.solve.gram_sums import Grams, Operators, Window, gram
 from hyst_control.identify.solve.parameter_covariance import PRIOR as KNOWN
 from hyst_control.identify.solve.stable_dynamics import Structure
 
-PRIOR = 1e-7
-"""Least weight of the prior on the slopes, relative to the strongest regressor."""
-MIN_SLOPE = 1e-3
-"""Smallest slope of a branch, relative to the mean slope."""
+PRIOR = 1e-7  # Least weight of the prior on the slopes, relative to the strongest regressor
+MIN_SLOPE = 1e-3  # Smallest slope of a branch, relative to the mean slope
 
 
 @dataclass(frozen=True)
