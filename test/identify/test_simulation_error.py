@@ -179,7 +179,8 @@ def test_a_drift_beyond_its_usual_size_is_paid_for_by_the_rows_held_out_too():
 
     def left(drift: float) -> tuple[float, float]:
         window = Window(wave, 0.5 * wave + drift * ramp + noise, TS, "foh", 0, 0)
-        found = SimulationError([window], Parametrization(lambda _: [Gain(0.5)]), everything=False).visit(np.zeros(0))
+        chain = Parametrization(lambda _: [Gain(0.5)])
+        found = SimulationError([window], chain, unknown_state=True, everything=False).visit(np.zeros(0))
         return found.fitted / np.var(noise), found.held_out / np.var(noise)
 
     assert left(0.02) == pytest.approx((1.0, 1.0), rel=0.05)
