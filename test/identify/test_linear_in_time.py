@@ -11,14 +11,11 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
-from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.identify import identify
 from hyst_control.identify.modal.linear import Linear, LinearOptions, search
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
-from hyst_control.model_file import Model, simulate
 from hyst_control.records.record import Record, sampled_record
 
 
@@ -113,23 +110,6 @@ def test_a_command_that_jumps_from_rest_at_its_first_row():
     fit = identify([data], "linear")
     assert "the first command jumps" in fit.report["beginnings"][0]["assumed"].replace("its", "the").replace("which the", "the")
     assert fit.report["records"][0]["rmse"] < 1.1 * sigma and rows(fit)["frequency[0]"] == pytest.approx(4.0, rel=0.001)
-
-
-@pytest.mark.parametrize("seed", [3, 7])
-def test_no_slow_pole_is_found_that_a_drift_and_an_initial_state_take_back(seed):
-    """On a hysteresis the search once took slow poles whose answer is ranges large and left 26 % and 12 %, where two states leave 2 %."""
-    random, time = np.random.default_rng(seed), np.arange(2000) / 2000
-    triangles = (0.3 + 0.7 * np.minimum(time / 0.8, 1.0)) * 40 * (1 + signal.sawtooth(6 * np.pi * time, 0.5))
-    sweep = 40 - 40 * np.cos(2 * np.pi * (time + 100 * time**2)) * (1 - 0.7 * time)
-    wander = signal.lfilter(*signal.butter(3, 0.2), random.normal(size=2000))
-    command = np.concatenate([triangles, sweep, 40 + 40 * wander / np.abs(wander).max() * np.minimum(time / 0.05, 1.0)])
-    hysteresis = PrandtlIshlinskii([2, 5, 9, 14, 20, 27, 35], [8e-3, 7e-3, 6e-3, 6e-3, 5e-3, 4e-3, 4e-3], w0=0.07)
-    chain = Chain((hysteresis, TransferFunction(*mode(1.0, 620.0, 0.02))))
-    plant = Model("plant", ("x",), {"command": "V", "measurement": "um"}, 1 / 2000, chain)
-    measured = simulate(plant, command[:, None]) + 0.003 * random.normal(size=(6000, 1))
-    data = sampled_record("r", command[:, None], measured, 1 / 2000, ("x",), "um", start="settled")
-    free, two = (identify([data], "linear", **given).report["records"][0]["nrmse"] for given in ({}, {"order": 2}))
-    assert free < 1.05 * two < 2.5
 
 
 def test_a_larger_model_of_one_kind_never_fits_worse():

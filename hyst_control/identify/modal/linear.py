@@ -197,9 +197,9 @@ def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions)
     free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
     rest = "offset" if options.nuisance == "linear" else options.nuisance
     plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
-    blocks = len(free.grams.blocks)  # an observation each: what is left is alike throughout one
+    rows = sum(len(window.command) for window in windows)
     columns = len(windows) * (sections.order + (rest != options.nuisance))
-    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(blocks) / blocks) + chosen.exact else free
+    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
 
 
 def _fit(
@@ -291,7 +291,7 @@ def _rings_by_itself(candidate: Candidate, smaller: Sequence[Candidate], windows
     """
     if not smaller:
         return False
-    best = min(smaller, key=lambda each: _usual_error(each.solution.grams))
+    best = min(smaller, key=lambda each: each.held_out)
     fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
     if known - fitted <= MIN_GAIN * known + candidate.exact:
         return False  # what it gains is in few rows, such as those behind a step

@@ -30,10 +30,9 @@ BLOCK, CHUNK = 4000, 32000
 """Largest number of rows of one block's Gram matrix, and rows simulated at a time: no powers of two, at which all columns would share a
 few places of the cache."""
 STEP = 1e-5  # Difference of neighboring parameters, which are all of order one
-DRIFT, DRIFT_BESIDE_STATES = 0.02, 0.05
-"""Usual drift over a record, as a share of its range, without and with a free initial state: its prior, which keeps it from the slow part
-of the plant's response."""
-FREE_MOTION = 1.0
+DRIFT = 0.02
+"""Usual drift over a record, as a share of its range: its prior, which keeps it from the slow part of the plant's response."""
+FREE_MOTION = 10.0
 """Usual size (rms) of what an initial state does, in ranges of the measurement: states of nearly equal poles would grow without limit."""
 ROUNDING = 1e-15  # Relative size of rounding in a sum of squares
 PRIOR = 1e-10
@@ -185,12 +184,10 @@ class SimulationError:
                     own[which] += len(block)
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
             span = max(float(np.ptp(window.measurement)) for window in record)
-            drift, alike = (DRIFT_BESIDE_STATES, length) if self.unknown_state else (DRIFT, 1)
-            effects, penalty = _eliminated(known, size, extra, span, int(used), alike, drift)
+            effects, penalty = _eliminated(known, size, extra, span, int(used))
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
-            # Rows held out pay for an unusual state and drift, too: else a slow pole that these take back would pass for the better model.
-            shares = own / max(used, 1) if self.unknown_state else (1.0, 0.0)
-            grams += [_kept(product, keep) + penalty * share for product, share in zip(sums, shares, strict=True)]
+            grams[0] += _kept(sums[0], keep) + penalty
+            grams[1] += _kept(sums[1], keep)
             blocks += [_kept(piece, keep) for piece in pieces]
             nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
             rows += own
@@ -241,7 +238,7 @@ def _kept(gram: Array, keep: Array) -> Array:
     return found
 
 
-def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int, alike: int, drift: float) -> tuple[Array, Array]:
+def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> tuple[Array, Array]:
     """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1).
 
     `extra` of them are offset and drift, the others initial states; span: range of the measurement.
@@ -257,9 +254,8 @@ def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int, alik
 
     effects = solved()
     if span > 0.0 and len(inner):
-        # What a chain misses may be alike throughout a block of rows, which then counts as one observation.
-        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows / alike, 1.0)
-        prior[1:extra] = left / (drift * span) ** 2
+        left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows, 1)
+        prior[1:extra] = left / (DRIFT * span) ** 2
         prior[extra:] = left * (scale[extra:] / (FREE_MOTION * span)) ** 2 / max(rows, 1)
         effects = solved()
     return effects, (effects.T * prior) @ effects
