@@ -46,6 +46,7 @@ class Step:
         return float((np.abs(self.measurement - 1.0) * np.diff(self.ticks, append=self.ticks[-1] + 1)[:, None]).sum(axis=0).max())
 
 
+@np.errstate(all="ignore")  # a loop that is not stable grows without bound
 def linear_step(stages: Sequence[Stage], axes: int, law: PI, loop_delay: int = 0) -> Step:
     """Step of a law around linear stages, with a further delay of the loop in ticks."""
     late = [Delay(loop_delay * law.sample_time)] if loop_delay else []
@@ -109,8 +110,7 @@ def _samples(matrix: Array, state: Array, output: Array, count: int) -> tuple[Ar
         rows.append(rows[-1] @ matrix)
     block, far = np.vstack(rows), np.linalg.matrix_power(matrix, together)
     found = []
-    with np.errstate(all="ignore"):  # a loop that is not stable grows without bound
-        for _ in range(count // together):
-            found.append((block @ state).reshape(together, -1))
-            state = far @ state
+    for _ in range(count // together):
+        found.append((block @ state).reshape(together, -1))
+        state = far @ state
     return np.concatenate(found), state

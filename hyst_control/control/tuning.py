@@ -143,7 +143,7 @@ ASKED = (
     Quantity("roll_off", 0.0, "Hz", "corner of the roll-off", lower=0.0, choices=(AUTOMATIC,)),
     Quantity("structure", "pi", "", "what the feedback is made of", choices=(*STRUCTURES, AUTOMATIC)),
 )
-"""What may be asked of a tuning."""
+"""Arguments of `tune`, with their ranges."""
 
 
 def tune(
@@ -236,7 +236,7 @@ def tune(
     settling = found.settling_ticks() * sample_time
     if np.isnan(settling):
         raise InputError(
-            "margins: hold at all frequencies that were computed, but a step does not settle: check the model's dynamics"
+            "chain: is not stable, so that no step settles however large its margins: identify the model again, or mend its dynamics"
         )
     return Tuning(law.kp, law.ki, sample_time, _worst(nominal), _worst(cases), settling, found.overshoot, law.roll_off, law.filters)
 
@@ -245,7 +245,7 @@ def _points(poles: Complex, mode_spread: float, sample_time: float) -> Complex:
     """Points of the unit circle up to half the sampling rate: evenly, and close by every resonance, the first one where it may be."""
     angles = [np.geomspace(1e-5, 1.0, 1500) * np.pi]
     for index, pole in enumerate(poles):
-        steps = np.geomspace(min(-0.1 * pole.real / abs(pole), 0.1) + 1e-9, 0.1, AROUND)
+        steps = np.geomspace(min(0.1 * abs(pole.real) / abs(pole), 0.1) + 1e-9, 0.1, AROUND)
         places = np.concatenate([1.0 - steps, [1.0], 1.0 + steps]) * pole.imag * sample_time
         angles += [places * factor for factor in ((1.0 - mode_spread, 1.0, 1.0 + mode_spread) if index == 0 else (1.0,))]
     every = np.unique(np.concatenate(angles))

@@ -119,7 +119,7 @@ class Companion:
     degree: int
     parameter: str
     factor: float = 1.0
-    # Parameter by which a realization is fitted that is no such polynomial, and so no matter of a session
+    # A realization that fits this parameter is no such polynomial, and so not part of a session
     beyond: str = ""
 
 

@@ -36,7 +36,8 @@ TIME_CONSTANT = "time constant, the geometric mean of several; negative of a dri
 FASTEST = 8.0
 """Length of the record, in time constants, of a drift that goes ever faster."""
 JUMPS = tuple(np.arange(0.5, 18.0) / 19.0)
-"""Where fits of a jump begin, in shares of the time in which one may be seen; each has a twentieth of the record in it."""
+"""Onsets at which fits of a jump begin, as shares of the time in which a jump is visible; each fit begins with a ramp over a twentieth of
+the record."""
 SHORTEST = 0.002
 """Length of a drift that is a jump, in that of the record."""
 

@@ -29,7 +29,7 @@ from hyst_control.records.validity.checks import examined
 from hyst_control.reporting.tables import Table
 
 NOT_DESCRIBED = 20.0  # Error in % of the range, without session effects, from which a model does not describe a record
-MAX_MOTIONS = 24  # Motions between rests that are told one by one: a sum of sines has hundreds
+MAX_MOTIONS = 24  # Most motions between rests that are listed one by one: a sum of sines has hundreds
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from hyst_control.records.repeated_periods import period_of
 from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel
 
 COHERENT = 0.5  # Coherence below which a measured response is not drawn: it is noise
-MIN_POWER = 1e-9  # Of the command's strongest frequency, above which a response is told
+MIN_POWER = 1e-9  # Of the command's strongest frequency, above which a response is shown
 NEIGHBORS = 9  # Frequencies whose phases are taken together to make it continuous
 FEWEST_PERIODS = 4  # Periods of a command that repeats from which each is a segment of its own, without leakage
 

@@ -219,6 +219,7 @@ def test_settling_time_is_that_of_the_simulated_step():
     ("model", "options", "word"),
     [
         (plain(Gain(-0.1)), {}, "falls"),
+        (plain(TransferFunction([4e5], [1.0, -40.0, 4e6])), {}, "is not stable"),
         (plain(Gain(0.1)), {"phase_margin": 95.0}, "phase_margin: must be a number > 0 and < 90 degrees, got 95"),
         (plain(Gain(0.1)), {"roll_off": -1.0}, "roll_off: must be a number >= 0 Hz or auto, got -1"),
         (plain(Gain(0.1)), {"structure": "p"}, "structure: must be one of pi, pid, notch, damping, auto"),

@@ -101,6 +101,21 @@ def test_a_sensor_that_flips_between_two_values_has_no_outliers():
     assert outliers(left, step=1.0)[0] == 2
 
 
+def test_no_gap_is_not_said_to_lie_within_tolerances_that_the_fit_leaves_far_behind():
+    report = {
+        "verdict": "no_gap",
+        "gap": {"rms": 0.2, "nrmse": 2.0, "unit": "um", "floor_rms": 0.1},
+        "effects": [],
+        "baseline": {"repeatability": [0.14], "unit": "um", "same_command": False},
+        "parameters": [{"name": "frequency[0]", "z": -20.0}],
+    }
+    far = sentence(report)
+    assert far.startswith("No gap beyond the 0.14 um rms that the model leaves on baseline records and the noise")
+    assert far.endswith("The best fit moves frequency[0] by -20 σ, which the model's own error can cause.")
+    near = sentence(report | {"parameters": [{"name": "frequency[0]", "z": -2.0}]})
+    assert near.startswith("No gap beyond the model's tolerances, the 0.14 um rms") and "best fit" not in near
+
+
 def test_the_sentence_says_why_nothing_known_explains_a_gap():
     report = {
         "verdict": "unknown",

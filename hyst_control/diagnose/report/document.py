@@ -210,11 +210,11 @@ def sentence(report: dict[str, Any]) -> str:
     verdict, reasons = report["verdict"], report.get("reasons", ())
     far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
     if verdict == Verdict.NO_GAP.value:
-        known, moved = _known_error(report), ""
+        known = _known_error(report)
         if far_off and known:
-            moved = f" {far_off[0]['name']} would have to be {far_off[0]['z']:+.0f} σ off, which the model's own error may feign."
-        within = "what is known without one" if moved else "the model's tolerances"
-        return f"No gap beyond {within}{known} and the noise: simulation and record differ by {size}.{moved}"
+            moved = f"The best fit moves {far_off[0]['name']} by {far_off[0]['z']:+.0f} σ, which the model's own error can cause."
+            return f"No gap beyond {known.strip(', ')} and the noise: simulation and record differ by {size}. {moved}"
+        return f"No gap beyond the model's tolerances{known} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
         if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:

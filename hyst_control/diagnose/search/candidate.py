@@ -58,7 +58,7 @@ class Member:
 
     @property
     def is_of_session(self) -> bool:
-        """True for what a session's zero and drift are."""
+        """True where the zero and the drift of a session stand for it already."""
         known = self.effect.companion
         return known is not None and known.beyond not in [parameter.name for parameter in self.parameters]
 

@@ -83,7 +83,7 @@ def closest_combinations(
     met, chosen = Counter[str](), list[tuple[Candidate, Array]]()
     for _, one, other, step in sorted(best.values(), key=lambda item: item[0]):
         every = {member.name for tangent in (one, other) for member in tangent.candidate.members}
-        # Of effects that nearly do the same each would take its place with every partner.
+        # Otherwise effects that do nearly the same take all places, each of them with every partner.
         if len(chosen) < count and all(met[name] < OFTEN for name in every.difference(leading)):
             met.update(every)
             chosen.append(_combined(one, other, step))

@@ -43,7 +43,7 @@ NOTHING_HELD_OUT = (
 )
 DRIFT_LAGS, DRIFT_ROWS = 64, 50_000
 """Taps of the response that stands for the plant, and rows at most to which it is fitted."""
-WORTHWHILE_DRIFT = 0.03  # Share of what that response leaves of a record that the drift must explain to be removed
+WORTHWHILE_DRIFT = 0.03  # Least share of what that response leaves of a record that a drift explains, to be removed
 DISTINCT = 0.2  # Share of a ramp that the command must not explain for a drift to be told from the plant's answer
 COUPLED_ORDERS = (2, 4, 6, 8, 12, 16, 20, 26, 32, 40)
 TRIAL_ITERATIONS = 12  # Most steps of the refinement of a model that is compared

@@ -169,7 +169,7 @@ class SignalRows:
     def repetition_due(self, now: float) -> int | None:
         """Tick from which on what followed from the rows is to be repeated, or None; to be asked when rows have come again."""
         # Not while new rows come, since what goes on lacks nothing; and of two sources of one signal, which bring every tick twice,
-        # each repetition would cause others. So it is due the less often the longer repetitions have brought nothing.
+        # each repetition would cause others. So the longer repetitions have brought nothing, the rarer they are.
         if self.arrived > self._backoff.last:
             self._backoff.progress(self.arrived)
         if self._repeated_from is None or not self._backoff.due(now):

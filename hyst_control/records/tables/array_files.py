@@ -80,7 +80,7 @@ def _read_in_child(path: Path, kind: str) -> dict[str, Array]:
             ended = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
             raise InputError(f"{path}: is damaged, its reader ended with {ended}: check how it was written, or save it as CSV")
         files = {name: Path(folder) / f"{number}.npy" for number, name in enumerate(json.loads(done.stdout))}
-        # Large ones are mapped: they are there until nobody uses them, though their files have no name any more.
+        # Large ones are mapped: they stay while they are used, though their files have no name any more.
         return {name: np.load(file, "r" if file.stat().st_size > IN_MEMORY else None) for name, file in files.items()}
 
 

@@ -19,8 +19,8 @@ from hyst_control.records.validity.time_shift import MIN_SECTIONS, SECTIONS, gro
 from hyst_control.records.validity.two_records import OPPOSED, PAIRED, SCALE
 
 LONGEST = 2**16  # Rows, from the beginning, that are simulated
-EXPLAINED = 1e-4  # Share of a measurement's power that a model leaves of a record which is not asked further
-CLEAR = 8.0  # Ratio of what the model leaves of the record as it is and as it may be meant
+EXPLAINED = 1e-4  # Share of a measurement's power that a model leaves of a record without further checks
+CLEAR = 8.0  # Ratio of what the model leaves of the record as it is and as it is corrected
 POOR, LESS_POOR = 0.02, 0.1
 """Shares that a hypothesis may leave, and an exchange, which a model with a gain alone shows, too."""
 UNEXPLAINED = 0.5  # Share of the power, of a record or of an octave, from which a model leaves it unexplained
