@@ -41,10 +41,12 @@ WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, 
 MIN_GAIN = 0.02  # Share of the held-out mean square error by which a larger model has to be better, at least
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
+HIDDEN = 0.1  # Share of the least square error under which many poles show that growing has not ended
 TWO_MODES = 4
 """Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
+MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
@@ -122,7 +124,9 @@ class Linear(Estimator[LinearOptions]):
         table: list[OrderRow] = []
         states = 0
         for axis, name in enumerate(first.axes):
-            candidate, rows = search([as_window(data, axis, number) for number, data in enumerate(records)], options)
+            windows = [as_window(data, axis, number) for number, data in enumerate(records)]
+            still = all(data.start == "settled" for data in records)
+            candidate, rows = search(windows, options, still=still)
             fits.append(_axis_fit(candidate, name, first.unit, f"[{name}]" if axes > 1 else ""))
             table += [{**row, "axis": name} if axes > 1 else row for row in rows]
             states += candidate.sections.order
@@ -130,9 +134,14 @@ class Linear(Estimator[LinearOptions]):
         return fit_of(records, fits, self.name, options.method, offset=0.0, by_axis=True, more=more)
 
 
-def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate, list[OrderRow]]:
-    """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows."""
+def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = False) -> tuple[Candidate, list[OrderRow]]:
+    """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows.
+
+    still: the records begin at rest, as far as their hysteresis tells. Then no initial state is free to take back what a slow pole does,
+    unless states that are free explain far more.
+    """
     few = _parts(windows)
+    still = still and len(few) == len(windows)
     sample_time = few[0].sample_time
     band = REACH * excited_band(few) or np.inf
     fastest = 2 * np.pi * min(band, 1.5 / sample_time)
@@ -142,7 +151,8 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     guess = options.delay == "estimate"
     late = _dead_time(few) if guess else float(options.delay) / sample_time
     # The first rows answer commands from before the record, which an initial state does not stand for.
-    few = [replace(window, skip=max(window.skip, int(np.ceil(1.5 * late)))) for window in few]
+    early = int(np.ceil(1.5 * late))
+    few = [replace(window, skip=max(window.skip, early)) for window in few]
     total = sum(len(window.command) for window in few)
     if options.order and LEAST_ROWS * options.order >= total:
         most = total // LEAST_ROWS
@@ -154,7 +164,7 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
     table: list[OrderRow] = []
     tried: list[Candidate] = []
     smaller: dict[Variant, Candidate] = {}
-    stale = 0
+    stale, reach, longest = 0, 0.0, max(len(window.command) for window in few)
     for order in orders:
         fresh: list[Candidate] = []
         starts: dict[tuple[float, bool], Partial] = {}
@@ -168,17 +178,21 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
             if (start, variant.direct) not in starts:
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
-            solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance)
+            solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance, still)
             candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact)
             table.append(_row(candidate, sample_time, few))
-            if order == orders[0] or not (_beyond_reach(candidate) or _rings_by_itself(candidate, tried, few, options.nuisance)):
+            if order == orders[0] or not (
+                _beyond_reach(candidate) or (not still and _rings_by_itself(candidate, tried, few, options.nuisance))
+            ):
                 fresh.append(candidate)
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
         stale = 0 if any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2)) else stale + 1
         tried += fresh
         if stale >= STALE and order >= TWO_MODES:
-            break
+            reach = reach or vector_fit(few, spread_poles(orders[-1], longest), late, False, relocations=4).error
+            if reach > HIDDEN * least:
+                break
     lowest = _least(tried, 0), _least(tried, 1)
     # A step's answer may lie in fitted rows alone, of which the held-out ones say nothing.
     behind = {each: max(own / due for own, due in zip(each.errors, lowest, strict=True)) for each in tried}
@@ -187,18 +201,29 @@ def search(windows: Sequence[Window], options: LinearOptions) -> tuple[Candidate
         (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best]),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
-    final = _final([_middle(window) for window in windows], chosen, options)
+    whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
+    final = _final(whole, chosen, options, still)
+    if final is None:
+        return search(windows, options)
     return replace(chosen, solution=final, search_error=chosen.held_out), table
 
 
-def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions) -> Solution:
-    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more."""
+def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions, still: bool) -> Solution | None:
+    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more.
+
+    still: initial states stay at rest; None where free ones explain far more.
+    """
     sections, start, steps = chosen.sections, chosen.solution.parameters, options.iterations
     free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
     rest = "offset" if options.nuisance == "linear" else options.nuisance
-    plain = _fit(windows, sections, free.parameters, rest, steps, everything=True, unknown_state=False)
+    begin = start if still else free.parameters
+    plain = _fit(windows, sections, begin, rest, steps, everything=True, unknown_state=False)
+    if still and plain.fitted > MOVING * free.fitted + chosen.exact:
+        return None
+    if still:
+        free = _fit(windows, sections, begin, options.nuisance, steps, everything=True, unknown_state=False)
     rows = sum(len(window.command) for window in windows)
-    columns = len(windows) * (sections.order + (rest != options.nuisance))
+    columns = len(windows) * (sections.order * (not still) + (rest != options.nuisance))
     return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
 
 
@@ -222,6 +247,7 @@ def _fit(
         passes=max(passes, 1),
         tolerance=1e-5,
         everything=everything,
+        alike=True,
     )
 
 
@@ -242,15 +268,23 @@ def _nested(smaller: Candidate, order: int, windows: Sequence[Window]) -> Partia
 
 
 def _grown(
-    windows: Sequence[Window], sections: Sections, start: Partial, delay: float, smaller: Candidate | None, nuisance: str
+    windows: Sequence[Window],
+    sections: Sections,
+    start: Partial,
+    delay: float,
+    smaller: Candidate | None,
+    nuisance: str,
+    still: bool,
 ) -> Solution:
     """Fit from partial fractions; where that leaves more than the last order did, from the latter: never worse."""
     sample_time = windows[0].sample_time
-    found = _fit(windows, sections, sections.vector(start, sample_time, delay * sample_time), nuisance, 12)
+    free = not still
+    found = _fit(windows, sections, sections.vector(start, sample_time, delay * sample_time), nuisance, 12, unknown_state=free)
     if smaller is None or found.fitted <= smaller.solution.fitted:
         return found
     late = smaller.sections.tau(smaller.solution.parameters)
-    nested = _fit(windows, sections, sections.vector(_nested(smaller, sections.order, windows), sample_time, late), nuisance, 12)
+    idle = sections.vector(_nested(smaller, sections.order, windows), sample_time, late)
+    nested = _fit(windows, sections, idle, nuisance, 12, unknown_state=free)
     return min(found, nested, key=lambda each: each.fitted)
 
 

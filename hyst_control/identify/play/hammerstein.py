@@ -125,10 +125,12 @@ def default_operators(
 def choose_structure(problem: Problem, given: Structure | None, report: Callable[[Solution], object] = lambda _: None) -> Solution:
     """Grow G factor by factor as long as the held-out error falls, by none whose poles lie beyond what the records excite."""
     sample_time = min(window.sample_time for window in problem.windows)
-    plain = Structure(pace=pace(sample_time), highest=REACH * excited_band(problem.windows))
+    # A pole whose time constant exceeds the longest record is not told from a drift.
+    slowest = min(each.share / (len(each.command) * each.sample_time) for each in problem.windows)
+    plain = Structure(pace=pace(sample_time), highest=REACH * excited_band(problem.windows), slowest=slowest)
     best = solve(problem, plain, np.zeros(0))
     if given is not None:
-        given = replace(given, pace=plain.pace)
+        given = replace(given, pace=plain.pace, slowest=slowest)
         return solve(problem, given, given.start(first_modes(problem, best)[0][0]))
     report(best)
     if not plain.highest:

@@ -88,6 +88,7 @@ def minimize_simulation_error(
     passes: int = 12,
     tolerance: float = 1e-4,
     everything: bool = False,
+    alike: bool = False,
 ) -> Solution:
     """Fit a chain's parameters to records by damped Gauss-Newton. Never worse than the start.
 
@@ -96,7 +97,7 @@ def minimize_simulation_error(
     of the cost that a step must gain for the search to go on; everything: fit also the rows held out for choosing structures.
     """
     origin = parametrization.limit(np.asarray(start, dtype=float))
-    problem = SimulationError(windows, parametrization, nuisance, unknown_state, everything, origin)
+    problem = SimulationError(windows, parametrization, nuisance, unknown_state, everything, alike, origin)
     rules = Rules(
         damping=1e-3,
         raised=lambda damping: damping * 10.0,
@@ -124,6 +125,7 @@ class SimulationError:
     nuisance: str = "linear"
     unknown_state: bool = False
     everything: bool = True  # True: cost and session effects are those of all rows, the held-out ones included
+    alike: bool = False  # Whether errors are alike throughout a block, which then counts as one row against the prior of the drift
     origin: Array | float = 0.0  # Parameters that the prior pulls to
 
     def cost(self, point: Solution) -> float:
@@ -179,12 +181,12 @@ class SimulationError:
                     else:
                         pieces.append(product)
                     count += 1
-                    which = 1 if count % 3 == 0 else 0
+                    which = 1 if (count - first) % 3 == 0 else 0  # never a record's first rows, which tell its initial state
                     sums[which] += product
                     own[which] += len(block)
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
             span = max(float(np.ptp(window.measurement)) for window in record)
-            effects, penalty = _eliminated(known, size, extra, span, int(used))
+            effects, penalty = _eliminated(known, size, extra, span, int(used), length if self.alike else 1)
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
             grams[0] += _kept(sums[0], keep) + penalty
             grams[1] += _kept(sums[1], keep)
@@ -238,10 +240,10 @@ def _kept(gram: Array, keep: Array) -> Array:
     return found
 
 
-def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> tuple[Array, Array]:
+def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int, alike: int) -> tuple[Array, Array]:
     """Session effects (S, P + 1) that follow the derivatives and the error, and what their prior adds to the cost (P + 1, P + 1).
 
-    `extra` of them are offset and drift, the others initial states; span: range of the measurement.
+    `extra` of them are offset and drift, the others initial states; span: range of the measurement; alike: rows that count as one.
     """
     part = slice(size, len(gram) - 1)
     inner, cross = gram[part, part].copy(), np.delete(gram[part], part, axis=1)
@@ -255,7 +257,7 @@ def _eliminated(gram: Array, size: int, extra: int, span: float, rows: int) -> t
     effects = solved()
     if span > 0.0 and len(inner):
         left = max(float(gram[-1, -1] - cross[:, -1] @ effects[:, -1]), ROUNDING * float(gram[-1, -1])) / max(rows, 1)
-        prior[1:extra] = left / (DRIFT * span) ** 2
+        prior[1:extra] = left * alike / (DRIFT * span) ** 2
         prior[extra:] = left * (scale[extra:] / (FREE_MOTION * span)) ** 2 / max(rows, 1)
         effects = solved()
     return effects, (effects.T * prior) @ effects

@@ -28,6 +28,7 @@ from hyst_control.identify.data.fit import Number
 
 MIN_DAMPING, MAX_DAMPING = 0.002, 5.0
 NEAR = 0.01  # Relative distance from a bound at which a parameter is at it
+SLOW = 60.0  # Highest rate (1/s) of a slow pole, at records of 10 kHz or faster
 TAU_UNIT = 1e-4
 """The delay's unit in the parameter vector, so that every entry is of order one: seconds, or the sample time of slower records."""
 
@@ -49,6 +50,8 @@ class Structure:
     pace: float = field(default=1.0, compare=False)  # Unit of the delay, in `TAU_UNIT`
     # Highest frequency (Hz) of a pole that the records could tell; structures are equal whatever it is
     highest: float = field(default=np.inf, compare=False)
+    # Lowest rate (1/s) of a slow pole that the records could tell from a drift
+    slowest: float = field(default=0.3, compare=False)
 
     @property
     def size(self) -> int:
@@ -201,16 +204,23 @@ class Structure:
         parts["lags"] = np.minimum(parts["lags"], fastest)
         parts["delay"] = np.maximum(parts["delay"], 0.0)
         if self.slow_pair:
-            parts["slow_pair"] = np.clip(parts["slow_pair"], [np.log(0.3), -0.1], [np.log(60.0), 0.1])
+            lowest, highest = self._slow_rates()
+            parts["slow_pair"] = np.clip(parts["slow_pair"], [lowest, -0.1], [highest, 0.1])
         return np.concatenate([part.ravel() for part in parts.values()])
 
     def at_limit(self, parameters: Annotated[Array, "P"], sample_time: float) -> bool:
-        """Report whether a pole is as fast as it may be, or a damping at a bound: then the data tell no such factor."""
+        """Report whether a pole is as fast or slow as it may be, or a damping at a bound: then the data tell no such factor."""
         parts = self.split(parameters)
         rates = np.concatenate([parts["modes"][:, 0], parts["lags"]])
         damping = parts["modes"][:, 1]
         bounded = (damping <= np.log(MIN_DAMPING) + NEAR) | (damping >= np.log(MAX_DAMPING) - NEAR)
-        return bool(np.any(rates >= self._fastest(sample_time) - NEAR) or np.any(bounded))
+        slow = np.any(parts["slow_pair"][:1] <= self._slow_rates()[0] + NEAR)
+        return bool(slow or np.any(rates >= self._fastest(sample_time) - NEAR) or np.any(bounded))
+
+    def _slow_rates(self) -> tuple[float, float]:
+        """Logarithms of the lowest and the highest rate (1/s) of the slow pole."""
+        highest = SLOW / self.pace
+        return float(np.log(min(max(self.slowest, 1e-300), highest))), float(np.log(highest))
 
     def _fastest(self, sample_time: float) -> float:
         """Logarithm of the fastest rate (1/s) of a pole."""
