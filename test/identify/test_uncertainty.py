@@ -87,6 +87,13 @@ def test_a_pole_is_no_faster_than_the_records_can_tell():
     assert structure == Structure(modes=1, lags=1)
 
 
+def test_a_slow_pole_is_no_slower_than_the_records_can_tell():
+    structure = Structure(modes=1, slow_pair=True, slowest=0.5)
+    vector = structure.limit(np.log([700.0, 0.5, 0.01, 1.02]), 1e-4)
+    assert np.exp(vector[2]) == pytest.approx(0.5) and structure.at_limit(vector, 1e-4)
+    assert not structure.at_limit(np.log([700.0, 0.5, 2.0, 1.02]), 1e-4)
+
+
 def test_a_rounded_rest_says_as_much_as_one_sample_and_an_equal_loop_nothing_new():
     loop = 20.0 * np.sin(np.linspace(0.0, 2 * np.pi, 400, endpoint=False))
     command = np.concatenate([np.zeros(1000), loop, loop, loop])

@@ -40,12 +40,14 @@ class Poor:
     follows: str
     share: float
     linear: bool  # The reference is linear
+    worst: bool  # The rows are not all
 
     def text(self) -> str:
         """As one line."""
         rest = f"the command's {self.follows} ({100 * self.share:.0f} % of it)" if self.follows else "nothing that the command does"
+        where = " on the worst rows," if self.worst else ""
         return (
-            f"{self.axis}: explains poorly: {100 * self.left:.2g} % of the range is left where {self.reference_name} leaves "
+            f"{self.axis}: explains poorly: {100 * self.left:.2g} % of the range is left{where} where {self.reference_name} leaves "
             f"{100 * self.reference:.2g} %: what is left follows {rest}"
         )
 
@@ -96,7 +98,7 @@ def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> 
     power = float(np.var(error[rows]))
     shares = {each: 1.0 - _mean_square_left(columns, error[rows]) / power for each, columns in causes.items()}
     most = max(shares, key=lambda each: shares[each])
-    return Poor(name, own, reference, best, most if shares[most] > 0.3 else "", shares[most], best == by_poles)
+    return Poor(name, own, reference, best, most if shares[most] > 0.3 else "", shares[most], best == by_poles, len(error) > ROWS)
 
 
 def _linear_reference(window: Window) -> Partial:

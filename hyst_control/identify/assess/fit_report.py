@@ -17,6 +17,7 @@ from hyst_control.identify.assess.free_motion import ROWS as MOTION_ROWS
 from hyst_control.identify.assess.free_motion import without_free_motion
 from hyst_control.identify.data.fit import RecordRow
 from hyst_control.identify.data.fit_windows import before
+from hyst_control.identify.data.initial_memory import DOUBT
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.quantization_step import quantization_step
 from hyst_control.records.record import Beginning, Record
@@ -62,9 +63,10 @@ def with_state(model: Model, data: Record) -> Record:
         return data
     first, still = data.rows(0, end), Beginning("", memory, begin)
 
-    def left(start: Beginning) -> float:
+    def left(start: Beginning) -> tuple[float, float]:
+        """Mean square error beside the session's zero and drift, and beside its zero alone."""
         error = residual_from(model, replace(first, start=start))
-        return float(np.sum(without_zero(error)[0] ** 2))
+        return float(np.mean(without_zero(error)[0] ** 2)), float(np.mean((error - error.mean(axis=0)) ** 2))
 
     def spoils(start: Beginning) -> bool:
         """True where the estimated motion increases the error of the rows that follow, as a slow one that resembles a drift does."""
@@ -77,7 +79,10 @@ def with_state(model: Model, data: Record) -> Record:
     if np.any(data.command[0]):
         others.insert(0, Beginning(JUMP, np.zeros((1, len(data.axes))), 0))
     for other in others:
-        if (found := left(other)) < share * least and not (other.moving and spoils(other)):
+        found = left(other)
+        # An integrator settles at no first command but 0 V: a jump leaves as little without a drift that takes its wrong rest back.
+        calmer = not other.moving and found[0] <= DOUBT * least[0] and found[1] < share * least[1]
+        if (found[0] < share * least[0] or calmer) and not (other.moving and spoils(other)):
             data, least = replace(data, start=other), found
     return data
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import rfft
 from scipy.linalg import block_diag
 
 from hyst_control.base.arrays import Array
@@ -48,6 +49,7 @@ DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 2
 """Delays (samples) with which a search begins."""
 MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
+SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
 UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
 
@@ -78,6 +80,7 @@ class Candidate:
     solution: Solution
     seconds: float
     exact: float  # Mean square error from which a fit counts as exact
+    equations: float  # Independent equations that the records hold, where these are fewer than their rows
     search_error: float | None = None  # Mean square error on the blocks held out, before the fit to all rows
 
     @property
@@ -87,9 +90,10 @@ class Candidate:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Mean square errors on the blocks held out and, by Schwarz's criterion, on those fitted."""
-        rows = self.solution.grams.rows[0]
-        return self.held_out, max(self.solution.fitted, self.exact) * (1.0 + self.sections.parameters * np.log(rows) / rows)
+        """Mean square errors on the blocks held out and, by Schwarz's criterion, on those fitted; twice the latter for a few sines."""
+        rows = min(self.solution.grams.rows[0], self.equations)
+        expected = max(self.solution.fitted, self.exact) * float(np.exp(self.sections.parameters * np.log(rows) / rows))
+        return self.held_out if np.isinf(self.equations) else expected, expected
 
     @property
     def doubt(self) -> float:
@@ -159,7 +163,8 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         raise InputError(
             f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
         )
-    orders = [options.order] if options.order else [order for order in ORDERS if LEAST_ROWS * order < total]
+    equations = _equations(windows)
+    orders = [options.order] if options.order else [order for order in ORDERS if LEAST_ROWS * order < min(total, equations)]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
     tried: list[Candidate] = []
@@ -179,7 +184,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
             solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance, still)
-            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact)
+            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact, equations)
             table.append(_row(candidate, sample_time, few))
             if order == orders[0] or not (
                 _beyond_reach(candidate) or (not still and _rings_by_itself(candidate, tried, few, options.nuisance))
@@ -295,6 +300,21 @@ def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
     start = spread_poles(order, max(len(window.command) for window in windows))
     errors = [vector_fit(windows, start, delay, False, relocations=4).error for delay in delays]
     return delays[int(np.argmin(errors))]
+
+
+def _equations(windows: Sequence[Window]) -> float:
+    """Independent equations of records that hold some sines and nothing else, as those of frequency responses do; else infinite."""
+    from scipy.signal.windows import blackmanharris  # takes a second
+
+    count = 0.0
+    for window in map(_middle, windows):
+        taper = blackmanharris(len(window.command))
+        drive, answer = (np.abs(rfft(taper * (rows - rows.mean()))) ** 2 for rows in (window.command, window.measurement))
+        lines = drive > SILENT * drive.max()
+        if lines.mean() > 0.5 or answer[~lines].sum() > SILENT * answer.sum():
+            return np.inf
+        count += 2.0 * np.count_nonzero(lines[1:-1] & (drive[1:-1] > drive[:-2]) & (drive[1:-1] >= drive[2:]))
+    return count
 
 
 def _slowest(windows: Sequence[Window]) -> float:

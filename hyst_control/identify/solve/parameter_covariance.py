@@ -22,8 +22,8 @@ from hyst_control.chain.coordinates import chain_coordinates
 PRIOR = 0.3  # Relative standard deviation of a number that the data cannot tell
 STEP = 1e-5  # Difference of neighboring parameters of a fit, which are all of order one unless their own size is given
 NAMED = 0.7
-MAX_NAMED = 6  # Directions that a note lists
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
+MAX_NAMED = 4  # Parameters that a note lists
 DIGITS = 6  # Significant digits of the factor: what correlated numbers need to cancel
 
 
@@ -71,11 +71,11 @@ class Uncertainty:
         def told(name: str) -> str:
             return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < 10.0 else f"{name} (any value)"
 
-        listed = "; ".join(" with ".join(map(told, names)) for names in self.undetermined[:MAX_NAMED])
-        more = len(self.undetermined) - MAX_NAMED
+        names = list(dict.fromkeys(name for direction in self.undetermined for name in direction))
+        listed, more = ", ".join(map(told, names[:MAX_NAMED])), len(names) - MAX_NAMED
         return [
-            f"not identifiable from these records: {listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to "
-            f"{100 * PRIOR:.0f} %: {fact}"
+            f"{len(names)} of {len(self.names)} parameters are not identifiable from these records: "
+            f"{listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to {100 * PRIOR:.0f} %: {fact}"
         ]
 
 
