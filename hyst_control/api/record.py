@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 AXES = Quantity("axes", None, "", "names of the axes", kind=LISTS[str])
 HOLD = Quantity("hold", "zoh", "", "the command between samples", choices=("zoh", "foh"))
 SOURCE = Quantity("source", None, "", "name of the record", kind=TEXT)
+_OPTION, _KEYWORDS = re.compile(r"--([a-z]\w*(?:-[a-z]+)*)"), {"resample": "resample=0.0", "allow-gaps": "allow_gaps=True"}
 _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
 
 
@@ -183,6 +185,8 @@ def read_csv(
     time: str | None = None,
     rows: tuple[int, int | None] = (0, None),
     hold: str | None = None,
+    resample: float | None = None,
+    allow_gaps: bool = False,
 ) -> Record:
     r"""Read a record from a text table: CSV or white space, .gz too.
 
@@ -201,6 +205,10 @@ def read_csv(
         First row and one past the last.
     hold
         The command between samples: "zoh" (held by a DAC), "foh" (a smooth source was sampled), or None: found from the record.
+    resample
+        Rate, Hz, to interpolate irregular times and missing values at, 0.0 for their own; None: they are refused.
+    allow_gaps
+        Whether times may pass over rows.
 
     Returns
     -------
@@ -223,7 +231,8 @@ def read_csv(
       command: 90 samples of x in V, 0 to 8
       measurement: 90 samples of x in um, 0 to 0.8
     """
-    return _imported(path, _column, {"command": command, "measurement": measurement, "time": time}, rate, rows, hold)
+    given = {"command": command, "measurement": measurement, "time": time}
+    return _imported(path, _column, given, rate, rows, hold, resample=resample, allow_gaps=allow_gaps)
 
 
 def read_mat(
@@ -236,6 +245,8 @@ def read_mat(
     rows: tuple[int, int | None] = (0, None),
     hold: str | None = None,
     variable: str | None = None,
+    resample: float | None = None,
+    allow_gaps: bool = False,
 ) -> Record:
     """Read a record from a MATLAB file, or from .npy and .npz.
 
@@ -243,7 +254,7 @@ def read_mat(
     ----------
     path
         The file.
-    command, measurement, rate, time, rows, hold
+    command, measurement, rate, time, rows, hold, resample, allow_gaps
         As `read_csv` has them; a column is an array of the file, or one column of a matrix as "y(:,2) [um]".
     variable
         Array in which columns are numbered, where there are several.
@@ -266,7 +277,8 @@ def read_mat(
     >>> record.signal("measurement").unit, round(float(record.signal("measurement").values[-1, 0]), 6)
     ('um', 8.9)
     """
-    return _imported(path, _array, {"command": command, "measurement": measurement, "time": time}, rate, rows, hold, variable)
+    given = {"command": command, "measurement": measurement, "time": time}
+    return _imported(path, _array, given, rate, rows, hold, variable, resample=resample, allow_gaps=allow_gaps)
 
 
 def read_bag(path: str | Path, *, namespace: str | None = None, unit: str = "unknown") -> Record:
@@ -368,7 +380,15 @@ def from_arrays(
     return promoted(Record, made)
 
 
-def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Sequence[str], rate: float | None = None) -> Record:
+def from_pandas(
+    frame: Any,
+    command: str | Sequence[str],
+    measurement: str | Sequence[str],
+    rate: float | None = None,
+    *,
+    resample: float | None = None,
+    allow_gaps: bool = False,
+) -> Record:
     """Make a record of a pandas DataFrame.
 
     Parameters
@@ -379,6 +399,10 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
         Column and unit, such as "u [V]"; several for several axes.
     rate
         Sample rate, Hz; None: the index holds sample times, numbers in s or dates.
+    resample
+        Rate, Hz, to interpolate irregular times and missing values at, 0.0 for their own; None: they are refused.
+    allow_gaps
+        Whether times may pass over rows.
 
     Returns
     -------
@@ -410,10 +434,17 @@ def from_pandas(frame: Any, command: str | Sequence[str], measurement: str | Seq
         values.append(column.scales[0] * rows_of(column.topic, frame.iloc[:, picked]))
     given = 1.0 if rate is None else rate  # till the times are known
     made = from_arrays(values[0], values[1], given, command_unit=chosen[0].unit, unit=chosen[1].unit, source="frame")
-    return made if rate is not None else _at_times(made, frame.index)
+    return made if rate is not None else _at_times(made, frame.index, resample, allow_gaps)
 
 
-def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "measurement") -> Record:
+def from_xarray(
+    dataset: Any,
+    *,
+    command: str = "command",
+    measurement: str = "measurement",
+    resample: float | None = None,
+    allow_gaps: bool = False,
+) -> Record:
     """Make a record of an xarray Dataset with the coordinate `time`, in s or dates, and the attribute `units` of its arrays.
 
     Parameters
@@ -422,6 +453,10 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
         Arrays over time, or over time and axis, as `Record.to_xarray` makes them.
     command, measurement
         Names of the arrays.
+    resample
+        Rate, Hz, to interpolate irregular times and missing values at, 0.0 for their own; None: they are refused.
+    allow_gaps
+        Whether times may pass over rows.
 
     Returns
     -------
@@ -459,7 +494,7 @@ def from_xarray(dataset: Any, *, command: str = "command", measurement: str = "m
         hold=dataset.attrs.get("hold"),
         source="dataset",
     )
-    return _at_times(made, dataset["time"])
+    return _at_times(made, dataset["time"], resample, allow_gaps)
 
 
 def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) -> Array:
@@ -495,7 +530,7 @@ def excitation(signal: str, rate: float, *, axes: int = 1, **parameters: Any) ->
     return build({"signal": signal, **parameters}, step_of(rate), axes)
 
 
-def _at_times(made: Record, times: Any) -> Record:
+def _at_times(made: Record, times: Any, resample: float | None, allow_gaps: bool) -> Record:
     """A record whose rows are at these sample times, which come onto the ticks of one clock as those of a file do."""
     given = (times if getattr(times, "tz", None) is None else times.tz_convert(None)).values
     if given.dtype.kind in "mM":
@@ -505,7 +540,9 @@ def _at_times(made: Record, times: Any) -> Record:
     if len(time) < 2 or not records.increasing(time, equal=True):
         raise InputError(f"{made.source}: time: must be sample times that increase, in s or dates: sort the rows, or give the rate")
     units = {topic: signal.unit for topic, signal in made.signals.items()}
-    found = record_of_run(made.source, time, made.values, units, made.hold if made.states_hold else None)
+    hold = made.hold if made.states_hold else None
+    with _keywords():
+        found = record_of_run(made.source, time, made.values, units, hold, resample=resample, allow_gaps=allow_gaps)
     signals = {topic: replace(signal, axes=made.axes) for topic, signal in found.signals.items()}
     return replace(made, signals=signals, notes=found.notes)
 
@@ -515,10 +552,21 @@ def _imported(
     column: Callable[[str, str | Sequence[str]], Column],
     named: Mapping[str, str | Sequence[str] | None],
     *how: Any,
+    **more: Any,
 ) -> Record:
     """The record of a file; a column of times that is not named is left out."""
     columns = [column(topic, given) for topic, given in named.items() if given is not None]
-    return promoted(Record, import_table(path, columns, *how))
+    with _keywords():
+        return promoted(Record, import_table(path, columns, *how, **more))
+
+
+@contextmanager
+def _keywords() -> Iterator[None]:
+    """Refusals within that name keywords in place of the options of `hyst import`."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(_OPTION.sub(lambda option: _KEYWORDS.get(option[1], option[1]), str(error))) from None
 
 
 def _column(topic: str, given: str | Sequence[str]) -> Column:

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tell of recorded bags what is there and what is missing: rows, ticks without a row, values that are no numbers, damage of the file.
 
-A bag is whole where every topic has a row at every tick from its first to its last, and nothing was damaged or left out. The exit status is
-0 if all bags are whole, 3 if one is not, 2 if one cannot be read.
+A bag is whole where command and measurement are there and cover the same time, every topic has a row at every tick from its first to its
+last, and nothing was damaged or left out. Other notes do not count. The exit status is 0 if all bags are whole, 3 if one is not, 2 if one
+cannot be read.
 
 example:
   hyst check recording
@@ -12,12 +13,22 @@ example:
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from hyst_control.reporting.result import CommandResult
+
+if TYPE_CHECKING:
+    from hyst_control.records.losses import TopicAccount
 
 NAME = "check"
 HELP = "tell what is missing in recorded bags"
 READS = ("bags",)
+LOST = re.compile(r"is damaged|has no footer|metadata\.yaml: cannot be used|left out|holds no (messages|rows)|rows are missing")
+"""What a note says of something that was lost or damaged; others tell how the rest was read."""
+ALONE = 0.05  # Share of its time up to which command or measurement may be without the other: a recorder meets one first
+TICKS = 3  # And ticks, in a short bag
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +51,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     for bag in arguments.bags:
         record = read_bag(bag, arguments.namespace, unit=arguments.unit, columns=arguments.columns)
         topics = account(record)
-        sound = bool(topics) and all(one.whole for one in topics) and not record.notes
+        incomplete = _incomplete(bag, {one.topic: one for one in topics})
+        sound = all(one.whole for one in topics) and not incomplete and not any(map(LOST.search, record.notes))
         whole &= sound
         made.lines.append(f"{bag}: {'whole' if sound else 'not whole'}")
         for one in topics:
@@ -53,6 +65,23 @@ def run(arguments: argparse.Namespace) -> CommandResult:
             for quantity, value in counts.items():
                 made.add(case, quantity, "", value)
             made.add(case, "largest jitter", "steps", one.irregular)
-        made.lines += [f"  note: {note}" for note in record.notes]
+        made.lines += [f"  note: {note}" for note in (*incomplete, *record.notes)]
     made.exit_status = 0 if whole else 3
     return made
+
+
+def _incomplete(bag: str, topics: Mapping[str, TopicAccount]) -> list[str]:
+    """What lacks to compare command and measurement."""
+    pair = [topics[name] for name in ("command", "measurement") if name in topics]
+    if len(pair) < 2:
+        lacking = " and no ".join(name for name in ("command", "measurement") if name not in topics)
+        return [f"{bag}: has no {lacking}: record it, or name its topic with --columns"]
+    both = max(min(one.last for one in pair) - max(one.first for one in pair), 0.0)
+    for one, other in (pair, pair[::-1]):
+        span = one.last - one.first
+        if span - both > max(ALONE * span, TICKS * one.step):
+            return [
+                f"{bag}: {one.topic} has no {other.topic} beside it for {span - both:.6g} s of {span:.6g} s: the times are of two "
+                "clocks, or one was recorded for a part only"
+            ]
+    return []

@@ -84,6 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import os
+    from functools import partial
 
     from hyst_control.base.errors import InputError
     from hyst_control.control.feedforward.compensator import FROM_MODEL
@@ -128,27 +129,29 @@ def run(arguments: argparse.Namespace) -> CommandResult:
                 files += [given.inverse_model] if given.inverse_model else []
                 exported = programs.feedforward(model, options, time, given.real, given.name, given.reference_ahead)
             else:
-                alone = programs.twin if given.twin else programs.stated_error if given.discrepancy else programs.simulator
+                plant_alone = partial(programs.simulator, hold="zoh" if given.fmu else None)  # a simulator holds what it sets
+                alone = programs.twin if given.twin else programs.stated_error if given.discrepancy else plant_alone
                 exported = alone(model, time, given.real, given.name)
         except InputError as error:
             raise InputError(f"{given.source}: {error}") from None
     if given.fmu:
         program = exported.program
         lines = [f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, tick {program.sample_time:g} s"]
-        return Artifacts("export", [write_fmu(program, given.output)], lines=lines)
+        return Artifacts("export", [write_fmu(program, given.output)], lines=[*lines, *exported.notes])
     if given.ros2_control:
         written = write_package(exported, given.output)
         line = f"colcon build of {given.output} makes {exported.program.name}_controller/Controller"
         return Artifacts("export", written, lines=[line])
     plant = None
     if given.plant:
-        plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real)
+        plant = programs.simulator(load_model(given.plant), exported.program.sample_time, given.real, hold="zoh")
         files.append(given.plant)
     written = write_folder(exported, given.output, files, plant)
     program, size = exported.program, sizes(exported.program)
     flash = "unknown without a compiler" if size.flash is None else f"{size.flash} bytes (this machine, -Os)"
     lines = [
         f"{program.name}: {len(program.inputs)} inputs, {len(program.outputs)} outputs, {program.real}, tick {program.sample_time:g} s",
+        *exported.notes,
         f"state {size.state} bytes, flash {flash}",
         f"make -C {given.output} test compiles it and compares it with Python",
     ]

@@ -92,8 +92,6 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         raise InputError(f"--columns: is missing: name the columns listed above, such as {suggestion}")
     if arguments.output is None:
         raise InputError("--output: is missing: name the bag to write")
-    if arguments.resample is not None and not 0 <= arguments.resample < float("inf"):
-        raise InputError(f"--resample: must be a rate in Hz, got {arguments.resample:g}")
     columns = None if arguments.columns is None else parse_columns(arguments.columns)
     if columns is None:
         return written(arguments.output, [read_bag(arguments.file).shifted(arguments.shift)])

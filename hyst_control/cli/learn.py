@@ -25,12 +25,14 @@ from hyst_control.reporting.result import CommandResult
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from hyst_control.base.arrays import Array
     from hyst_control.control.feedback.loop import Plant
     from hyst_control.control.learning.iterative_learning import RunningIterativeLearning
     from hyst_control.control.learning.learning_filter import LearningFilter
     from hyst_control.model_file import Model
     from hyst_control.reporting.tables import Table
 
+AT_LIMITS = 0.01  # Share of a trial from which on a command at its limits is told
 NAME = "learn"
 HELP = "learn the feedforward of a repeated reference from trial to trial"
 READS = ("model", "bags", "response", "reference", "plant")
@@ -171,6 +173,24 @@ def _simulated(
         loop = (reference, compensator, controller.start(axes), plant)
         return feedback_error_table(*loop, FeedbackErrorLearning(sample_time), arguments.feedback_error, kind), None
     description = IterativeLearning(_filter(arguments, model, len(reference), sample_time), **options)
-    learner, _ = run_trials(reference, compensator, controller.start(axes), plant, description)
+    learner, signals = run_trials(reference, compensator, controller.start(axes), plant, description)
     table = trial_table(learner, float(np.ptp(reference, axis=0).max()), kind)
+    table.notes += _at_limits(model, signals["command"][-description.trial_rows :], limits)
     return table, learner
+
+
+def _at_limits(model: Model, command: Array, limits: tuple[float, float]) -> list[str]:
+    """A note where the commands (N, A) of a trial stood at their limits, with what the model reaches there."""
+    import numpy as np
+
+    from hyst_control.control.feedforward.compensator import quasi_static
+
+    shares = np.mean((command <= limits[0]) | (command >= limits[1]), axis=0)
+    axis = int(np.argmax(shares))
+    if shares[axis] < AT_LIMITS:
+        return []
+    low, high = quasi_static(model, np.repeat(np.array(limits)[:, None], len(model.axes), axis=1))[:, axis]
+    return [
+        f"The command of axis {model.axes[axis]} stood at its limits, {limits[0]:g} to {limits[1]:g} V, for {100 * shares[axis]:.0f} % of "
+        f"the last trial: the model moves between {low:.4g} and {high:.4g} {model.units['measurement']}; change offset or amplitude."
+    ]

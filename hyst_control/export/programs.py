@@ -16,7 +16,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.installed import installed_version
 from hyst_control.base.yaml_files import read_yaml
-from hyst_control.chain import Filter, Sampling
+from hyst_control.chain import Filter
 from hyst_control.chain.c_code.c_code import CCode, reals
 from hyst_control.control.feedback.filters import Filters
 from hyst_control.control.feedback.pi import PI
@@ -27,6 +27,12 @@ from hyst_control.export.c_source import Program, Slot
 from hyst_control.export.controller import Controller, FaultResponse, Feedforward
 from hyst_control.export.stated_error import StatedError
 from hyst_control.model_file import FORMAT, Model, Simulator, load_model, model_to_document
+
+HELD = {
+    "zoh": ("held for the tick", "at the tick that follows"),
+    "foh": ("a straight line from the tick before", "at the same tick"),
+}
+"""The command between the ticks, and when the measurement is, by the hold."""
 
 
 class Running(Protocol):
@@ -47,6 +53,7 @@ class Exported:
     python: Running  # Running filter, whose outputs are the golden vectors
     # Lower and upper value (inputs, 2) between which the golden vectors' inputs lie
     spans: Array = field(compare=False)
+    notes: tuple[str, ...] = ()  # What the command says of it, as the header does
 
 
 class Twin(Filter):
@@ -54,8 +61,9 @@ class Twin(Filter):
 
     def __init__(self, model: Model, sample_time: float) -> None:
         self.axes = len(model.axes)
-        self._filter = model.filter(sample_time, "zoh")
+        self._filter = model.filter(sample_time)
         self.hold = self._filter.hold
+        self._at_once = model.hold == "foh"  # the prediction is of the command's own instant
         self._ahead = np.zeros(self.axes)
 
     def settle(self, value: Array) -> Array:
@@ -67,15 +75,16 @@ class Twin(Filter):
     def process(self, block: Array) -> Array:
         """Residuals (N, A) of a `block` of commands and measurements (N, 2 A)."""
         following = self._filter.process(np.ascontiguousarray(block[:, : self.axes]))
-        predicted = np.concatenate([self._ahead[None], following[:-1]])
+        predicted = following if self._at_once else np.concatenate([self._ahead[None], following[:-1]])
         self._ahead = following[-1].copy()
         return np.asarray(block[:, self.axes :] - predicted)
 
     def c_code(self) -> CCode:
         body = "for (int i = 0; i < AXES; i++) {\n    out[i] = in[AXES + i] - s->ahead[i];\n}\n"
+        follow = "PART0_step(&s->part0, in, s->ahead);\n"
         return CCode(
             "twin",
-            body + "PART0_step(&s->part0, in, s->ahead);",
+            follow + body if self._at_once else body + follow,
             "PART0_settle(&s->part0, in, s->ahead);\n" + body,
             state={"ahead": reals(self._ahead, "measurement that the model foresees")},
             parts=(self._filter.c_code(),),
@@ -110,16 +119,20 @@ def is_model(path: str | Path) -> bool:
     return isinstance(document, Mapping) and document.get("format") == FORMAT
 
 
-def simulator(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
-    """A model as the plant: a command in, the measurement at the following tick out."""
-    time = sample_time or model.sample_time
-    running = model.chain.filter(Sampling(time, len(model.axes), "zoh"))
-    unit = model.units["measurement"]
-    inputs = tuple(Slot(f"command_{axis}", "V, held for the tick") for axis in model.axes)
-    outputs = tuple(Slot(f"measurement_{axis}", f"{unit}, at the tick that follows") for axis in model.axes)
-    facts = _facts(model, "simulator", [])
+def simulator(
+    model: Model, sample_time: float | None = None, real: str = "double", name: str = "", hold: str | None = None
+) -> Exported:
+    """A model as the plant: a command in, the measurement at the following tick out, or at the same one where the hold is `foh`."""
+    # hold: The model's own by default; "zoh" for a plant whose command is held, in a loop and in an FMU
+    time, hold = sample_time or model.sample_time, hold or model.hold
+    running = model.filter(time, hold)
+    unit, (inward, outward) = model.units["measurement"], HELD[hold]
+    inputs = tuple(Slot(f"command_{axis}", f"V, {inward}") for axis in model.axes)
+    outputs = tuple(Slot(f"measurement_{axis}", f"{unit}, {outward}") for axis in model.axes)
+    note = _hold(model, hold)
+    facts = _facts(model, "simulator", [note])
     program = Program(name or model.name, running.c_code(), len(model.axes), inputs, outputs, time, facts, real)
-    return Exported(program, running, _command_span(model))
+    return Exported(program, running, _command_span(model), (note,))
 
 
 def twin(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
@@ -128,18 +141,21 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
     running = Twin(model, time)
     unit = model.units["measurement"]
     inputs = [Slot(f"command_{axis}", "V, of this tick") for axis in model.axes]
-    inputs += [Slot(f"measurement_{axis}", f"{unit}, before the command acts") for axis in model.axes]
+    when = "before the command acts" if model.hold == "zoh" else "at the same instant"
+    inputs += [Slot(f"measurement_{axis}", f"{unit}, {when}") for axis in model.axes]
     outputs = tuple(Slot(f"residual_{axis}", f"{unit}, measured minus predicted") for axis in model.axes)
     rms = model.discrepancy.get("rms")
+    note = _hold(model, model.hold)
     extra = [] if rms is None else [f"Discrepancy on the records it was identified from: {_listed(rms)} {unit} rms."]
     command = _command_span(model)
     plant = Simulator(model, time)
     plant.reset(command[:, 0])
     simulated = plant.step(np.linspace(command[:, 0], command[:, 1], 400))
     spans = np.concatenate([command, np.stack([simulated.min(axis=0), simulated.max(axis=0)], axis=1)])
-    facts = _facts(model, "twin", extra)
+    facts = _facts(model, "twin", [note, *extra])
     named = name or f"{model.name}_twin"
-    return Exported(Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real), running, spans)
+    program = Program(named, running.c_code(), len(model.axes), tuple(inputs), outputs, time, facts, real)
+    return Exported(program, running, spans, (note,))
 
 
 def stated_error(model: Model, sample_time: float | None = None, real: str = "double", name: str = "") -> Exported:
@@ -357,6 +373,11 @@ def _reference_span(model: Model, running: Compensator) -> Array:
 
 def _facts(model: Model, what: str, more: Sequence[str]) -> tuple[str, ...]:
     return f"{model.name}: {what}.", _made_by(), f"Content of the model: {_sha(model)}.", *more
+
+
+def _hold(model: Model, hold: str) -> str:
+    own = "" if hold == model.hold else f" (the model's own hold is {model.hold})"
+    return f"Hold {hold}{own}: the command is {HELD[hold][0]}, the measurement {HELD[hold][1]}."
 
 
 def _made_by() -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from scipy.stats import binom, false_discovery_control, hypergeom
 
 MIN_UNITS = 3  # Units that must have changed together
+FIRST_RUN = "first run"  # In place of a column, where changes began in one run
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class CommonCause:
     """Something that units which changed have in common."""
 
     quantity: str  # What changed
-    # column, value: Column of the manifest and its value; "first run" and the run where the changes began together
+    # column, value: Column of the manifest and its value; `FIRST_RUN` and the run where the changes began together
     column: str
     value: str
     changed: Sequence[str]  # Units with it that changed
@@ -52,7 +53,7 @@ def find_common_causes(
             hit = sorted(unit for unit, begin in begins.items() if begin == run)
             if len(hit) >= MIN_UNITS and runs > 1:
                 chance = min(1.0, runs * float(binom.sf(len(hit) - 1, len(begins), 1.0 / runs)))
-                together.append(CommonCause(quantity, "first run", f"{run:g}", hit, len(begins), chance))
+                together.append(CommonCause(quantity, FIRST_RUN, f"{run:.15g}", hit, len(begins), chance))
     return sorted(_kept(shared, false_share) + _kept(together, false_share), key=lambda cause: cause.probability)
 
 

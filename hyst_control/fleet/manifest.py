@@ -45,16 +45,21 @@ class Entry:
 
 def moment(text: str) -> float:
     """Convert a time as manifests have it."""
-    if not text:
-        return float("nan")
-    try:
-        return float(text)
-    except ValueError:
-        pass
+    if not is_date(text):
+        return float(text or "nan")
     try:
         return datetime.fromisoformat(text).timestamp()
     except ValueError:
         raise InputError(f"time: must be a number or a date such as 2026-03-01T22:15, got {text!r}") from None
+
+
+def is_date(text: str) -> bool:
+    """Tell a time that is no number."""
+    try:
+        float(text or "nan")
+    except ValueError:
+        return True
+    return False
 
 
 def read_manifest(

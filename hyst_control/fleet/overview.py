@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,13 +20,15 @@ from hyst_control.effects import EFFECTS
 from hyst_control.fleet.change_points import Onset, Trend, find_changes, forecast
 from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
 from hyst_control.fleet.covariates import CovariateEffect, take_out
+from hyst_control.fleet.manifest import is_date
 from hyst_control.fleet.outliers import Outlier, find_outliers
 from hyst_control.fleet.record_jobs import NO_GAP, OPEN
 from hyst_control.fleet.results import DONE
 
 SCHEMA = "hyst_control/fleet-overview"
 GAP = "gap_rms"  # Quantity that every diagnosed record has
-NAMED = ("effect", "parameters", "ambiguous")  # Verdicts with which a report's first effect counts
+NAMED = ("effect", "parameters", "ambiguous")  # Verdicts with which effects of a report count
+LATEST = 2.5e11  # s since 1970, shortly before the end of the calendar: a later date is shown as this one
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,16 @@ class Overview:
     causes: Sequence[CommonCause]  # What units that changed have in common
     covariates: Sequence[CovariateEffect]  # Influences that were taken out of the quantities
     outliers: Sequence[Outlier]  # Units apart from the others
+    dated: bool = False  # Whether the times are dates, and the moments seconds since 1970
+
+    def dates(self, moments: Iterable[float]) -> list[float | datetime]:
+        """Moments as the manifest has times: dates, or the numbers themselves."""
+        return [datetime.fromtimestamp(min(moment, LATEST)) if self.dated else float(moment) for moment in moments]
+
+    def time(self, moment: float) -> str:
+        """Text of a moment; midnight is left out of a date."""
+        [shown] = self.dates([moment])
+        return f"{shown:g}" if isinstance(shown, float) else f"{shown:%Y-%m-%d %H:%M:%S}".removesuffix(" 00:00:00")
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON types."""
@@ -99,7 +113,8 @@ def overview(
     onsets.sort(key=lambda onset: -onset.probability)
     trends.sort(key=lambda trend: -trend.probability)
     outliers = find_outliers(units, list(whole), means)
-    return Overview(kind, units, moments, series, verdicts, pages, onsets, trends, causes, influences, outliers)
+    dated = any(is_date(row["time"]) for row in done)
+    return Overview(kind, units, moments, series, verdicts, pages, onsets, trends, causes, influences, outliers, dated)
 
 
 def check_limits(kind: str, limits: Mapping[str, float]) -> None:
@@ -126,7 +141,11 @@ def _series(
 ) -> dict[str, Array]:
     """Values (U, T) by quantity."""
     compared = {row["unit"] for row in rows if row.get("baseline")}
-    found = [_quantities(kind, row, row["unit"] in compared) for row in rows]
+    believed: Counter[tuple[str, str]] = Counter()  # Sums of the probabilities by unit and effect
+    for row in rows:
+        for effect in row.get("effects") or []:
+            believed[row["unit"], effect["name"]] += effect["probability"]
+    found = [_quantities(kind, row, row["unit"] in compared, believed) for row in rows]
     series = {name: np.full(shape, np.nan) for name in sorted({name for numbers in found for name in numbers})}
     for at, row, numbers in zip(cells, rows, found, strict=True):
         if kind == "diagnose" and row["verdict"] != OPEN:
@@ -172,7 +191,7 @@ def _distances(
     return found
 
 
-def _quantities(kind: str, row: Mapping[str, Any], compared: bool) -> dict[str, float]:
+def _quantities(kind: str, row: Mapping[str, Any], compared: bool, believed: Mapping[tuple[str, str], float]) -> dict[str, float]:
     """Numbers of a record that may change over runs; a gap to the model is none to the baseline records with which others are compared."""
     if kind == "identify":
         return {each["name"]: each["value"] for each in row["parameters"] or []}
@@ -181,10 +200,12 @@ def _quantities(kind: str, row: Mapping[str, Any], compared: bool) -> dict[str, 
     comparable = bool(row.get("baseline")) or not compared
     found = {GAP: row[GAP]} if comparable else {}
     if row["verdict"] in NAMED:
-        for effect in row["effects"] or []:
+        effects = row["effects"] or []
+        if row["verdict"] == "ambiguous":
+            # Of the alternatives the one that the unit's reports believe most: else the first of them would change from run to run.
+            effects = sorted(effects, key=lambda effect: -believed[row["unit"], effect["name"]])[:1]
+        for effect in effects:
             for parameter in (effect["parameters"] or [])[:1]:
                 if parameter["value"] is not None:
                     found[f"{effect['name']}.{parameter['name']}"] = parameter["value"]
-            if row["verdict"] == "ambiguous":
-                break
     return found

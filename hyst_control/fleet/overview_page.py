@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from hyst_control.base.files import write_json
 from hyst_control.fleet.change_points import Trend
-from hyst_control.fleet.common_causes import CommonCause
+from hyst_control.fleet.common_causes import FIRST_RUN, CommonCause
 from hyst_control.fleet.overview import Overview
 from hyst_control.fleet.results import DONE
 from hyst_control.reporting.html_page import BAND, COLORS, Page
@@ -26,6 +26,7 @@ LISTED = 200  # Rows of a table of the page; the JSON document has all
 VERDICT_COLORS = {"no_gap": "#5b8e3e", "parameters": "#2a6f97", "effect": "#c2542d", "ambiguous": "#b08a1e", "unknown": "#8a5aa8"}
 OTHER = "#8a93a1"
 """Color of a cell, by verdict; of any other verdict."""
+DAY = 86400.0  # s
 SHOWN_UNITS = 8  # Units that a common cause names
 
 
@@ -48,7 +49,7 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
         "Common causes",
         "What more units that changed share than chance would have; of those listed, 1 % at most are wrong on average.",
         ("quantity", "in common", "units that changed", "of", "adjusted p"),
-        [_cause_row(cause) for cause in found.causes],
+        [_cause_row(cause, found) for cause in found.causes],
     )
     _listed(
         page,
@@ -61,8 +62,8 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
                 links.to(onset.unit, onset.moment),
                 onset.quantity,
                 f"{onset.probability:.4f}",
-                f"{onset.moment:g}",
-                f"{onset.earliest:g} to {onset.latest:g}",
+                found.time(onset.moment),
+                f"{found.time(onset.earliest)} to {found.time(onset.latest)}",
                 f"{onset.size:.4g} ± {onset.size_error:.2g}",
             )
             for onset in found.onsets[:LISTED]
@@ -70,14 +71,14 @@ def write_overview(found: Overview, rows: Sequence[Mapping[str, Any]], folder: P
     )
     for onset in found.onsets[:DRAWN]:
         figure = _course(found, onset.unit, onset.quantity, links)
-        figure.add_vline(x=onset.moment, line_dash="dot")
+        figure.add_vline(x=found.dates([onset.moment])[0], line_dash="dot")
         page.figure(figure, 260)
     _listed(
         page,
         "Drifts",
         "Units whose quantity moves steadily, and when it will be at its limit where one was given.",
-        ("unit", "quantity", "probability", "per unit of time", "at its limit", "90 % of it within"),
-        [_trend_row(trend, links) for trend in found.trends[:LISTED]],
+        ("unit", "quantity", "probability", "per day" if found.dated else "per unit of time", "at its limit", "90 % of it within"),
+        [_trend_row(trend, found, links) for trend in found.trends[:LISTED]],
     )
     for trend in found.trends[:DRAWN]:
         page.figure(_forecast(found, trend, links), 260)
@@ -134,25 +135,27 @@ class _Links:
         return Markup("<a href='{}'>{}</a>").format(link, unit) if link else unit
 
 
-def _cause_row(cause: CommonCause) -> tuple[str, ...]:
+def _cause_row(cause: CommonCause, found: Overview) -> tuple[str, ...]:
     named = ", ".join(cause.changed[:SHOWN_UNITS]) + (", …" if len(cause.changed) > SHOWN_UNITS else "")
+    value = found.time(float(cause.value)) if cause.column == FIRST_RUN else cause.value
     return (
         cause.quantity,
-        f"{cause.column} {cause.value}",
+        f"{cause.column} {value}",
         f"{len(cause.changed)}: {named}",
         str(cause.of),
         f"{cause.probability:.2g}",
     )
 
 
-def _trend_row(trend: Trend, links: _Links) -> tuple[str, ...]:
-    ends = [f"{end:g}" if end is not None else "never" for end in (trend.earliest, trend.latest)]
+def _trend_row(trend: Trend, found: Overview, links: _Links) -> tuple[str, ...]:
+    ends = [found.time(end) if end is not None else "never" for end in (trend.earliest, trend.latest)]
+    time = DAY if found.dated else 1.0
     return (
         links.to(trend.unit, trend.last),
         trend.quantity,
         f"{trend.probability:.4f}",
-        f"{trend.slope:.4g} ± {trend.slope_error:.2g}",
-        "" if trend.crossing is None else f"{trend.crossing:.4g}",
+        f"{time * trend.slope:.4g} ± {time * trend.slope_error:.2g}",
+        "" if trend.crossing is None else found.time(trend.crossing),
         "" if trend.crossing is None else " to ".join(ends),
     )
 
@@ -164,7 +167,7 @@ def _verdict_map(found: Overview, links: _Links) -> go.Figure:
     steps = [[(index + end) / len(names), VERDICT_COLORS.get(name, OTHER)] for index, name in enumerate(names) for end in (0, 1)]
     figure = go.Figure()
     colors = {"colorbar": bar, "zmin": -0.5, "zmax": len(names) - 0.5, "colorscale": steps, "xgap": 1, "ygap": 1}
-    figure.add_heatmap(z=codes, x=found.moments, y=list(found.units), customdata=links.paths, **colors)
+    figure.add_heatmap(z=codes, x=found.dates(found.moments), y=list(found.units), customdata=links.paths, **colors)
     figure.update_xaxes(title_text="run")
     figure.update_yaxes(title_text="unit")
     return figure
@@ -174,15 +177,15 @@ def _course(found: Overview, unit: str, quantity: str, links: _Links) -> go.Figu
     """A quantity of one unit before those of all."""
     values = found.series[quantity]
     there = np.isfinite(values).any(axis=0)
-    runs = found.moments[there]
+    runs = found.dates(found.moments[there])
     low, middle, high = np.nanpercentile(values[:, there], (5.0, 50.0, 95.0), axis=0)
     figure = go.Figure()
     figure.add_trace(go.Scatter(x=runs, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip"))
     figure.add_trace(go.Scatter(x=runs, y=low, fill="tonexty", line={"width": 0}, name="90 % of all units", fillcolor=BAND))
     figure.add_trace(go.Scatter(x=runs, y=middle, name="median of all units", line={"color": COLORS[2]}))
-    own = values[list(found.units).index(unit)]
+    own, line = values[list(found.units).index(unit)], {"color": COLORS[1]}
     figure.add_trace(
-        go.Scatter(x=found.moments, y=own, customdata=links.of(unit), name=unit, mode="lines+markers", line={"color": COLORS[1]})
+        go.Scatter(x=found.dates(found.moments), y=own, customdata=links.of(unit), name=unit, mode="lines+markers", line=line)
     )
     figure.update_xaxes(title_text="run")
     figure.update_yaxes(title_text=quantity)
@@ -196,7 +199,8 @@ def _forecast(found: Overview, trend: Trend, links: _Links) -> go.Figure:
     last = trend.last if trend.crossing is None else trend.crossing
     ends = np.array([first, last])
     line = {"color": COLORS[1], "dash": "dot"}
-    figure.add_trace(go.Scatter(x=ends, y=trend.level + trend.slope * (ends - trend.last), name="trend", mode="lines", line=line))
+    level = trend.level + trend.slope * (ends - trend.last)
+    figure.add_trace(go.Scatter(x=found.dates(ends), y=level, name="trend", mode="lines", line=line))
     if trend.crossing is not None:
         figure.add_hline(y=trend.level + trend.slope * (trend.crossing - trend.last), line_dash="dash")
     return figure

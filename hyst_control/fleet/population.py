@@ -41,13 +41,15 @@ class Population:
 
     center: Annotated[Array, "K"]  # Means over the units (K,)
     between: Annotated[Array, "K K"]  # Covariance of the units' levels (K, K)
-    between_runs: Annotated[Array, "K K"]  # Covariance C of the differences of successive runs (K, K)
+    # Covariance C of the differences of successive runs (K, K); of the identifications' errors alone where no unit has two runs
+    between_runs: Annotated[Array, "K K"]
     walk: float  # Share rho of it that is a walk, 1
     # Mean covariance of the identifications' own errors (K, K), which is a part of a run's error but none of the unit's
     error: Annotated[Array, "K K"]
     units: tuple[str, ...]  # Names of the units (U,)
     levels: Annotated[Array, "U K"]  # Their newest levels by their own runs alone (U, K)
     spreads: Annotated[Array, "U"]  # Variances of these, in multiples of `between_runs` (U,)
+    repeated: bool  # Whether units have several runs, from which alone their scatter between runs is known
 
     def usual(self) -> tuple[Array, Array]:
         """Mean (K,) and covariance (K, K) of the coefficients of any unit in any run."""
@@ -57,6 +59,8 @@ class Population:
         """Mean and covariance of a unit's coefficients in its coming run, by its own runs and the fleet."""
         if unit not in self.units:
             raise InputError(f"{unit}: no such unit in this study, there are {', '.join(self.units[:5])}, …")
+        if not self.repeated:
+            raise InputError(f"{unit}: has one run, as all units: identify several runs of units, or take the fleet's coefficients")
         index = self.units.index(unit)
         share = np.linalg.solve(self.between + self.spreads[index] * self.between_runs, self.between).T
         mean = self.center + share @ (self.levels[index] - self.center)
@@ -81,12 +85,19 @@ def find_population(
     ordered = [np.array(sorted(rows[name], key=lambda row: moments[row])) for name in names]
     scale = _scale(values)
     scaled, error = values / scale, errors.mean(axis=0) / np.outer(scale, scale)
-    between_runs, walk = _between_runs([scaled[each] for each in ordered], error)
+    repeated = sum(len(each) - 1 for each in ordered) > 1
+    if repeated:
+        between_runs, walk = _between_runs([scaled[each] for each in ordered])
+    else:
+        # Stated errors above the scatter of all models together are too large: taken off, they would leave units without any.
+        error = error if np.all(np.diag(error) < 1.0) else np.zeros_like(error)
+        between_runs, walk = 2.0 * error, 0.0
     found = [_level(scaled[each], walk) for each in ordered]
     levels, spreads = np.array([level for level, _ in found]), np.array([spread for _, spread in found])
     center, between = _between(levels, spreads, between_runs)
     square = np.outer(scale, scale)
-    return Population(center * scale, between * square, between_runs * square, walk, error * square, names, levels * scale, spreads)
+    covariances = between * square, between_runs * square, walk, error * square
+    return Population(center * scale, *covariances, names, levels * scale, spreads, repeated)
 
 
 def _scale(values: Array) -> Array:
@@ -96,14 +107,12 @@ def _scale(values: Array) -> Array:
     return np.asarray(np.where(spread > 0.0, spread, 1.0))
 
 
-def _between_runs(series: Sequence[Array], error: Array) -> tuple[Array, float]:
+def _between_runs(series: Sequence[Array]) -> tuple[Array, float]:
     """Covariance of the differences of successive runs, and the share of it that is a walk."""
     differences = {
         lag: np.concatenate([each[lag:] - each[:-lag] for each in series if len(each) > lag] or [np.zeros((0, series[0].shape[1]))])
         for lag in range(1, FARTHEST_RUNS + 1)
     }
-    if len(differences[1]) < 2:  # no unit was identified twice: runs differ by the errors of the identifications alone
-        return 2.0 * error, 0.0
     covariance = _covariance(differences[1])
     lags = [lag for lag in differences if len(differences[lag]) > 1]
     sizes = np.array([np.mean([_variance(column) for column in differences[lag].T]) for lag in lags])

@@ -42,6 +42,7 @@ class PopulationModel:
         deviations = [_deviations(each) for each in (covariance, self.population.between, 0.5 * self.population.between_runs)]
         keys = ("value", "deviation", "between_units", "between_runs")
         rows = zip(self.names, np.transpose([center, *deviations]).tolist())
+        unknown = {} if self.population.repeated else {"between_runs": None}
         return {
             "schema": "hyst_control/population",
             "version": 1,
@@ -51,7 +52,7 @@ class PopulationModel:
             "records": self.records,
             "left_out": self.left_out,
             "walk": self.population.walk,
-            "parameters": [{"name": name, **dict(zip(keys, numbers))} for name, numbers in rows],
+            "parameters": [{"name": name, **dict(zip(keys, numbers)), **unknown} for name, numbers in rows],
         }
 
     def text(self) -> str:
@@ -61,12 +62,15 @@ class PopulationModel:
         lines = [f"{document['units']} units, {self.records} models: what is usual of {of}"]
         if self.left_out:
             lines.append(f"{self.left_out} models of another structure were left out: identify with --family")
+        if not self.population.repeated:
+            lines.append("one run a unit: how runs differ is not known, and is a part of what units differ by")
         width = max(map(len, self.names))
-        lines += [
-            f"  {row['name']:{width}s}  {row['value']:.5g} ± {row['deviation']:.2g}"
-            f"  (units {row['between_units']:.2g}, runs {row['between_runs']:.2g})"
-            for row in document["parameters"]
-        ]
+        for row in document["parameters"]:
+            runs = f"{row['between_runs']:.2g}" if self.population.repeated else "not known"
+            lines.append(
+                f"  {row['name']:{width}s}  {row['value']:.5g} ± {row['deviation']:.2g}"
+                f"  (units {row['between_units']:.2g}, runs {runs})"
+            )
         return "\n".join([*lines, f"written: {self.path}"])
 
 

@@ -104,10 +104,13 @@ def _validate(job: RecordJob) -> dict[str, Any]:
     from hyst_control.identify.validation import validate_bags
 
     table = validate_bags([job.entry.model], [job.entry.bag], "fleet validate", **job.options)
+    axes = _model(job.entry.model, bag_stamp(job.entry.model)).axes
     errors: dict[str, dict[str, Any]] = {}
     for row in table.rows:
         if row.table == "validation" and row.quantity in ("nrmse", "nrmse_centered", "nme", "rmse"):
-            errors.setdefault(row.case, {"axis": row.case.rpartition(" ")[2]})[row.quantity] = row.value
+            # A record of one axis is named without it.
+            axis = row.case.rpartition(" ")[2] if len(axes) > 1 else axes[0]
+            errors.setdefault(row.case, {"axis": axis})[row.quantity] = row.value
     return {"errors": list(errors.values())}
 
 

@@ -9,8 +9,9 @@ is lost. At the end of a run all parts become one file, in which every record ha
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from hyst_control.base.files import replacing
 ROWS_PER_PART = 256
 SECONDS_PER_PART = 10.0
 DONE, FAILED = "done", "failed"
+NUMBER = re.compile(r"[+-]?(0|[1-9]\d{0,14})(\.\d*)?([eE][+-]?\d{1,2})?|nan", re.IGNORECASE)
+"""A text that a double holds; names such as 007 or a long serial number are none."""
 OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")  # Columns that every table of results has
 
 
@@ -33,8 +36,8 @@ def parquet() -> tuple[Any, type[Exception]]:
     return pyarrow.parquet, pyarrow.ArrowException
 
 
-def schema(kind: str, columns: Sequence[str]) -> Any:
-    """Columns of a study's rows."""
+def schema(kind: str, columns: Sequence[str], numeric: Collection[str] = ()) -> Any:
+    """Columns of a study's rows; `numeric` ones of the manifest's are numbers, others texts."""
     parquet()
     import pyarrow as pa
 
@@ -68,7 +71,7 @@ def schema(kind: str, columns: Sequence[str]) -> Any:
     }
     common = [("unit", text), ("time", text), ("moment", number), ("bag", text), ("model", text), ("baseline", pa.list_(text))]
     ends = [("status", text), ("reason", text), ("seconds", number), ("version", text), ("mark", text)]
-    return pa.schema([*common, *own[kind], *ends, *((name, text) for name in columns)])
+    return pa.schema([*common, *own[kind], *ends, *((name, number if name in numeric else text) for name in columns)])
 
 
 class Results:
@@ -76,6 +79,7 @@ class Results:
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[str]) -> None:
         self.whole, self._parts = folder / "records.parquet", folder / "parts"
+        self._kind, self._columns = kind, columns
         self._schema = schema(kind, columns)
         self._waiting: list[Mapping[str, Any]] = []
         self._written = time.monotonic()
@@ -102,17 +106,20 @@ class Results:
         self._waiting = []
 
     def join(self, bags: Sequence[str]) -> None:
-        """Make one file of all parts: the newest row of every record of the manifest."""
+        """Make one file of all parts: the newest row of every record of the manifest, with numbers in columns that hold nothing else."""
         self.flush()
         newest = {row["bag"]: row for row in self.rows()}
-        self._write(self.whole, [newest[bag] for bag in bags if bag in newest])
+        rows = [newest[bag] for bag in bags if bag in newest]
+        numeric = [name for name in self._columns if _is_numeric([row.get(name) or "" for row in rows])]
+        rows = [{**row, **{name: float(row[name]) if row.get(name) else None for name in numeric}} for row in rows]
+        self._write(self.whole, rows, schema(self._kind, self._columns, numeric))
         for file in self._parts.glob("*.parquet"):
             file.unlink()
         if self._parts.is_dir():
             os.rmdir(self._parts)
 
     def rows(self, columns: list[str] | None = None) -> Iterator[dict[str, Any]]:
-        """Rows of all files, with these columns or all, as they were written: a record that was computed again comes again."""
+        """Rows of all files, with these columns or all; a record that was computed again comes again. The manifest's columns are texts."""
         library, error_type = parquet()
         for file in filter(Path.exists, (self.whole, *sorted(self._parts.glob("*.parquet")))):
             try:
@@ -122,14 +129,23 @@ class Results:
                         if name not in held.names or held.field(name).type != self._schema.field(name).type:
                             raise InputError(f"{file}: is no table of results, its column {name} is missing or another: remove it")
                     for batch in opened.iter_batches(columns=columns):
-                        yield from batch.to_pylist()
+                        yield from map(self._with_texts, batch.to_pylist())
             except (OSError, error_type) as error:
                 reason = str(error).split("\n")[0]
                 raise InputError(f"{file}: cannot be read ({reason}): remove it, its records are computed again") from None
 
-    def _write(self, path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    def _with_texts(self, row: dict[str, Any]) -> dict[str, Any]:
+        return {**row, **{name: repr(row[name]).removesuffix(".0") for name in self._columns if isinstance(row.get(name), float)}}
+
+    def _write(self, path: Path, rows: Sequence[Mapping[str, Any]], columns: Any = None) -> None:
         import pyarrow as pa
 
         library, _ = parquet()
         with replacing(path) as file:
-            library.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=self._schema), file)
+            library.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=columns or self._schema), file)
+
+
+def _is_numeric(texts: Sequence[str]) -> bool:
+    """Tell a column of numbers, where there is one and not equal ones of different spelling, as versions 1.1 and 1.10 are."""
+    given = {text for text in texts if text}
+    return bool(given) and all(map(NUMBER.fullmatch, given)) and len(set(map(float, given))) == len(given)

@@ -58,7 +58,8 @@ def load_plant(
             document = {**document, "effects": effects}
         return _built(document, seed, sample_time, refinement, {**(parameters or {}), **changes})
     except PlantError as error:
-        raise PlantError(f"{where}: {error}") from None
+        beside = effects is not None and str(error).startswith("effects:")  # the caller's, of which the file knows nothing
+        raise PlantError(str(error) if beside else f"{where}: {error}") from None
 
 
 def shipped(name: str) -> Path | None:

@@ -74,7 +74,7 @@ def test_the_unit_tells_columns_of_one_name_apart(tmp_path):
     table(tmp_path / "lab.csv", "t,u,y [um],y [V]")
     record = hc.read_csv(tmp_path / "lab.csv", "u [V]", "y [um]", rate=500)
     assert record.signal("measurement").values[-1, 0] == 490.0
-    with pytest.raises(hc.InputError, match="has no column"):
+    with pytest.raises(hc.InputError, match="names several columns: choose one by its number: 3, 4"):
         hc.read_csv(tmp_path / "lab.csv", "u [V]", "y [nm]", rate=500)
 
 
@@ -112,6 +112,30 @@ def test_a_frame_goes_in_and_comes_out():
         hc.from_pandas(5, "u [mV]", "a [um]")
     with pytest.raises(hc.InputError, match="command: must be real numbers"):
         hc.from_pandas(frame + 1j, "u [mV]", "a [um]")
+
+
+def test_missing_numbers_are_refused_or_filled_by_keyword(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"u": RAMP, "y": 2 * RAMP}, index=pandas.Index(RAMP / 250, name="t")).drop(index=[40 / 250])
+    with pytest.raises(
+        hc.InputError, match=r"1 row is missing, after .*: resample=0.0 interpolates them, allow_gaps=True leaves them"
+    ):
+        hc.from_pandas(frame, "u [V]", "y [um]")
+    assert not hc.from_pandas(frame, "u [V]", "y [um]", allow_gaps=True).is_gapless
+    frame.loc[50 / 250, "y"] = np.nan
+    frame.to_csv(tmp_path / "run.csv")
+    with pytest.raises(hc.InputError, match="row 49 holds no finite number: resample=0.0 interpolates such rows"):
+        hc.read_csv(tmp_path / "run.csv", "u [V]", "y [um]", time="t [s]")
+    filled = (
+        hc.from_pandas(frame, "u [V]", "y [um]", resample=0.0),
+        hc.read_csv(tmp_path / "run.csv", "u [V]", "y [um]", time="t [s]", hold="zoh", resample=0.0),
+    )
+    for record in filled:
+        np.testing.assert_allclose(record.signal("measurement").values[:, 0], 2 * RAMP, atol=1e-9)
+        np.testing.assert_allclose(record.signal("command").values[50, 0], RAMP[50], atol=1e-9)
+    frame.iloc[60:80, 1] = np.nan
+    with pytest.raises(hc.InputError, match="measurement: a gap of 0.084 s is too long to interpolate"):
+        hc.from_pandas(frame, "u [V]", "y [um]", resample=0.0)
 
 
 MICROSECONDS = (5000 * RAMP).astype("timedelta64[us]")  # 200 Hz

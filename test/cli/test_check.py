@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -24,10 +25,10 @@ from hyst_control.records.stream.signal_message import Encoder
 LABELS = {"/command": "t[s],x[V]", "/measurement": "t[s],x[um]"}
 
 
-def written(path, ticks, values=None):
+def written(path, ticks, values=None, labels=LABELS):
     """A bag whose measurement has these ticks of 1 kHz, and whose command has all."""
     with BagWriter(path) as writer:
-        for topic, label in LABELS.items():
+        for topic, label in labels.items():
             encoder = Encoder(label)
             for index in range(200) if topic == "/command" else ticks:
                 value = 1.0 if values is None or topic == "/command" else values[index]
@@ -69,6 +70,31 @@ def test_of_a_damaged_bag_it_says_what_is_still_good(tmp_path, capsys):
 def test_one_bag_that_is_not_whole_is_enough(tmp_path, capsys):
     status, out = told(capsys, written(tmp_path / "one", range(200)), written(tmp_path / "other", [*range(90), *range(95, 200)]))
     assert status == 3 and out.count(": whole") == 1 and out.count(": not whole") == 1
+
+
+@pytest.mark.parametrize(("there", "missing"), [("/command", "measurement"), ("/measurement", "command")])
+def test_a_bag_without_command_or_measurement_is_not_whole(there, missing, tmp_path, capsys):
+    status, out = told(capsys, written(tmp_path / "bag", range(200), labels={there: LABELS[there]}))
+    assert status == 3 and "bag: not whole" in out and f"has no {missing}: record it" in out
+
+
+@pytest.mark.parametrize(("first", "alone"), [(5_000_000, 0.199), (50, 0.05)])
+def test_command_and_measurement_of_different_times_are_not_whole(first, alone, tmp_path, capsys):
+    status, out = told(capsys, written(tmp_path / "bag", range(first, first + 200)))
+    assert status == 3 and f"command has no measurement beside it for {alone} s of 0.199 s: the times are of two clocks" in out
+
+
+def test_only_what_is_lost_counts_of_the_notes(tmp_path, capsys):
+    """Not that messages have no layout, that rows came twice, or that a recorder met one topic a little later."""
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in LABELS:
+            for index in range(200):
+                plain = b"\x00\x01\x00\x00" + struct.pack("<IIIId", 0, 0, 1, 0, 1.0)  # without a layout
+                writer.write(topic, plain, 10**9 + index * 10**6)
+    status, out = told(capsys, tmp_path / "bag")
+    assert status == 0 and "bag: whole" in out and "note" in out and "messages without a layout" in out
+    status, out = told(capsys, written(tmp_path / "late", [*range(5, 200), *range(190, 200)]))
+    assert status == 0 and "late: whole" in out and "10 rows were sent twice and kept once" in out
 
 
 @settings(max_examples=50, deadline=None)

@@ -51,6 +51,15 @@ def test_trials_on_a_truth_plant(tmp_path, capsys):
     assert learner.stopped in capsys.readouterr().out
 
 
+def test_a_reference_beyond_the_stroke_is_told(capsys):
+    beyond = [word.replace("amplitude=0.5", "amplitude=5") for word in SINE]
+    assert main(["learn", MODEL, "--plant", "fsm", "--trials", "2", *LOOP, *beyond]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "stood at its limits, 0 to 100 V, for " in told and "the model moves between 0 and 2 mrad; change offset" in told
+    assert main(["learn", MODEL, "--plant", "fsm", "--trials", "2", *LOOP, *SINE]) == 0
+    assert "limits" not in capsys.readouterr().out
+
+
 def test_gain_and_lag_of_a_truth_plant(capsys):
     arguments = ["learn", MODEL, "--plant", "fsm", "--gain-error", "0.1", *LOOP, *SINE, "--feedback-error", "1", "--json", "-"]
     assert main(arguments) == 0

@@ -7,14 +7,19 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from exported_folder import compared, export, fuzzed, make
 
 from hyst_control.base.config_files import config_path
 from hyst_control.cli import main
 from hyst_control.control.feedforward.compensator import KINDS
+from hyst_control.export import programs
+from hyst_control.export.compiled import CompiledProgram
+from hyst_control.model_file import load_model, simulate
 
 pytestmark = pytest.mark.long_file
 
@@ -69,8 +74,6 @@ def test_a_compensator_compiles_and_equals_python(name, tmp_path):
 
 def tracking(folder: Path, filters: str) -> str:
     """File of a controller with learned rows."""
-    import numpy as np
-
     model = str(config_path("models/pea_hampi.yaml"))
     (folder / "tracking.yaml").write_text(TRACKING.replace("MODEL", model).replace("FILTERS", filters))
     np.save(folder / "learned.npy", np.sin(np.arange(50.0))[:, None])
@@ -97,6 +100,29 @@ def test_a_controller_its_loop_a_twin_and_float_too(tmp_path):
     assert error and float(error[1]) < 10.0, told  # the rows learned in this test are no good ones
     export("fsm_mhl.yaml", "--twin", "--real", "float", output=tmp_path / "twin")
     compared(tmp_path / "twin", FIRST)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_simulator_and_twin_have_the_hold_of_the_model(hold):
+    """To the bit what `simulate` says of the model's own record."""
+    model = replace(load_model(config_path("models/fsm_mhl.yaml")), hold=hold)
+    command = 50.0 - 45.0 * np.cos(0.03 * np.arange(600))[:, None] * np.ones(2)
+    measured = simulate(model, command)
+    plant = CompiledProgram(programs.simulator(model).program)
+    first = plant.settle(command[0])
+    answer = plant.process(command)
+    np.testing.assert_array_equal(answer if hold == "foh" else np.vstack([first, answer[:-1]]), measured)
+    twin, both = programs.twin(model), np.hstack([command, measured])
+    for running in (CompiledProgram(twin.program), twin.python):
+        running.settle(both[0])
+        np.testing.assert_array_equal(running.process(both), 0.0)
+
+
+def test_what_holds_its_command_says_where_the_model_does_not(tmp_path, capsys):
+    assert main(["export", INVERSE, "--output", str(tmp_path / "c")]) == 0
+    assert "Hold foh: the command is a straight line" in capsys.readouterr().out
+    assert main(["export", INVERSE, "--fmu", "--output", str(tmp_path / "unit.fmu")]) == 0
+    assert "Hold zoh (the model's own hold is foh)" in capsys.readouterr().out
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path, capsys):

@@ -19,7 +19,7 @@ from one_process import one_process
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.fleet.manifest import moment, read_manifest
-from hyst_control.fleet.overview import check_limits
+from hyst_control.fleet.overview import check_limits, overview
 from hyst_control.model_file import load_model, simulate
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
@@ -66,7 +66,7 @@ def test_a_study_is_taken_up_where_something_changed(fleet, capsys):
     first = run("--workers", "2")
     assert (first["records"], first["computed"], first["kept"], first["failed"]) == (6, 6, 0, [])
     before = rows(fleet / "study")
-    assert [(row["unit"], row["time"], row["temperature"]) for row in before[:2]] == [("u0", "0", "20.5"), ("u0", "1", "21.5")]
+    assert [(row["unit"], row["time"], row["temperature"]) for row in before[:2]] == [("u0", "0", 20.5), ("u0", "1", 21.5)]
     for row in before:
         stated = 100 * 0.05 * int(row["unit"][1])
         assert row["errors"][0]["nme"] == pytest.approx(stated / (1 + stated / 100), abs=0.6)
@@ -205,7 +205,33 @@ def test_columns_of_the_manifest_have_any_name(fleet):
         found = rows(fleet / "study")
         assert [row["status"] for row in found] == ["done"] * 6 and found[1]["reason"] == "" and found[1]["moment"] == 1.0
         given = [f"manifest.{name}" if name in ("status", "reason", "moment", "errors", "seconds") else name for name in names]
-        assert [found[4][name] for name in given] == [f"{name}4" for name in names]
+        assert [found[4][name] for name in given] == [f"{name}4" if name else 4.0 for name in names]
+
+
+def test_numbers_of_the_manifest_are_numbers_in_the_results(fleet):
+    """Names and versions stay texts, and so does a column of numbers in which a name turns up later."""
+    path, study = fleet / "manifest.csv", fleet / "study"
+    first, *lines = path.read_text().splitlines()
+    more = [f"{line},007,{('1.1', '1.10')[k % 2]},{('40', '')[k % 2]}" for k, line in enumerate(lines)]
+    for load in ("2", "new"):
+        rest = [f"{line},2" for line in more[:-1]] + [f"{more[-1]},{load}"]
+        path.write_text("\n".join([f"{first},serial,firmware,humidity,load", *rest]))
+        shutil.rmtree(fleet / "bags" / "u2_1")  # another record, computed again
+        write_bag(fleet / "bags" / "u2_1", record(1.2, 30))
+        assert main(["fleet", "validate", str(path), "--output", str(study), "--workers", "1", "--quiet"]) == 0
+        found = rows(study)
+        assert [row["temperature"] for row in found] == [20.5, 21.5] * 3 and [row["humidity"] for row in found] == [40.0, None] * 3
+        assert [found[1][name] for name in ("serial", "firmware")] == ["007", "1.10"]
+        assert [found[k]["load"] for k in (0, -1)] == ([2.0, 2.0] if load == "2" else ["2", "new"])
+
+
+def test_a_validation_of_one_axis_is_named_by_the_axis_of_the_model(fleet):
+    """So that the records of a unit are runs of one quantity, whatever their bags are called."""
+    assert main(["fleet", "validate", str(fleet / "manifest.csv"), "--output", str(fleet / "study"), "--workers", "1"]) == 0
+    found = rows(fleet / "study")
+    assert {error["axis"] for row in found for error in row["errors"]} == {"x"}
+    seen = overview("validate", found)
+    assert list(seen.series) == ["nrmse x"] and np.isfinite(seen.series["nrmse x"]).all()
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,15 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime, timedelta
 
 import browser as browsers
 import numpy as np
 import pytest
 
+from hyst_control.fleet.change_points import Trend
 from hyst_control.fleet.overview import overview
-from hyst_control.fleet.overview_page import _Links, _verdict_map, write_overview
+from hyst_control.fleet.overview_page import _Links, _trend_row, _verdict_map, write_overview
 
 UNITS, RUNS = 200, 50
 
@@ -185,3 +187,51 @@ def test_a_gap_that_grows_with_the_distance_from_the_clean_runs_is_no_change():
     found = overview("diagnose", records, ["temperature"])
     assert [(onset.unit, onset.moment) for onset in found.onsets] == [("u05", 15.0)] and not found.trends
     assert [effect.covariate for effect in found.covariates] == ["temperature, distance from the baseline records"]
+
+
+def dated(records, day):
+    """The same records with a date for each run."""
+    dates = [datetime(2026, 1, 1) + timedelta(days=day * int(row["time"])) for row in records]
+    return [{**row, "time": f"{date:%Y-%m-%d}", "moment": date.timestamp()} for row, date in zip(records, dates, strict=True)]
+
+
+def test_runs_with_dates_are_shown_with_dates(tmp_path):
+    records, begins = rows(units=20, runs=15)
+    records = dated(records, day=7)
+    found = overview("diagnose", records)
+    write_overview(found, records, tmp_path)
+    page = (tmp_path / "fleet.html").read_text()
+    for run in begins.values():
+        assert f"<td>{datetime(2026, 1, 1) + timedelta(days=7 * run):%Y-%m-%d}</td>" in page
+    assert "e+09</td>" not in page
+    (map_,) = _verdict_map(found, _Links(found, tmp_path)).data
+    assert map_.x[1] == datetime(2026, 1, 8)
+    drift = Trend("u001", "gap_rms", 1.0, 1e-6, 1e-7, 0.2, found.moments[-1], 0.0, 1e300, found.moments[-1], None)
+    told = _trend_row(drift, found, _Links(found, tmp_path))
+    assert told[3] == "0.0864 ± 0.0086" and told[4].startswith("98") and told[5] == "2026-04-09 to never"
+
+
+def test_an_effect_that_is_one_of_two_alternatives_begins_where_it_is_first_named():
+    """Whichever of them a report happens to name first."""
+    rng, records = np.random.default_rng(2), []
+    for unit in range(6):
+        for run in range(15):
+            there = unit == 2 and run >= 4
+            share = rng.uniform(0.3, 0.9) if run > 5 else 0.2  # the first reports believe the other one
+            effects = [
+                {"name": name, "probability": chance, "parameters": [{"name": size, "value": value + 1e-3 * rng.standard_normal()}]}
+                for name, size, value, chance in (("offset", "offset", 0.28, share), ("creep", "gamma", 0.03, 1.0 - share))
+            ]
+            records.append(
+                {
+                    "unit": f"u{unit}",
+                    "time": str(run),
+                    "moment": float(run),
+                    "status": "done",
+                    "verdict": "ambiguous" if there else "no_gap",
+                    "gap_rms": 0.1 + 0.01 * rng.standard_normal(),
+                    "effects": sorted(effects, key=lambda effect: -effect["probability"]) if there else [],
+                }
+            )
+    onsets = {(onset.unit, onset.quantity): onset.moment for onset in overview("diagnose", records).onsets}
+    assert onsets == {("u2", "offset.offset"): 4.0}

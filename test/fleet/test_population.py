@@ -96,6 +96,18 @@ def test_errors_of_the_identification_are_not_taken_for_the_units():
     np.testing.assert_allclose(spread, np.sqrt(1.0 + 0.5 * RUN**2), rtol=0.2)  # 1.5 with the errors
 
 
+def test_with_one_run_a_unit_the_scatter_of_runs_is_not_known(tmp_path):
+    """Stated errors beyond the scatter of all models take nothing off it: no healthy unit may be a gap to the fleet's model."""
+    gains = 1.0 + 0.03 * np.random.default_rng(4).standard_normal(12)
+    models = [unit_model(gain, error=0.2) for gain in gains]
+    found = population_model(models, [f"u{index}" for index in range(12)], np.zeros(12), tmp_path / "fleet.yaml")
+    [row] = found.document()["parameters"]
+    assert row["deviation"] == row["between_units"] == pytest.approx(abs(row["value"]) * gains.std() / gains.mean(), rel=0.15)
+    assert row["between_runs"] is None and "runs not known" in found.text() and "one run a unit" in found.text()
+    with pytest.raises(InputError, match="has one run"):
+        population_model(models, [f"u{index}" for index in range(12)], np.zeros(12), tmp_path / "fleet.yaml", "u3")
+
+
 def unit_model(gain, error=0.002):
     """The published model with all weights and dynamics of another gain, as an identification would state it."""
     model = load_model(MODEL)

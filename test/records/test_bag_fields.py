@@ -96,6 +96,36 @@ def test_axes_on_several_topics_and_units(tmp_path):
     assert record.signals["measurement"].unit == "deg" and record.signals["measurement"].values[10, 1] == pytest.approx(2.0)
 
 
+def joints(path, names):
+    """A bag whose messages name their joints as `names` says, each joint's position its own."""
+    kind = "sensor_msgs/msg/JointState"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection("/j", kind, typestore=STORE)
+        for k in range(COUNT):
+            order, none = names(k), np.zeros(0)
+            position = np.array([{"a": DRIVE, "b": MOVED, "c": MOVED}[name][k] for name in order])
+            state = TYPES[kind](header=header(START + k * STEP), name=order, position=position, velocity=none, effort=none)
+            bag.write(connection, START + k * STEP, STORE.serialize_cdr(state, kind))
+    return path
+
+
+@pytest.mark.parametrize("items", [("(1)", "(2)"), ("(a)", "(b)"), ("(1)", "(b)")])
+def test_joints_in_another_order_are_read_by_name(tmp_path, items):
+    path = joints(tmp_path / "bag", lambda k: ["b", "a"] if 50 < k < 90 else ["a", "b"])
+    record = read_bag(path, columns=f"command=/j.position{items[0]}[V],measurement=/j.position{items[1]}[um]")
+    np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE)
+    np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
+    whole = read_bag(path, columns="measurement=/j.position[um]").signals["measurement"].values
+    np.testing.assert_array_equal(whole, np.stack([DRIVE, MOVED], axis=1))
+
+
+def test_numbered_joints_of_other_names_are_refused(tmp_path):
+    path = joints(tmp_path / "bag", lambda k: ["a", "b"] if k < 50 else ["a", "c"])
+    with pytest.raises(InputError, match=r"/j: position: is of a, c after a, b: name an item"):
+        read_bag(path, columns="command=/j.position(1)[V]")
+    assert len(read_bag(path, columns="command=/j.position(a)[V]").signals["command"].time) == COUNT
+
+
 @pytest.mark.parametrize(
     "columns, words",
     [

@@ -61,6 +61,33 @@ def test_a_wide_matrix_is_not_taken_for_axes(tmp_path, kind):
         import_table(path, parse_columns(f"command={name}(3,:)[V]"), 1e3)
 
 
+def test_cells_of_matlab(tmp_path):
+    cells = np.empty((1, 3), object)
+    cells[0, :] = TIME, DRIVE, MOVED
+    numbers = np.empty((1, 64), object)
+    numbers[0, :] = MOVED.tolist()
+    savemat(tmp_path / "run.mat", {"log": cells, "each": numbers})
+    for columns in (
+        "time=log{1}[s],command=log{2}[V],measurement=log(3)[um]",
+        "time=log(1)[s],command=log(2)[V],measurement=each[um]",
+    ):
+        record = import_table(tmp_path / "run.mat", parse_columns(columns), None)
+        np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE)
+        np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
+
+
+@pytest.mark.parametrize("kind", ["npz", "npy"])
+def test_tables_and_moments_of_numpy(tmp_path, kind):
+    moments = np.datetime64("2026-11-28T23:59:59.99") + (TIME * 1e6).round().astype("m8[us]")
+    table = np.rec.fromarrays([moments, DRIVE, MOVED], names="t,u,y")
+    path, rec = tmp_path / f"run.{kind}", "rec." if kind == "npz" else ""
+    np.save(path, table) if kind == "npy" else np.savez(path, rec=table, when=moments)
+    columns = f"time={'when' if rec else 't'}[s],command={rec}u[V],measurement={rec}y[um]"
+    record = import_table(path, parse_columns(columns), None)
+    np.testing.assert_allclose(record.signals["command"].time, TIME, atol=1e-9)
+    np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
+
+
 def test_an_object_of_matlab_is_told_as_one(tmp_path, monkeypatch):
     """SciPy cannot write one: what it makes of one when it reads."""
     from scipy.io.matlab import MatlabOpaque

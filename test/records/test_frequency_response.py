@@ -72,3 +72,32 @@ def test_too_many_decades_are_refused(tmp_path):
     np.savetxt(tmp_path / "a.csv", np.column_stack([frequency, np.ones(100), np.ones(100)]), "%.12g", ",")
     with pytest.raises(InputError, match="are too many decades for one record"):
         import_table(tmp_path / "a.csv", parse_columns("frequency=1[Hz],magnitude=2[um/V],phase=3[deg]"), None)
+
+
+def test_each_axis_is_a_plant_of_its_own(tmp_path):
+    plants = PLANT, ([0.06 * POLE], [1.0, POLE])
+    answers = [signal.freqs(*plant, 2 * np.pi * FREQUENCY)[1] for plant in plants]
+    parts = [part for answer in answers for part in (20 * np.log10(abs(answer)), np.degrees(np.angle(answer)))]
+    np.savetxt(tmp_path / "a.csv", np.column_stack([FREQUENCY, *parts]), "%.12g", ",")
+    record = import_table(tmp_path / "a.csv", parse_columns("frequency=1[Hz],magnitude=2+4[dB],phase=3+5[deg]"), None)
+    assert record.notes[-1].endswith("for identify --model linear --no-coupled")
+    command, measured = record.signals["command"], record.signals["measurement"]
+    assert command.axes == measured.axes == ("x", "y")
+    for axis, plant in enumerate(plants):
+        answer = signal.lsim(plant, command.values[:, axis], command.time, interp=True)[1]
+        assert np.std((answer - measured.values[:, axis])[2000:]) < 2e-3 * np.std(answer)
+    assert abs(np.corrcoef(command.values.T)[0, 1]) < 0.5  # neither drives the other
+
+
+@pytest.mark.parametrize(
+    "columns, words",
+    [
+        ("frequency=1[Hz],magnitude=2+2[dB],phase=3[deg]", r"phase: 1 columns, another has 2: name one of each axis"),
+        ("frequency=1+1[Hz],magnitude=2+2[dB],phase=3+3[deg]", "frequency: 2 columns, one is due"),
+        ("frequency=1[Hz],real=2[um/V],imaginary=3+3[um/V]", "real: 1 columns, another has 2"),
+    ],
+)
+def test_other_numbers_of_axes_are_refused(tmp_path, columns, words):
+    np.savetxt(tmp_path / "a.csv", np.column_stack([FREQUENCY, RESPONSE.real, RESPONSE.imag]), "%.12g", ",")
+    with pytest.raises(InputError, match=words):
+        import_table(tmp_path / "a.csv", parse_columns(columns), None)

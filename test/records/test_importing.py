@@ -95,7 +95,7 @@ def test_a_measurement_in_volts_is_told(tmp_path):
         ("command=3[V]", 10.0, "1,2\n3,4", "column 3 of 2"),
         ("command=drive[V]", 10.0, "u,y\n3,4", "no column 'drive': u, y"),
         ("command=2[V]", 10.0, "1,2\n3,four", "line 2, column 2: 'four' is no number"),
-        ("command=1[V]", 10.0, "1,2\n3", "line 2 has 1 columns, the first has 2"),
+        ("command=1[V]", 10.0, "1,2\n3\n4,5", "line 2 has 1 columns, the first has 2"),
         ("command=1[V]", 10.0, "1,2\na,b\n3,4\n5,6", "line 2, column 1: 'a' is no number"),
         ("command=1[V]", 10.0, "u,y\n1,2\na,b\n3,4\n5,6", "line 3, column 1: 'a' is no number"),
         ("command=1[V]", 10.0, "u,y\nx,2\n3,4\n5,6", "line 2, column 1: 'x' is no number"),

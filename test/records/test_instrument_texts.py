@@ -94,6 +94,22 @@ TEXTS = {
         '"in s","C1 in V","C2 in um"\n' + body("{t:.3f},{u},{y}\n"),
         "time=in s[s],command=C1[V],measurement=C2[um]",
     ),
+    "channels by number above their units": (
+        "x-axis,1,2\nsecond,Volt,Volt\n" + body("{t},{u},{y}\n"),
+        "time=x-axis[s],command=2[V],measurement=3[um]",
+    ),
+    "names and units in comments": (
+        "# run 7\n# t u y\n# s V um\n" + body("{t} {u} {y}\n"),
+        "time=t[s],command=u[V],measurement=y[um]",
+    ),
+    "thousands with points": (
+        "t;u [uV];y\n" + "".join(f"{t:.4f};{1e6 * u:_.1f};{y:.5f}\n".replace(".", ",").replace("_", ".") for t, u, y in ROWS),
+        "time=t[s],command=u[uV],measurement=y[um]",
+    ),
+    "thousands of the Swiss": (
+        "t,u [uV],y\n" + "".join(f"{t:.4f},{1e6 * u:_.1f},{y:.5f}\n".replace("_", "'") for t, u, y in ROWS),
+        "time=t[s],command=u[uV],measurement=y[um]",
+    ),
     "words in a column that is not used": ("t,state,u,y\n" + body("{t},ok,{u},{y}\n"), "time=t[s],command=u[V],measurement=y[um]"),
 }
 
@@ -145,6 +161,9 @@ def test_units_in_the_header_are_suggested(tmp_path):
         ("1/2/1970 00:00:00", 86400.0),
         ("13/1/1970 00:00:00", 12 * 86400.0),
         ("2.1.1970 00:00", 86400.0),
+        ("28-Jan-1970 23:59:59.9", 28 * 86400 - 0.1),
+        ("2 February 1970 00:00", 32 * 86400.0),
+        ("2-Foo-1970 00:00", None),
         ("1.5e-3 sec", 0.0015),
         ("2 min", 120.0),
         ("31.02.2024 10:00:00", None),
@@ -224,3 +243,62 @@ def test_what_was_imported_is_told(tmp_path, capsys):
 def test_settings_state_the_sample_time(line, sample_time):
     found = stated_sample_time(line)
     assert found == pytest.approx(sample_time) if sample_time else found is None
+
+
+def test_a_minus_sign_of_a_printer_is_one(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text(("t,u,y\n" + body("{t},{u},{y}\n")).replace("-", "\u2212"), encoding="utf-8")
+    record = import_table(path, parse_columns("time=t[s],command=u[V],measurement=y[um]"), None)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED)
+
+
+COLUMNS = parse_columns("time=t[s],command=u[V],measurement=y[um]")
+
+
+def test_two_columns_of_one_name_are_refused(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,CH,CH\ns,V,um\n" + body("{t},{u},{y}\n"))
+    with pytest.raises(InputError, match="'CH' names several columns: choose one by its number: 2, 3"):
+        import_table(path, parse_columns("time=t[s],command=CH[V],measurement=CH[um]"), None)
+    record = import_table(path, parse_columns("time=t[s],command=2[V],measurement=3[um]"), None)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED)
+
+
+def test_a_header_between_the_rows_is_left_out(tmp_path):
+    path, rows = tmp_path / "run.csv", body("{t},{u},{y}\n").splitlines(keepends=True)
+    path.write_text("".join(["t,u,y\n", *rows[:40], "t,u,y\n", *rows[40:]]))
+    [record] = import_records(path, COLUMNS, None)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED)
+    assert record.notes == (f"{path}: lines that repeat the header were left out: 1, the first is line 42",)
+    path.write_text("".join(f"Run {number}\nt,u,y\n{''.join(rows)}\n" for number in (1, 2, 3)))
+    records = import_records(path, COLUMNS, None)
+    assert [len(record.signals["command"].time) for record in records] == [COUNT] * 3
+    assert "left out: 4, the first is line 84" in records[0].notes[0]
+    path.write_text("".join(f"Run {number}\nt,u,y\n{''.join(part)}\n" for number, part in enumerate((rows[:10], rows * 4))))
+    assert [len(record.signals["command"].time) for record in import_records(path, COLUMNS, None)] == [10, *[COUNT] * 4]
+
+
+def test_a_last_line_that_is_cut_off_is_told(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + body("{t},{u},{y}\n") + "0.08,1")
+    record = import_table(path, COLUMNS, None)
+    assert len(record.signals["command"].time) == COUNT and record.notes == (
+        f"{path}: the last line, 82, is cut off and was left out",
+    )
+
+
+@pytest.mark.parametrize(
+    "word", ["OVERLOAD", "OVLD", "OL", "-OL", "∞", "#N/A", "--", "n/a", "null", "nan", "NAN", "-Inf", "9.9E37", "9.91E+37"]
+)
+@pytest.mark.parametrize("comma", [False, True])
+def test_words_for_a_missing_number(tmp_path, word, comma):
+    path, rows = tmp_path / "run.csv", body("{t};{u};{y}\n").splitlines(keepends=True)
+    for row in (0, 1, 30):
+        rows[row] = rows[row].rpartition(";")[0] + f";{word}\n"
+    path.write_text("t;u;y\n" + "".join(rows).replace(".", "," if comma else "."), encoding="utf-8")
+    with pytest.raises(InputError, match="measurement: row 0 and 2 more hold no finite number: --resample interpolates such rows"):
+        import_records(path, COLUMNS, None)
+    [record] = import_records(path, COLUMNS, None, resample=0.0)
+    assert f"{path}: rows with no finite number in a column were taken as missing: 3" in record.notes
+    measured = record.signals["measurement"].values[:, 0]
+    assert measured[28] == pytest.approx((MOVED[29] + MOVED[31]) / 2) and measured[-1] == MOVED[-1]

@@ -223,6 +223,29 @@ def of_another_run(sound, random):
     return changed(sound, measurement=smooth)
 
 
+def saturating_loops(command):
+    """The measurement of Bouc and Wen's model, in closed form between the turns of its command."""
+    found, state = np.empty_like(command), 0.0
+    for k, step in enumerate(np.diff(command, prepend=command[0])):
+        limit = np.sign(step) / (0.05 + 0.02 * np.sign(step * state)) if step else 0.0
+        state = limit + (state - limit) * np.exp(-abs(step / limit)) if step else state
+        found[k] = 0.12 * command[k] - state
+    return found
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03, 0.05])
+def test_noise_on_loops_that_no_line_explains_is_no_reason_to_refuse_them(noise):
+    levels = [0, 100, 10, 90, 20, 80, 35, 60, 0, 100]
+    command = np.concatenate([np.linspace(*pair, 500, endpoint=False) for pair in zip(levels, levels[1:], strict=False)])
+    measured = saturating_loops(command)
+    noisy = measured + noise * np.ptp(measured) * np.random.default_rng(1).normal(size=len(measured))
+    assert names(Trial("loops", command[:, None], noisy[:, None], 1e-3, ("x",))) == set()
+    other = np.concatenate(
+        [np.linspace(*pair, 450, endpoint=False) for pair in zip(levels[::-1], [*levels[-2::-1], 70], strict=True)]
+    )
+    assert names(Trial("loops", other[:, None], noisy[:, None], 1e-3, ("x",))) != set()
+
+
 REARRANGED = {
     shuffled: {"shuffled_command"},
     backwards_command: {"reversed_command"},

@@ -363,7 +363,7 @@ def test_descriptions_of_columns_that_say_nothing(columns, words):
         (TABLE, "command=volt[V]", {}, "has no column 'volt': u, y"),
         ("", BOTH, {}, "holds no rows$"),
         ("u,y\n", BOTH, {}, "holds no rows below its first line"),
-        ("1,2\n3\n", BOTH, {}, "line 2 has 1 columns, the first has 2"),
+        ("1,2\n3\n4,5\n", BOTH, {}, "line 2 has 1 columns, the first has 2"),
         ("1,2\n3,x4\n", BOTH, {}, "line 2, column 2: 'x4' is no number"),
         ("1,2\n3,\n", BOTH, {}, "measurement: row 1 holds no finite number"),
         ("1,2\n3,1e305\n", "command=1[V],measurement=2[m]", {}, "row 1 is too large for a number once it is in other units"),

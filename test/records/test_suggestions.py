@@ -185,3 +185,33 @@ def test_a_row_keeps_its_number_beside_missing_ones(tmp_path):
     path.write_text("".join(row.replace(row.split(",")[1], "nan") for row in rows))
     with pytest.raises(InputError, match="fewer than two rows hold finite numbers"):
         import_records(path, columns, None, allow_gaps=True)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+@pytest.mark.parametrize("timed", [True, False])
+def test_what_was_measured_beside_a_missing_number_stays(tmp_path, hold, timed):
+    """Of a command in levels each sample is the one that was logged, also where the measurement begins a level with none."""
+    path = tmp_path / "run.csv"
+    levels, moved = np.repeat([1.0, -2.0, 4.0, 3.0], 16), [f"{y:.9f}" for y in MOVED]
+    moved[16], moved[40:43] = "NaN", ["NaN"] * 3
+    path.write_text("t,u,y\n" + "".join(f"{t:.3f},{u},{y}\n" for t, u, y in zip(TIME, levels, moved, strict=True)))
+    columns = parse_columns("time=t[s],command=u[V],measurement=y[um]")[not timed :]
+    [record] = import_records(path, columns, None if timed else 1000.0, hold=hold, resample=0.0)
+    np.testing.assert_allclose(record.signals["command"].values[:, 0], levels, atol=1e-12)
+    np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED, atol=0.02)
+    np.testing.assert_allclose(record.signals["measurement"].values[[15, 17], 0], MOVED[[15, 17]], atol=1e-9)
+
+
+def test_a_long_stretch_without_numbers_still_parts_a_record(tmp_path):
+    path = tmp_path / "run.csv"
+    moved = [*MOVED[:20], *["NaN"] * 20, *MOVED[40:]]
+    path.write_text("t,u,y\n" + "".join(f"{t:.3f},{u},{y}\n" for t, u, y in zip(TIME, DRIVE, moved, strict=True)))
+    records = import_records(path, parse_columns("time=t[s],command=u[V],measurement=y[um]"), None, resample=0.0)
+    assert [len(record.signals["command"].time) for record in records] == [20, 24]
+
+
+def test_a_column_without_any_number_is_told_as_one(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("t,u,y\n" + "".join(f"{t:.3f},{u},\n" for t, u in zip(TIME, DRIVE, strict=True)))
+    with pytest.raises(InputError, match="measurement: no row holds a finite number: name another column"):
+        import_records(path, parse_columns("time=t[s],command=u[V],measurement=3[um]"), None)

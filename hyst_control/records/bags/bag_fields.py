@@ -37,6 +37,7 @@ class _Field:
     path: tuple[str, ...]
     item: str | None
     scale: float
+    names: tuple[str, ...] = ()  # Of its items, in the order of the first message
     rows: RowStore | None = None
     pending: list[Array] = field(default_factory=list)
 
@@ -191,7 +192,13 @@ class _Reader:
             numbers = np.asarray(value)
             if numbers.dtype.kind not in "biuf":
                 raise InputError(f"{'.'.join(one.path) or 'data'} is no number: name a field of numbers within it")
-            one.add(_items(numbers.astype(np.float64).reshape(1, -1), one, getattr(message, "name", ())))
+            row, names = numbers.astype(np.float64).reshape(1, -1), tuple(getattr(message, "name", ()))
+            one.names = one.names or names
+            if names != one.names and one.item not in names and row.shape[1] == len(names):
+                if sorted(names) != sorted(one.names):
+                    raise InputError(f"{'.'.join(one.path)}: is of {', '.join(names)} after {', '.join(one.names)}: name an item")
+                row, names = row[:, [names.index(name) for name in one.names]], one.names  # joints in another order
+            one.add(_items(row, one, names))
 
     def _typestore(self, kind: str, definition: str) -> Any:
         if self._store is None:

@@ -13,6 +13,7 @@ import sys
 import tempfile
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,7 +36,7 @@ MAT_HEADER, MAT_COMPRESSED = 128, 15
 def read_array(path: str | Path) -> Array:
     """Numbers of the .npy file at `path`, of any shape. Raises `InputError` when it holds no array of real numbers."""
     found = read_arrays(path, ".npy")
-    if not found:
+    if "" not in found:
         raise InputError(f"{path}: holds no real numbers: give an array of them")
     return found[""]
 
@@ -55,11 +56,7 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
                 found = _npz(path)
             else:
                 found = _mat(path)
-            return {
-                name: _as_float64(value)
-                for name, value in found.items()
-                if isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
-            }
+            return real_arrays(found)
     except _MatlabHdf:
         raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
 
@@ -112,16 +109,26 @@ def hdf5_arrays(path: Path) -> dict[str, Any]:
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iufV" or not item.ndim or item.external:
             return
         budget.take(item.size * item.dtype.itemsize)
-        value, path = item[()], name.replace("/", ".")
-        if value.dtype.names:  # a table, with names of its columns
-            found.update({f"{path}.{column}": value[column] for column in value.dtype.names})
-        else:
-            found[path] = np.squeeze(value.T) if "MATLAB_class" in item.attrs else value
+        found[name.replace("/", ".")] = np.squeeze(item[()].T) if "MATLAB_class" in item.attrs else item[()]
 
     with h5py.File(path, "r") as file:
         file.visititems(keep)
-    real = {name: value for name, value in found.items() if value.dtype.kind in "iuf" and not name.startswith("#")}
-    return {name: _as_float64(value) for name, value in real.items()}
+    return real_arrays({name: value for name, value in found.items() if not name.startswith("#")})
+
+
+def real_arrays(found: Mapping[str, Any]) -> dict[str, Array]:
+    """The arrays of real numbers as float64, moments as seconds from the first, and each column of a table by its path."""
+    arrays: dict[str, Array] = {}
+    for name, value in found.items():
+        if not isinstance(value, np.ndarray):
+            continue
+        if value.dtype.names:
+            arrays |= real_arrays({f"{name}.{column}".lstrip("."): value[column] for column in value.dtype.names})
+        if value.dtype.kind in "mM" and value.size:
+            value = (value - value.flat[0]) / np.timedelta64(1, "ns") * 1e-9
+        if value.dtype.kind in "iuf":
+            arrays[name] = _as_float64(value)
+    return arrays
 
 
 def _as_float64(value: Any) -> Array:
@@ -135,11 +142,11 @@ def _as_float64(value: Any) -> Array:
 
 
 def _npy(file: IO[bytes], size: int, path: Path | None = None) -> Any:
-    """The array of a .npy stream of so many bytes; None where it holds no real numbers. A large one in a file is mapped, not read."""
+    """The array of a .npy stream of so many bytes; None where it holds no numbers, moments or table. A large one in a file is mapped."""
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read_header(file)
-    if dtype.kind not in "biuf":
+    if dtype.kind not in "biufmMV" or dtype.hasobject:
         return None  # texts, objects, complex numbers
     count = math.prod(shape)  # of Python's integers: they do not overflow
     if count * dtype.itemsize > size:
@@ -190,8 +197,12 @@ def _flatten(name: str, value: Any, found: dict[str, Any], objects: list[str]) -
     if isinstance(value, dict):
         for key, inner in value.items():
             _flatten(f"{name}.{key}", inner, found, objects)
-    elif isinstance(value, list):
-        for number, inner in enumerate(value, start=1):
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
+        cells = list(value) if isinstance(value, list) else value.ravel().tolist()
+        if cells and all(isinstance(cell, (int, float)) for cell in cells):
+            found[name] = np.array(cells, dtype=np.float64)
+            return
+        for number, inner in enumerate(cells, start=1):
             _flatten(f"{name}({number})", inner, found, objects)
     elif isinstance(value, np.ndarray) and value.dtype.names and "s2" in value.dtype.names:
         said = value.ravel()[0]

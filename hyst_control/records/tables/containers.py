@@ -17,7 +17,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
-from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arrays
+from hyst_control.records.tables.array_files import KINDS, hdf5_arrays, read_arrays, real_arrays
 from hyst_control.records.tables.header import Form
 from hyst_control.records.tables.universal_file import universal_arrays
 
@@ -95,7 +95,7 @@ def _parquet(path: Path, library: Any) -> Container:
     file = library.ParquetFile(path)
     Budget(path.stat().st_size).take(8 * file.metadata.num_rows * file.metadata.num_columns)
     columns = file.read().flatten()
-    return Container(_real({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}))
+    return Container(real_arrays({name: columns[name].to_numpy() for name in dict.fromkeys(columns.column_names)}))
 
 
 def _json(path: Path, library: Any) -> Container:
@@ -107,7 +107,7 @@ def _json(path: Path, library: Any) -> Container:
         content = [library.loads(line) for line in text.splitlines() if line.strip()]
     found: dict[str, Any] = {}
     _series("", content, found)
-    return Container(_real(found))
+    return Container(real_arrays(found))
 
 
 def _series(name: str, content: Any, found: dict[str, Any]) -> None:
@@ -135,18 +135,7 @@ def _tdms(path: Path, library: Any) -> Container:
                 found[f"{group.name}.{channel.name}"] = channel[:]
                 increments.add(channel.properties.get("wf_increment"))
     increment = increments.pop() if len(increments) == 1 else None
-    return Container(_real(found), sample_time=float(increment) if increment else None)
-
-
-def _real(found: dict[str, Any]) -> dict[str, Array]:
-    """The arrays of real numbers as float64; moments as seconds from the first."""
-    arrays = {}
-    for name, value in found.items():
-        if value.dtype.kind == "M" and value.ndim == 1 and len(value):
-            value = (value - value[0]) / np.timedelta64(1, "ns") * 1e-9
-        if value.dtype.kind in "iuf":
-            arrays[name] = np.asarray(value, dtype=np.float64)
-    return arrays
+    return Container(real_arrays(found), sample_time=float(increment) if increment else None)
 
 
 _READERS: dict[str, tuple[str, Callable[[Path, Any], Container]]] = {

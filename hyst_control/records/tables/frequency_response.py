@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.records.record import Record, Signal, axis_names
 from hyst_control.records.tables.columns import Column
@@ -36,10 +36,12 @@ def response_record(source: str, columns: Sequence[Column], held: dict[str, Arra
     """The record that a frequency response (frequency, magnitude and phase, or real and imaginary part; coherence) stands for.
 
     The command is the sum of sines of the measured frequencies between whose samples it is straight ("foh"), larger where the response
-    is small; the measurement is their steady answer. Raises `InputError` where a column is missing or holds no such numbers.
+    is small; the measurement is their steady answer. Several columns are axes, each of which answers its own command. Raises
+    `InputError` where a column is missing or holds no such numbers.
     """
     given = {column.topic: column for column in columns}
-    known = {name: np.ravel(held[column.columns[0]]) for name, column in given.items()}
+    known = {name: np.hstack([held[each] for each in column.columns]) for name, column in given.items()}
+    _check_widths(known)
     if {"magnitude", "phase"} <= set(given):
         size, units = _magnitude(known["magnitude"], given["magnitude"].unit)
         response = size * np.exp(1j * known["phase"] * _scale("phase", given["phase"].unit, ANGLES))
@@ -48,13 +50,13 @@ def response_record(source: str, columns: Sequence[Column], held: dict[str, Arra
         response = factor * (known["real"] + 1j * known["imaginary"])
     else:
         raise InputError("columns: a frequency response needs frequency, magnitude and phase, or frequency, real and imaginary")
-    frequency = known["frequency"] * _scale("frequency", given["frequency"].unit, FREQUENCY_UNITS)
+    frequency = known["frequency"][:, 0] * _scale("frequency", given["frequency"].unit, FREQUENCY_UNITS)
     notes = []
     if given.get("magnitude", given["frequency"]).unit == "dB":
         notes.append(f"{source}: the magnitude in dB is taken as that of um/V: write another as [dB mrad/V]")
-    usable = np.isfinite(frequency) & (frequency > 0.0) & np.isfinite(response) & (response != 0.0)
+    usable = np.isfinite(frequency) & (frequency > 0.0) & (np.isfinite(response) & (response != 0.0)).all(axis=1)
     if "coherence" in known:
-        usable &= known["coherence"] >= MIN_COHERENCE
+        usable &= (known["coherence"] >= MIN_COHERENCE).all(axis=1)
     if usable.sum() < 8:
         raise InputError(
             f"{source}: only {int(usable.sum())} frequencies have a finite response: a frequency response needs 8 at least"
@@ -74,24 +76,36 @@ def response_record(source: str, columns: Sequence[Column], held: dict[str, Arra
         chosen = np.unique(np.linspace(0, len(frequency) - 1, most).astype(int))
         notes.append(f"{source}: {len(chosen)} of {len(frequency)} frequencies were taken")
         frequency, response = frequency[chosen], response[chosen]
-    command, measurement = _steady(frequency, response, rate, count)
+    generator = np.random.default_rng(0)  # other phases for each axis, so that no command is that of another
+    steady = [_steady(frequency, answer, rate, count, generator) for answer in response.T]
+    command, measurement = np.stack(steady, axis=2)
+    alone = " --no-coupled" if len(steady) > 1 else ""
     notes.append(
         f"{source}: a frequency response is no record in time: written is the steady answer to {len(frequency)} sines of "
-        f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, for identify --model linear"
+        f"{frequency[0]:.4g} to {frequency[-1]:.4g} Hz, for identify --model linear{alone}"
     )
     time = np.arange(count) / rate
     signals = {
-        topic: Signal(time, values[:, None], axis_names(1), unit)
+        topic: Signal(time, np.ascontiguousarray(values), axis_names(len(steady)), unit)
         for topic, values, unit in (("command", command, units[1]), ("measurement", measurement, units[0]))
     }
     return Record(signals, source, tuple(notes), "foh", states_hold=True)
 
 
-def _steady(frequency: Array, response: np.ndarray, rate: float, count: int) -> tuple[Array, Array]:
+def _check_widths(known: dict[str, Array]) -> None:
+    """Refuse several frequencies, and other columns that are not as many as the axes; one coherence may be that of all."""
+    width = max(values.shape[1] for values in known.values())
+    for topic, values in known.items():
+        if values.shape[1] not in {"frequency": (1,), "coherence": (1, width)}.get(topic, (width,)):
+            due = "one is due" if topic == "frequency" else f"another has {width}: name one of each axis (magnitude=2+4[dB])"
+            raise InputError(f"columns: {topic}: {values.shape[1]} columns, {due}")
+
+
+def _steady(frequency: Array, response: Complex, rate: float, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
     """Command and steady answer (N,) of sines at these frequencies, the command straight between samples."""
     straight = np.sinc(frequency / rate) ** 2  # what linear interpolation leaves of a sine
     size = 1.0 / np.sqrt(np.maximum(np.abs(response), 1e-6 * np.abs(response).max()))
-    phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(frequency))
+    phase = generator.uniform(0.0, 2.0 * np.pi, len(frequency))
     command, measurement = np.zeros(count), np.zeros(count)
     ticks = np.arange(count) / rate
     for one, answer, amplitude, begin in zip(frequency, response * straight, size, phase, strict=True):

@@ -11,11 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
+from hyst_control.base.errors import InputError
 from hyst_control.records.tables.columns import TIME_UNITS
 from hyst_control.records.tables.units import scaled_unit
 
 SAMPLE_LINES = 1000  # Lines from which the form is judged
 TAIL = 4  # The last quarter of these lines tells the columns: an instrument's header is shorter than that
+
+MISSING = frozenset(
+    "overload overrange over ovld ovl ol overflow nan inf infinity \u221e n/a na null none 1.#inf 1.#qnan 1.#ind".split()
+)
+"""Words in small letters that stand for a number which is missing, as does a cell of signs alone ("--", "***")."""
 
 SETTINGS = 0.05
 """Rows of numbers above a line of words, per row below it, up to which they are settings with names of their own."""
@@ -30,7 +36,7 @@ _WORDS = re.compile(r'"[^"]*"|\S+')
 _GAPS = re.compile(r"\s{2,}|\t")
 _LITERAL_START = re.compile(r"^\s*(\w[\w.]*\s*=\s*)?\[\s*(?=[-+.\d])")
 _LITERAL_END = re.compile(r"(?<=[\d.])[ ]*(\][ ]*;?|;)?[ ]*(\.\.\.)?[ ]*$")
-_COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?")
+_COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d*)?|,\d+)([eE][-+]?\d+)?|[-+]?[1-9]\d{0,2}(\.\d{3})+,\d*")
 _UNIT_BEHIND = re.compile(r"\s*(?:\[(?P<square>[^\]]*)\]|\((?P<round>[^)]*)\)|,\s*(?P<comma>[^\s,]+)|\bin\s+(?P<word>[^\s,]+))$")
 _UNIT_AT_END = re.compile(
     r"(?<=[^\W_])[_.](?P<clear>[nuµ\u03bcmk]?V|[nuµ\u03bcmc]m|[nuµ\u03bcm][sA]|[mk]?N|k?Hz|[uµ\u03bcm]?rad|deg|arcsec|counts|volts?|microns?|dB)$"
@@ -42,13 +48,16 @@ _MOMENT = re.compile(
     r"(?:(?P<day>\d{4}[-/]\d\d[-/]\d\d)|(?P<first>\d{1,2})(?P<mark>[./])(?P<second>\d{1,2})[./](?P<year>\d{4}))?[T ]?"
     r"(?P<time>\d{1,2}:\d\d.*?)(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
+_MONTHS = "jan feb mar apr may jun jul aug sep oct nov dec".split()
+_NAMED_MONTH = re.compile(rf"(\d{{1,2}})[- ]({'|'.join(_MONTHS)})[a-z]*[- ](\d{{4}})", re.IGNORECASE)
 _DURATION = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?) (sec|min|hr)")
 _DURATION_UNITS = {"sec": 1.0, "min": 60.0, "hr": 3600.0}
 _FORTRAN = re.compile(r"([-+]?[\d.]+)[dD]([-+]?\d+)")
-_GROUPED = re.compile(r"[-+]?\d{1,3}(,\d{3})+(\.\d*)?")
+_GROUPED = re.compile(r"[-+]?\d{1,3}([,'’]\d{3})+(\.\d*)?")
 _SAMPLING = re.compile(
     r"(?:sampl\w*?|scan|acquisition|abtast)[ _]*(?P<what>interval|period|time|rate|freq|zeit)|(?P<step>delta_x|increment)"
 )
+_DIGITS = re.compile(r"\d+")
 _SETTING = re.compile(r"[\s,;:=\[\]()\"#%]+")
 _STEP_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "khz": 1e3, "mhz": 1e6, "ks/s": 1e3}
 _GCS = re.compile(r"#\s*(?P<key>[A-Z_]+?)(?P<number>\d*)\s*=\s*(?P<value>.*)")
@@ -78,14 +87,20 @@ class Form:
     def number(self, cell: str) -> float | None:
         """The number of a cell, seconds of a date or a time of day; None where it is none."""
         if self.decimal == "," or (self.decimal == "either" and "," in cell):
-            return float(cell.replace(",", ".")) if _COMMA_NUMBER.fullmatch(cell) else _moment(cell)
+            return float(cell.replace(".", "").replace(",", ".")) if _COMMA_NUMBER.fullmatch(cell) else _moment(cell)
         try:
             return float(cell)
         except ValueError:
             if _GROUPED.fullmatch(cell):
-                return float(cell.replace(",", ""))
+                return float(re.sub("[,'’]", "", cell))
             fortran = _FORTRAN.fullmatch(cell)
             return _moment(cell) if fortran is None else float(f"{fortran[1]}e{fortran[2]}")
+
+
+def is_missing(cell: str) -> bool:
+    """Check that a cell says that its number is missing: that it is empty or of signs alone, or a word such as OVERLOAD."""
+    word = cell.strip("+-*#!?. ").lower()
+    return not word or word in MISSING
 
 
 def _moment(cell: str) -> float | None:
@@ -93,7 +108,7 @@ def _moment(cell: str) -> float | None:
     # Of days as 3/4/2024 the month stands first, if it can, of days as 3.4.2024 it stands second.
     if (duration := _DURATION.fullmatch(cell)) is not None:
         return float(duration[1]) * _DURATION_UNITS[duration[2]]
-    match = _MOMENT.fullmatch(cell)
+    match = _MOMENT.fullmatch(_NAMED_MONTH.sub(lambda day: f"{day[1]}.{_MONTHS.index(day[2].lower()) + 1}.{day[3]}", cell))
     if match is None:
         return None
     day = (match["day"] or "1970-01-01").replace("/", "-")
@@ -126,14 +141,17 @@ class Layout:
     notes: tuple[str, ...] = ()
 
     def column(self, name: str) -> int | None:
-        """Number from 0 of the column of this name, with or without the unit behind it."""
-        if exact := [index for index, cells in enumerate(self.names) if name in cells]:
-            return exact[0]
-        for bare in (name, without_unit(name)):
-            alike = [index for index, cells in enumerate(self.names) if bare in map(without_unit, cells)]
-            if len(alike) == 1:
-                return alike[0]
-        return None
+        """Number from 0 of the column of this name, with or without the unit behind it. Raises `InputError` where several have it."""
+        exact = [index for index, cells in enumerate(self.names) if name in cells]
+        alike = [
+            [index for index, cells in enumerate(self.names) if bare in map(without_unit, cells)]
+            for bare in (name, without_unit(name))
+        ]
+        found = next(filter(None, (exact, *alike)), [])
+        if len(found) > 1 and not name.isdecimal():
+            numbers = ", ".join(str(index + 1) for index in found)
+            raise InputError(f"columns: {name!r} names several columns: choose one by its number: {numbers}")
+        return found[0] if len(found) == 1 else None
 
     def title(self, index: int) -> str:
         """Name of a column; "" where it has none."""
@@ -171,10 +189,16 @@ def unit_alone(cell: str) -> str | None:
 
 
 def plain(line: str) -> str:
-    """A line without the brackets and semicolons of a MATLAB literal."""
+    """A line without the brackets and semicolons of a MATLAB literal, and with the minus sign of a keyboard."""
+    line = line.replace("\u2212", "-")
     if "[" not in line and not line.rstrip(" ").endswith((";", "]", "...")):
         return line
     return _LITERAL_END.sub("", _LITERAL_START.sub("", line))
+
+
+def header_form(line: str) -> str:
+    """The words of a line of a header, which it has in common with that of the next run; "" where it has none."""
+    return _DIGITS.sub("", line) if any(map(str.isalpha, line)) else ""
 
 
 def is_comment(line: str) -> bool:
@@ -195,7 +219,12 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         [flag and (":" in cell) == (index in moments) for index, (cell, flag) in enumerate(zip(row, is_number, strict=True))]
         for row, is_number in zip(cells, flags, strict=True)
     ]
-    data = [len(row) == width and all(row[index] for index in numeric) for row in fits]
+    data = [
+        len(row) == width
+        and any(fit[index] for index in numeric)
+        and all(fit[index] or (row[index] and is_missing(row[index])) for index in numeric)
+        for row, fit in zip(cells, fits, strict=True)
+    ]
     if not numeric or True not in data:
         return None
 
@@ -205,7 +234,9 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
 
     first, notes = data.index(True), []
     for at in range(first + 1, len(data)):
-        if wordy(at) and True in data[at:] and sum(data[first:at]) <= SETTINGS * sum(data[at:]):
+        if at <= first or not wordy(at) or header_form(texts[at]) in map(header_form, texts[:first]):
+            continue  # a header that is there again begins a further run
+        if True in data[at:] and sum(data[first:at]) <= SETTINGS * sum(data[at:]):
             notes.append(f"{sum(data[first:at])} rows of numbers above the names were taken as settings")
             first = at + data[at:].index(True)
     above = first - 1
@@ -214,17 +245,20 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
     header: list[list[str]] = []
     for at in range(first - 1, max(first - 1 - HEADER_ROWS, -1), -1):
         found = _header_cells(texts[at], form, width)
-        if found is None or not wordy(at):
+        if found is None or not (wordy(at) or (header and not data[at])):
             break
-        header.append(found)
+        header.append(["" if index in numeric and form.is_number(cell) else cell for index, cell in enumerate(found)])
     start = rows[first][0]
     comments = [line for line in lines[:start] if is_comment(line)]
     sample_time, named = _gcs(comments)
     if named:
         header.insert(0, named)
-    elif not header and comments:
-        found = _header_cells(comments[-1].lstrip("#% \t"), form, width)
-        header = [found] if found and not any(map(form.is_number, found)) else []
+    elif not header:
+        for line in reversed(comments[-HEADER_ROWS:]):
+            found = _header_cells(line.lstrip("#% \t"), form, width)
+            if not found or any(map(form.is_number, found)):
+                break
+            header.append(found)
     names = tuple(tuple(row[index] for row in header if index < len(row)) for index in range(width))
     labels, units = _labeled([form.cells(line) for line in lines[:start]], numeric)
     names = tuple(tuple(filter(None, (labels.get(index), *each, units.get(index)))) for index, each in enumerate(names))
@@ -232,7 +266,7 @@ def find_layout(lines: Sequence[str]) -> Layout | None:
         beside = lines[start : start + SETTINGS_BESIDE] if len(numeric) < width else []
         settings = [*lines[:start], *(" ".join(reversed(cells)) for cells in names), *beside]
         sample_time = next((said for line in settings if (said := stated_sample_time(line)) is not None), None)
-    return Layout(form, width, numeric, start, _unrepeated(names), sample_time, tuple(notes))
+    return Layout(form, width, numeric, start, names, sample_time, tuple(notes))
 
 
 def _labeled(rows: Sequence[Sequence[str]], numeric: Sequence[int]) -> tuple[dict[int, str], dict[int, str]]:
@@ -310,13 +344,3 @@ def _gcs(comments: Sequence[str]) -> tuple[float | None, list[str]]:
         return (float(times[0]) or None) if times and names else None, names
     except ValueError:
         return None, names
-
-
-def _unrepeated(names: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
-    """Names without those that an earlier column has."""
-    seen: set[str] = set()
-    found = []
-    for cells in names:
-        found.append(tuple(cell for cell in cells if cell not in seen or unit_alone(cell) is not None))
-        seen.update(cells)
-    return tuple(found)

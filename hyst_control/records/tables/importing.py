@@ -22,7 +22,7 @@ from hyst_control.records.stream.signal_message import Encoder, label_for
 from hyst_control.records.tables.columns import TIME, Column, parse_columns
 from hyst_control.records.tables.frequency_response import response_record
 from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, without_repeated
-from hyst_control.records.tables.sample_grid import DAY, midnights
+from hyst_control.records.tables.sample_grid import DAY, LONGEST_FILLED, midnights
 from hyst_control.records.tables.selection import read_columns
 
 __all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
@@ -80,18 +80,23 @@ def import_records(
         rate = 1.0 / selected.sample_time
         notes.append(f"{path}: the file states {rate:.6g} samples/s")
     numbers: Sequence[int] | Integers = range(begin, end)
+    missing = 0
     if (resample is not None or allow_gaps) and not (whole := _whole_rows(held)).all():
-        numbers, held = begin + np.flatnonzero(whole), {name: array[whole] for name, array in held.items()}
-        notes.append(f"{path}: rows with no finite number in a column were taken as missing: {end - begin - len(numbers)}")
-        if len(numbers) < 2:
+        missing = int(np.sum(~whole))
+        if end - begin - missing < 2:
             raise InputError(f"{path}: fewer than two rows hold finite numbers in all columns: choose other columns or rows")
+        if resample is not None:  # what else such a row holds is kept, where its time is one
+            clock = {name: held[name] for column in times for name in column.columns}
+            whole |= _short_stretches(~whole) & (_whole_rows(clock) if clock else True)
+        numbers, held = begin + np.flatnonzero(whole), {name: array[whole] for name, array in held.items()}
+        notes.append(f"{path}: rows with no finite number in a column were taken as missing: {missing}")
     time = _times(path, times[0], held, numbers) if times else None
-    values = {column.topic: _scaled(path, column, held, numbers) for column in signal_columns}
+    values = {column.topic: _scaled(path, column, held, numbers, resample is not None) for column in signal_columns}
     for column in signal_columns:
         if column.topic == "measurement" and column.unit == "V":
             notes.append(f"{path}: measurement is in V: with a sensor of 5 um/V, say, write its unit as [5um/V]")
     units = {column.topic: column.unit for column in signal_columns}
-    if time is None and len(numbers) < end - begin:
+    if time is None and missing:
         time, rate = (np.asarray(numbers) - numbers[0]) / rate, None
     if time is None:
         stamps = empty_rows(end - begin)
@@ -162,12 +167,27 @@ def _whole_rows(held: dict[str, Array]) -> Mask:
     whole = np.ones(len(next(iter(held.values()))), dtype=bool)
     for part in blocks(len(whole)):
         for array in held.values():
-            whole[part] &= np.isfinite(array[part]).all(axis=1)
+            whole[part] &= _is_measured(array[part]).all(axis=1)
     return whole
 
 
-def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequence[int] | Integers) -> Array:
-    """Values (N, A) of a signal in its unit. Raises `InputError` naming the first row, by its number, that holds no finite one."""
+def _is_measured(values: Array) -> Mask:
+    """Mask of the numbers that are finite, and not what an instrument of SCPI has for an overload (9.9e37) or none (9.91e37)."""
+    size = np.abs(values)
+    return np.isfinite(size) & ~((size > 9.89e37) & (size < 9.92e37))
+
+
+def _short_stretches(missing: Mask) -> Mask:
+    """Mask (N,) of the rows in stretches of missing ones that are short enough to be filled."""
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    short = np.zeros(len(missing), dtype=bool)
+    for begin, end in edges.reshape(-1, 2):
+        short[begin:end] = end - begin < LONGEST_FILLED
+    return short
+
+
+def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequence[int] | Integers, filled: bool = False) -> Array:
+    """Values (N, A) of a signal in its unit. Raises `InputError` naming the first row without one, unless those are `filled` later."""
     arrays = [held[name] for name in column.columns]
     factors = [scale for array, scale in zip(arrays, column.scales, strict=True) for _ in range(array.shape[1])]
     scaled = empty_rows(len(numbers), len(factors))
@@ -176,15 +196,23 @@ def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequenc
         found = np.concatenate([array[part] for array in arrays], axis=1)
         with np.errstate(over="ignore", invalid="ignore"):  # a signalling NaN, too, is found below
             scaled[part] = found * factors
+        measured = _is_measured(found)
+        scaled[part][~measured] = np.nan
         wrong = ~np.isfinite(scaled[part]).all(axis=1)
+        if filled:
+            wrong &= measured.all(axis=1)
         if wrong.any():
             first_bad = first_bad if bad else int(numbers[part.start + int(np.argmax(wrong))])
-            bad, finite = bad + int(wrong.sum()), finite and bool(np.isfinite(found).all())
+            bad, finite = bad + int(wrong.sum()), finite and bool(measured[wrong].all())
     if bad and finite:
         raise InputError(
             f"{path}: {column.topic}: row {first_bad} is too large for a number once it is in other units: check the unit"
         )
     if bad:
+        if bad == len(numbers):
+            raise InputError(
+                f"{path}: {column.topic}: no row holds a finite number: name another column, or save formulas as values"
+            )
         which = f"row {first_bad} holds" if bad == 1 else f"row {first_bad} and {bad - 1} more hold"
         raise InputError(
             f"{path}: {column.topic}: {which} no finite number: --resample interpolates such rows, --allow-gaps leaves them out, or "

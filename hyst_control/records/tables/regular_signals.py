@@ -22,6 +22,7 @@ LATEST = 20.0
 """Steps by which messages may be received beside their ticks: they come in bursts, but none is thought to be lost."""
 
 MAX_RUNS = 100
+ROUNDING = 1e-6  # Relative error of times that count as equal
 RATES_DIFFER = 0.01
 TOLD_DEVIATION = 0.01  # Steps by which times may lie beside their ticks without a note
 
@@ -52,7 +53,8 @@ def without_repeated(where: str, time: Array, values: list[Array], begin: int) -
     again = again.astype(int)
     if not len(again):
         return None
-    same = np.all([np.all(array[again] == array[again - 1], axis=1) for array in values], axis=0)
+    alike = [np.isclose(array[again], array[again - 1], 0.0, 0.0, equal_nan=True) for array in values]
+    same = np.all([each.all(axis=1) for each in alike], axis=0)
     if not same.all():
         if find_grid(time) is None:
             raise InputError(
@@ -73,6 +75,8 @@ def on_one_clock(
     Times that lie near ticks are put on them. Irregular ones, gaps and several rates are refused, or interpolated at the rate
     `resample` (Hz, or `OWN_RATE`); with `allow_gaps` missing ticks stay missing. Raises `InputError` naming the remedy.
     """
+    if resample is not None and not 0.0 <= resample < np.inf:
+        raise InputError(f"{where}: resample: must be a rate in Hz, got {resample:g}")
     grids = {id(signal.time): _grid(where, topic, signal) for topic, signal in signals.items()}
     by_topic = {topic: grids[id(signal.time)] for topic, signal in signals.items()}
     known = [grid for grid in by_topic.values() if grid is not None]
@@ -146,21 +150,33 @@ def _interpolated(
     step = 1.0 / rate if rate else own
     if step > 2.0 * own:
         raise InputError(f"{where}: resample: {rate:g} Hz is below half of {1.0 / own:.4g} Hz: faster parts would be aliased")
-    for topic, signal in signals.items():
-        longest = float(np.diff(signal.time).max())
-        if longest > LONGEST_FILLED * steps[topic]:
+    clocks = {topic: _clock(signal, grids[topic]) for topic, signal in signals.items()}
+    known = {topic: clocks[topic][np.isfinite(signal.values).all(axis=1)] for topic, signal in signals.items()}
+    for topic, time in known.items():
+        if len(time) < 2:
+            raise InputError(f"{where}: {topic}: fewer than two rows hold finite numbers: choose another column")
+        longest = float(np.diff(time).max())
+        if longest > LONGEST_FILLED * (1.0 + ROUNDING) * steps[topic]:
             raise InputError(f"{where}: {topic}: a gap of {longest:.3g} s is too long to interpolate: choose rows beside it")
-    begin = max(float(signal.time[0]) for signal in signals.values())
-    count = int(np.floor((min(float(signal.time[-1]) for signal in signals.values()) - begin) / step + 1e-6)) + 1
+    begin, last = max(float(time[0]) for time in known.values()), min(float(time[-1]) for time in known.values())
+    count = int(np.floor((last - begin) / step + ROUNDING)) + 1
     due = regular_times(max(count, 0), step)
     if count < 2:
         raise InputError(f"{where}: {' and '.join(signals)} are not of one time: they share no two samples")
     found, missed = {}, []
     for topic, signal in signals.items():
         held = hold == "zoh" and topic not in ("measurement", "reference")
-        values = resampled(signal.time, signal.values, begin + due, step, held)
+        values = resampled(clocks[topic], signal.values, begin + due, step, held)
         found[topic] = replace(signal, time=due, values=values, timing="layout")
         if not held:
             missed.append(f"{100 * interpolation_error(signal.time, signal.values):.2g} % of the range of {topic}")
     told = f"; every second row, interpolated from its neighbors, is missed by {' and '.join(missed)}" if missed else ""
     return found, [f"{where}: interpolated at {1.0 / step:.6g} Hz{told}"]
+
+
+def _clock(signal: Signal, grid: Grid | None) -> Array:
+    """The ticks that a signal's times stand for, at which its values stay as they were measured; its times where these are elsewhere."""
+    if grid is None:
+        return signal.time
+    due = grid.origin + (np.arange(len(signal.time)) if grid.ticks is None else grid.ticks) * grid.step
+    return np.asarray(due) if np.abs(due - signal.time).max() < 0.5 * grid.step else signal.time  # a clock may wander

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,24 +155,29 @@ def _rounded(step: float, uncertainty: float) -> float:
 def resampled(time: Array, values: Array, due: Array, step: float, held: bool) -> Array:
     """Values (N, A) at increasing times as values (M, A) at the times `due`: interpolated, or the means of a held command."""
     found = np.empty((len(due), values.shape[1]))
-    for axis in range(values.shape[1]):
+    for axis, (at, one) in enumerate(_known(time, values)):
         if held:  # the mean over each step moves a linear plant as the command itself does
-            area = np.concatenate([[0.0], np.cumsum(values[:-1, axis] * np.diff(time))])
+            area = np.concatenate([[0.0], np.cumsum(one[:-1] * np.diff(at))])
             edges = np.concatenate([due, due[-1:] + step])
-            beyond = np.maximum(edges - time[-1], 0.0) * values[-1, axis]
-            found[:, axis] = np.diff(np.interp(edges, time, area) + beyond) / step
+            beyond = np.maximum(edges - at[-1], 0.0) * one[-1]
+            found[:, axis] = np.diff(np.interp(edges, at, area) + beyond) / step
         else:
-            found[:, axis] = np.interp(due, time, values[:, axis])
+            found[:, axis] = np.interp(due, at, one)
     return found
+
+
+def _known(time: Array, values: Array) -> Iterator[tuple[Array, Array]]:
+    """Times and values of each axis of values (N, A), where these are finite."""
+    for one in values.T:
+        finite = np.isfinite(one)
+        yield (time, one) if finite.all() else (time[finite], one[finite])
 
 
 def interpolation_error(time: Array, values: Array) -> float:
     """Rms error, relative to the range, of interpolating every second row of values (N, A) from its neighbors; of the worst axis."""
-    if len(time) < 3:
-        return 0.0
     worst = 0.0
-    for axis in range(values.shape[1]):
-        one = values[:, axis]
-        missed = np.interp(time[1:-1:2], time[::2], one[::2]) - one[1:-1:2]
-        worst = max(worst, float(np.sqrt(np.mean(missed**2))) / (float(np.ptp(one)) or 1.0))
+    for at, one in _known(time, values):
+        if len(at) > 2:
+            missed = np.interp(at[1:-1:2], at[::2], one[::2]) - one[1:-1:2]
+            worst = max(worst, float(np.sqrt(np.mean(missed**2))) / (float(np.ptp(one)) or 1.0))
     return worst

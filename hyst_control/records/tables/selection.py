@@ -148,11 +148,12 @@ def _named(path: Path, name: str, arrays: dict[str, Array]) -> Array | None:
 
 
 def _known(name: str, arrays: dict[str, Array]) -> str | None:
-    """An array by its name, with dots or slashes, and with or without the unit behind it."""
-    if name in arrays:
-        return name
-    plain = name.strip("/").replace("/", ".")
-    return next((known for known in arrays if known == plain or without_unit(known) == name), None)
+    """An array by its name, with dots or slashes or the braces of a cell, and with or without the unit behind it, where one is so."""
+    plain = name.strip("/").replace("/", ".").replace("{", "(").replace("}", ")")
+    if name in arrays or plain in arrays:
+        return name if name in arrays else plain
+    alike = [known for known in arrays if without_unit(known) == name]
+    return alike[0] if len(alike) == 1 else None
 
 
 def _refuse_wide(path: Path, name: str, array: Array) -> None:

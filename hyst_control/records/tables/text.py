@@ -21,7 +21,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import foreign_reader
 from hyst_control.records.bags.decompression import Budget
 from hyst_control.records.stream.row_store import RowStore
-from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, is_comment, plain
+from hyst_control.records.tables.header import SAMPLE_LINES, Form, Layout, find_layout, header_form, is_comment, is_missing, plain
 
 ENCODING_SAMPLE = 2**12  # Bytes of a text from which its encoding is judged
 TEXT_ROWS = 2**14  # Lines of a text that are held at a time
@@ -54,20 +54,40 @@ class TextTable:
         """Numbers (N, len(wanted)) of the columns of these numbers from 0, and notes on what was left out below the last number."""
         store, notes = RowStore(len(wanted)), list(self.layout.notes)
         with foreign_reader(self.path, "text", REMEDY):
-            lines = ((number, line) for number, line in islice(self.lines(), self.layout.first, None) if not is_comment(line))
-            while piece := list(islice(lines, TEXT_ROWS)):
+            source = self.lines()
+            header = {header_form(line) for _, line in islice(source, self.layout.first)} - {""}
+            lines = ((number, line) for number, line in source if not is_comment(line))
+            left: list[tuple[int, str]] = []
+            repeated: list[int] = []
+            while piece := [*left, *islice(lines, TEXT_ROWS - len(left))]:
+                left = []
                 try:
                     store.append(self._numbers(piece, wanted))
                 except _Damaged as damaged:
-                    form, rest = self.layout.form, chain(piece[damaged.row :], lines)
-                    if any(form.is_number(cell) for _, line in rest for cell in form.cells(line)):
-                        raise
                     store.append(self._numbers(piece[: damaged.row], wanted))
-                    notes.append(f"what stands from line {piece[damaged.row][0]} on holds no numbers and was left out")
-                    break
+                    (number, line), left = piece[damaged.row], piece[damaged.row + 1 :]
+                    if header_form(line) in header:
+                        repeated.append(number)
+                    else:
+                        notes.append(self._end(number, line, chain(left, lines), damaged))
+                        break
+            if repeated:
+                notes.append(f"lines that repeat the header were left out: {len(repeated)}, the first is line {repeated[0]}")
         return store.array(), [f"{self.path}: {note}" for note in notes]
 
+    def _end(self, number: int, line: str, behind: Iterator[tuple[int, str]], damaged: _Damaged) -> str:
+        """The note on a line that ends the rows: words below them, or the last row, cut off. Raises `damaged` where it is neither."""
+        form, cells, following = self.layout.form, self.layout.form.cells(line), next(behind, None)
+        if following is None and len(cells) < self.layout.width and any(map(form.is_number, cells)):
+            return f"the last line, {number}, is cut off and was left out"
+        rest = chain([(number, line)], [following] if following else [], behind)
+        if any(form.is_number(cell) for _, each in rest for cell in form.cells(each)):
+            raise damaged
+        return f"what stands from line {number} on holds no numbers and was left out"
+
     def _numbers(self, piece: Sequence[tuple[int, str]], wanted: Sequence[int]) -> Array:
+        if not piece:
+            return np.empty((0, len(wanted)))
         form, width = self.layout.form, self.layout.width
         text = [line for _, line in piece]
         quoted = any('"' in line for line in text)
@@ -83,7 +103,9 @@ class TextTable:
             if len(cells) < width or any(cells[width:]):
                 raise _Damaged(row, f"{self.path}: line {number} has {len(cells)} columns, the first has {width}: repair the line")
             for place, index in enumerate(wanted):
-                value = form.number(cells[index]) if cells[index] else np.nan
+                value = form.number(cells[index])
+                if value is None and is_missing(cells[index]):
+                    value = np.nan
                 if value is None:
                     raise _Damaged(
                         row, f"{self.path}: line {number}, column {index + 1}: {cells[index]!r} is no number: repair the line"

@@ -37,8 +37,12 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     explained = coherent_share(trial, index)
     if explained >= EXPLAINED:
         return []
-    others = [hysteretic_reference(_of_another_time(command, shift), measured).unexplained for shift in OTHER_TIMES]
-    if ahead.unexplained < FOLLOWS * min(others):
+    others = [hysteretic_reference(_of_another_time(command, shift), measured) for shift in OTHER_TIMES]
+    if ahead.unexplained < FOLLOWS * min(fit.unexplained for fit in others):
+        return []
+    # White noise is left by every command alike: what else is left tells them apart.
+    explains = ahead.unexplained < FOLLOWS * ahead.without_command
+    if explains and ahead.left_beyond_noise < FOLLOWS * min(fit.left_beyond_noise for fit in others):
         return []
     # A machine whose memory is as long as the record: play operators of any slow command then explain it between held-out blocks, and
     # only linear models show whose command it was.

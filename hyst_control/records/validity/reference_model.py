@@ -30,6 +30,8 @@ THRESHOLDS = (0.01, 0.03, 0.07, 0.14, 0.22, 0.32)  # Thresholds of the play oper
 BLOCKS, HELD_OUT = 40, 5  # Blocks of a record, and every how many-th is held out
 SURE, FLOOR = 2.0, 1e-2
 """Student's t from which a mean over held-out blocks is no chance, and the share of the mean that a block counts at least."""
+APART, CHANCE = 4, 3.0
+"""Rows from which on averaged ones share no samples, and standard deviations by which such rows of white noise are alike by chance."""
 LINES_OF_A_SINE = 3.0  # Lines that a sine has in a spectrum with Hann's window
 MIN_DECAY = 0.3
 """By how many factors of e an oscillation decays over the record, at least: one that goes on for ever needs no command."""
@@ -43,6 +45,7 @@ class Reference:
     unexplained: float  # Share of the measurement's power on held-out rows
     fitted: float  # The same on the rows that it was fitted to
     by_block: Array  # That in each held-out block
+    left_beyond_noise: float  # That without white noise, which has no part in the products of rows that share no samples
     without_command: float  # The same of the model's constant, line and initial states alone
     predicted: Array  # (N,), measurement unit
     poles: Poles  # Of the filters
@@ -192,10 +195,13 @@ def _fit(command: Array, measured: Array, thresholds: Sequence[float], poles: Po
             break
         poles = _relocated(poles, np.linalg.solve(normal, product)[model:] / sizes[model:], count)
     left, predicted, alone, poles = best
-    unexplained, without_command = (float(np.mean((wanted - made)[fitted:] ** 2)) for made in (predicted, alone))
+    remainder = (wanted - predicted)[fitted:]
+    unexplained, without_command = float(np.mean(remainder**2)), float(np.mean((wanted - alone)[fitted:] ** 2))
+    beyond = max(float(np.mean(remainder[APART:] * remainder[:-APART])), CHANCE * unexplained / float(np.sqrt(len(remainder))))
     number = (np.arange(count) * BLOCKS // count // HELD_OUT)[held_out]
-    by_block = np.bincount(number, (wanted - predicted)[fitted:] ** 2) / np.bincount(number)
-    return Reference(unexplained, left, by_block, without_command, measured[0] + predicted[place] * size, poles, bool(thresholds))
+    by_block = np.bincount(number, remainder**2) / np.bincount(number)
+    made = measured[0] + predicted[place] * size
+    return Reference(unexplained, left, by_block, beyond, without_command, made, poles, bool(thresholds))
 
 
 def _inputs(command: Array, thresholds: Sequence[float]) -> Array:
