@@ -254,14 +254,14 @@ def test_modes_that_few_poles_do_not_show():
 
 
 def test_a_frequency_response_of_few_lines_is_not_overfitted():
-    """The answer to 25 sines is 50 equations, however many rows: ten poles, two of them undamped, fitted the noise of the lines."""
-    frequency = np.geomspace(0.01, 2.0, 25)
-    random = np.random.default_rng(4)
-    scatter = 1.0 + 0.05 * (random.normal(size=25) + 1j * random.normal(size=25))
+    """The answer to 20 sines is 40 equations, however many rows: ten poles, two of them undamped, fitted the noise of the lines."""
+    frequency = np.geomspace(0.03, 1.0, 20)
+    random = np.random.default_rng(7)
+    scatter = 1.0 + 0.05 * (random.normal(size=20) + 1j * random.normal(size=20))
     true = 3.0 / (1.0 + 2j * np.pi * frequency * 2.0) * np.exp(-2j * np.pi * frequency * 0.3)
     rows_of = [frequency, (true * scatter).real, (true * scatter).imag]
     columns = [Column(topic, (str(i),), unit, (1.0,)) for i, (topic, unit) in enumerate(TOPICS)]
-    data = response_record("lag", columns, {str(i): values for i, values in enumerate(rows_of)}).aligned()[0]
+    data = response_record("lag", columns, {str(i): values[:, None] for i, values in enumerate(rows_of)}).aligned()[0]
     found = rows(identify([data], "linear"))
-    assert found["static_gain"] == pytest.approx(3.0, rel=0.03) and found["delay[0]"] == pytest.approx(0.3, abs=0.03)
+    assert found["static_gain"] == pytest.approx(3.0, rel=0.02) and found["delay[0]"] == pytest.approx(0.3, abs=0.03)
     assert found["frequency[0]"] == pytest.approx(1 / (4 * np.pi), rel=0.05)

@@ -178,3 +178,8 @@ def test_a_delay_is_exact_whatever_its_share_of_an_internal_step(together):
 def test_effects_that_make_no_sense_are_named(effects, words):
     with pytest.raises(PlantError, match=words):
         load_plant({"plant": "pea", "effects": effects})
+
+
+def test_a_fault_of_effects_that_the_caller_gives_is_not_told_of_the_file():
+    with pytest.raises(PlantError, match="^effects: delay: time: unknown parameter"):
+        load_plant("pea", effects=[{"name": "delay", "time": 1e-4}])

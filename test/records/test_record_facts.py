@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, butter, lfilter, sosfilt
 
+from hyst_control import excitation
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.validity.beside_model import REFUTABLE, refutes
 from hyst_control.records.validity.checks import examined
@@ -180,6 +181,14 @@ def test_gaps_of_both_signals_are_counted():
     rows = np.delete(np.arange(len(TIME)), (np.arange(300, 5500, 400)[:, None] + np.arange(20)).ravel())
     assert simultaneous_gaps(COMMAND, MEASURED) == 0
     assert 5 <= simultaneous_gaps(COMMAND[rows], MEASURED[rows]) <= 14
+
+
+def test_a_plant_without_dynamics_that_follows_a_rough_command_lost_no_rows():
+    """The `diagnostic` excitation at 1 kHz is rough: a gain answers each of its jumps in the same row, or one later."""
+    command = excitation("diagnostic", 1e3, lowest=0, highest=100, duration=1.0).ravel()
+    noise = np.random.default_rng(0).normal(0, 0.002, len(command))
+    for measured in (0.1 * command, 0.1 * np.append(command[:1], command[:-1])):
+        assert simultaneous_gaps(command, measured + noise) == 0
 
 
 def test_implausible_ranges_name_the_smaller_unit():

@@ -20,6 +20,7 @@ COPY = 1e-4
 """Share of a copy's power that is not proportional to the command, at most; of that, another sample of the command leaves `EXACT` times."""
 EXACT = 1.5
 MIN_GAPS = 5  # Simultaneous jumps of command and measurement that are gaps
+ALONE = 6  # Rows on both sides of a gap in which a smooth command has no other jump
 JUMP = 8.0  # Size of a jump relative to the median second difference of its neighborhood
 MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
 """Fewest outliers that are reported, and the share of the samples from which they count as something else."""
@@ -140,7 +141,9 @@ def simultaneous_gaps(command: Array, measured: Array) -> int:
         rows[6 : len(own) - 6] = np.abs(own[6 : len(own) - 6]) > JUMP * rough + 1e-6 * np.ptp(values)
         rows &= own * around > 0.0
         jumps.append(rows)
-    both = jumps[0] & jumps[1]
+    # A command that jumps in neighboring rows is rough there: a plant without dynamics follows each of its jumps.
+    near = np.convolve(jumps[0], np.ones(2 * ALONE + 1, dtype=int), mode="same")
+    both = jumps[0] & jumps[1] & (near == 1)
     chance = float(jumps[0].mean() * jumps[1].mean() * len(both))
     count = int(both.sum())
     return count if count >= max(MIN_GAPS, 5.0 * chance) else 0
