@@ -12,9 +12,7 @@ import tempfile
 from functools import cache, lru_cache
 from pathlib import Path
 
-import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave
 
 import hyst_control as hc
 from hyst_control.base.arrays import Array
@@ -24,6 +22,12 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.export.fmu import write_fmu
 from hyst_control.export.programs import simulator
 from hyst_control.model_file import Model
+
+try:
+    import fmpy
+    from fmpy.fmi2 import FMU2Slave
+except ImportError:
+    raise SystemExit("fmu_stage: needs FMPy: pip install FMPy") from None
 
 PARAMETERS = {"gain": (1.0, 0.01)}
 RATE = 1000.0

@@ -7,12 +7,16 @@ The torque is the command, the joint's angle the measurement. `pip install mujoc
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
-from mujoco import rollout
 
 import hyst_control as hc
 from hyst_control.base.arrays import Array
+
+try:
+    import mujoco
+    from mujoco import rollout
+except ImportError:
+    raise SystemExit("mujoco_joint: needs MuJoCo: pip install mujoco") from None
 
 PARAMETERS = {
     "armature": (0.01, 0.0005, "kg m²"),

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import tempfile
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,11 +17,15 @@ from hyst_control.api.record import Record
 from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
+from hyst_control.base.quantity import NUMBER, Quantity
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.workflow import GapResult, diagnose_records, diagnose_simulator
+from hyst_control.records.record import Record as BaseRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+WARM_UP = Quantity("warm_up", None, "s", "time that does not count", lower=0.0, kind=NUMBER)
 
 
 @dataclass(frozen=True)
@@ -61,15 +65,20 @@ class Gap(GapResult, Shown):
         return self.words
 
     def to_frame(self) -> Any:
-        """The parameters of the effects as a pandas DataFrame, a row a parameter."""
-        rows = [
+        """Parameters of the effects, and below those of the model that are off, as a pandas DataFrame; a row a parameter."""
+        effects = [
             {"effect": effect["name"], "axis": ", ".join(effect["axis"]), "probability": effect["probability"], "parameter": name}
             | {"value": row["value"], "lower": row["ci90"][0], "upper": row["ci90"][1], "unit": row["unit"]}
             for effect in self.document["effects"]
             for name, row in effect["parameters"].items()
         ]
-        columns = ["effect", "axis", "probability", "parameter", "value", "lower", "upper", "unit"]
-        return needed("pandas").DataFrame(rows, columns=columns)
+        own = [
+            {"parameter": row["name"], "value": row["value"], "lower": row["ci90"][0], "upper": row["ci90"][1], "unit": row["unit"]}
+            | {"nominal": row["nominal"]}
+            for row in self.document["parameters"]
+        ]
+        columns = ["effect", "axis", "probability", "parameter", "value", "lower", "upper", "unit", "nominal"]
+        return needed("pandas").DataFrame([*effects, *own], columns=columns)
 
     def plot(self, path: str | Path | None = None) -> list[Axes]:
         """Draw measured against simulated signals and the gap, with and without the effects; written to `path` where one is given."""
@@ -90,7 +99,7 @@ class Gap(GapResult, Shown):
 def diagnose(
     records: Record | Sequence[Record],
     model: model_file.Model | Simulate | None = None,
-    baseline: Sequence[Record] = (),
+    baseline: Record | Sequence[Record] = (),
     *,
     parameters: Mapping[str, Sequence[Any]] | None = None,
     without: Sequence[str] = (),
@@ -142,13 +151,29 @@ def diagnose(
     >>> hc.diagnose(machine, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False).verdict
     'parameters'
     """
-    given = [records] if isinstance(records, Record) else list(records)
-    settings: dict[str, Any] = {"without": without, "warm_up": warm_up, "seed": SEED.checked(seed), "progress": verbose}
+    given, before = _records("records", records), _records("baseline", baseline)
+    settings: dict[str, Any] = {
+        "without": without,
+        "warm_up": WARM_UP.checked(warm_up),
+        "seed": SEED.checked(seed),
+        "progress": verbose,
+    }
     with progress.shown(verbose):
         if isinstance(model, model_file.Model) or model is None:
             if parameters is not None:
                 raise InputError("parameters: are those of a function: a model has its own")
-            found = diagnose_records(given, model, list(baseline), **settings)
+            found = diagnose_records(given, model, before, **settings)
         else:
-            found = diagnose_simulator(given, model, parameters or {}, list(baseline), **settings)
+            found = diagnose_simulator(given, model, parameters or {}, before, **settings)
     return promoted(Gap, found)
+
+
+def _records(name: str, given: Record | Sequence[Record]) -> list[Record]:
+    """Records that are given as one or as several."""
+    several = list(given) if isinstance(given, (list, tuple, Iterator)) else [given]
+    for each in several:
+        if not isinstance(each, BaseRecord):
+            raise InputError(
+                f"{name}: {type(each).__name__} is no Record: make one by hc.from_arrays, hc.from_pandas or hc.read_bag"
+            )
+    return several

@@ -357,6 +357,8 @@ def identify(
     ('pi', True)
     """
     START.checked(start)
+    if "model" in options:
+        raise InputError(f"model: the argument is called family: give family={options['model']!r}")
     given = [records] if isinstance(records, Record) else list(records)
     with progress.shown(verbose):
         fit = identify_records(given, family, method=method, start=start, allow_gaps=allow_gaps, force=force, **options)

@@ -47,7 +47,10 @@ def resolved(stages: Sequence[Stage], axes: int) -> tuple[Stage, ...]:
     """The stages, in signal order, with every modifier applied to those before it."""
     result: tuple[Stage, ...] = ()
     for stage in stages:
-        result = stage.applied(result, axes) if isinstance(stage, Modifier) else (*result, stage)
+        if isinstance(stage, Modifier):
+            result = stage.applied(result, axes)
+        else:
+            result = (*result[:-1], *result[-1].followed(stage)) if result else (stage,)
     return result
 
 

@@ -8,6 +8,8 @@ command[k] holds from tick k to tick k + 1, and measurement[k] is the sample at 
 `foh` command and measurement are samples at the same instants. Arrays are (N,) for one axis and (N, A) for several. The stage is no part
 of the vocabulary of model files: a file that is read must not run functions by name.
 
+Lags and delays next to it bend signals within a tick: a function that can be called at finer steps is there called at these.
+
 A function with the attribute `vectorized` also takes parameters (P,) and returns the measurement of each, (P, N) or (P, N, A): columns of
 derivatives are then one call.
 """
@@ -24,8 +26,10 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.bounded_cache import KEPT
+from hyst_control.chain.chain import Chain
+from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.chain.parameter import Coordinate
-from hyst_control.chain.stage import Filter, Role, Sampling, Stage
+from hyst_control.chain.stage import Filter, Modifier, Role, Sampling, Stage
 
 Simulate: TypeAlias = Callable[..., Any]
 
@@ -35,8 +39,15 @@ def title_of(simulate: Simulate) -> str:
     return getattr(simulate, "__qualname__", type(simulate).__qualname__)
 
 
+RECENT = 4  # Calls whose measurement is kept
+STEPS = 4  # Steps a tick of a function that can be called at finer ones
+SAME = 1e-4  # Share of the range by which its samples may differ between both
+SWING = (1.5, 1.5, 0.5, 0.5)  # Factors on a command by which it changes within a tick about the same mean
+SLOW = 0.1  # Share of the range that they may move samples by: of a gain they move them by a quarter at least
+
+
 @dataclass(frozen=True)
-class ExternalSimulator(Stage):
+class ExternalSimulator(Modifier):
     """A Python function from command to measurement, as the plant; effects go before and behind it."""
 
     name: ClassVar[str] = "external_simulator"
@@ -46,9 +57,11 @@ class ExternalSimulator(Stage):
     names: tuple[str, ...]
     values: tuple[float, ...]
     units: tuple[str, ...]
+    steps: int = 1  # Steps a tick where the command changes within a tick
     # Shared by all that are made of one by other values: measurements of commands at rest, and of those that are computed together
     resting: dict[tuple[Any, ...], Array] = field(default_factory=dict, compare=False, repr=False)
     batch: dict[tuple[float, ...], dict[tuple[float, bytes], Array]] = field(default_factory=dict, compare=False, repr=False)
+    recent: dict[tuple[Any, ...], Array] = field(default_factory=dict, compare=False, repr=False)  # Last measurements
 
     def parameters(self) -> dict[str, Any]:
         raise InputError(f"simulator {title_of(self.simulate)}: a Python function is no model file: keep function and parameters")
@@ -64,6 +77,29 @@ class ExternalSimulator(Stage):
     def filter(self, sampling: Sampling) -> Filter:
         return ExternalFilter(self, sampling)
 
+    def applied(self, before: tuple[Stage, ...], axes: int) -> tuple[Stage, ...]:
+        """With the lags and delays right before it within, if it can be called at finer steps."""
+        begin = len(before)
+        while self.steps > 1 and begin and (before[begin - 1].linear or isinstance(before[begin - 1], Delay)):
+            begin -= 1
+        if begin == len(before):
+            return *before, self
+        return *before[:begin], FinelyStepped((*before[begin:], replace(self, steps=1)), self.steps)
+
+    def stepped(self, command: Annotated[Array, "N A"], sample_time: float) -> ExternalSimulator:
+        """The same with finer steps, if these give the same samples of a held command, and its samples are not of the last step alone."""
+        held = np.repeat(command, STEPS, axis=0)
+        swung = command[0] + np.tile(SWING, len(command))[:, None] * (held - command[0])
+        expected = self.run(command, sample_time)
+        try:
+            found = [self.run(rows, sample_time / STEPS)[::STEPS] for rows in (held, swung)]
+        except InputError:
+            return self
+        same, slow = (
+            np.max(np.abs(rows - expected)) <= share * np.ptp(expected) for rows, share in zip(found, (SAME, SLOW), strict=True)
+        )
+        return replace(self, steps=STEPS) if same and slow else self
+
     def settled(self, command: Annotated[Array, "A"], sample_time: float) -> Annotated[Array, "A"]:
         """Measurement at rest at a command."""
         key = (self.values, command.tobytes(), sample_time)
@@ -72,6 +108,12 @@ class ExternalSimulator(Stage):
                 self.resting.clear()
             self.resting[key] = self.run(np.repeat(command[None], 2, axis=0), sample_time)[0]
         return self.resting[key]
+
+    def followed(self, stage: Stage) -> tuple[Stage, ...]:
+        """With a lag behind it within, if it can be called at finer steps."""
+        if self.steps == 1 or not stage.linear:
+            return self, stage
+        return (FinelyStepped((replace(self, steps=1), stage), self.steps),)
 
     def run(self, command: Array, sample_time: float) -> Array:
         """Measurement (N, A) of a command (N, A)."""
@@ -83,7 +125,7 @@ class ExternalSimulator(Stage):
                     each[key] = rows
             output = known[key]
         else:
-            output = self._called(command, sample_time, self.values)
+            output = self._recalled(command, sample_time)
         if not np.isfinite(output).all():
             row = int(np.argmin(np.isfinite(output).all(axis=1)))
             told = ", ".join(f"{name} = {value:g}" for name, value in zip(self.names, self.values, strict=True))
@@ -92,14 +134,25 @@ class ExternalSimulator(Stage):
             )
         return output
 
+    def _recalled(self, command: Array, sample_time: float) -> Array:
+        """Measurement, of the last few calls as it was."""
+        key = self.values, sample_time, command.tobytes()
+        if key not in self.recent:
+            if len(self.recent) >= RECENT:
+                self.recent.pop(next(iter(self.recent)))
+            self.recent[key] = self._called(command, sample_time, self.values)
+        return self.recent[key]
+
     def _called(self, command: Array, sample_time: float, values: Sequence[Any] | Array) -> Array:
         """Measurement (N, A), or (P, N, A) where each of the values is an array (P,)."""
         where, (count, axes), sets = f"simulator {title_of(self.simulate)}", command.shape, np.shape(values)[1:]
         parameters = dict(zip(self.names, values, strict=True))
         try:
             given = self.simulate(command[:, 0].copy() if axes == 1 else command.copy(), sample_time, **parameters)
+            if np.iscomplexobj(given):
+                raise TypeError("complex values: return real ones")
             output = np.array(given, dtype=float)
-        except Exception as error:  # of any kind: it is foreign code
+        except (Exception, SystemExit) as error:  # of any kind: it is foreign code
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             told = (f"{name}={value.tolist() if sets else format(value, 'g')}" for name, value in parameters.items())
             called = ", ".join(["command", f"{sample_time:g}", *told])
@@ -155,6 +208,37 @@ class ExternalFilter(Filter):
         if self.sampling.hold == "zoh":
             return np.concatenate([self.command[1:], self.command[-1:]])
         return np.concatenate([0.5 * (self.command[1:] + self.command[:-1]), self.command[-1:]])
+
+
+@dataclass(frozen=True)
+class FinelyStepped(Stage):
+    """A simulator and the lags and delays next to it, with several steps a tick; part of a started chain only."""
+
+    ROLES: ClassVar[Role] = ExternalSimulator.ROLES
+    stages: tuple[Stage, ...]
+    steps: int
+
+    def followed(self, stage: Stage) -> tuple[Stage, ...]:
+        return (replace(self, stages=(*self.stages, stage)),) if stage.linear else (self, stage)
+
+    def filter(self, sampling: Sampling) -> Filter:
+        chain = Chain(self.stages)
+        if sampling.hold != "zoh" or not sampling.first_tick:
+            return chain.filter(sampling)
+        return FinelySteppedFilter(chain.filter(replace(sampling, sample_time=sampling.sample_time / self.steps)), self.steps)
+
+
+class FinelySteppedFilter(Filter):
+    """Streaming `FinelyStepped`."""
+
+    def __init__(self, running: Filter, steps: int) -> None:
+        self.running, self.steps, self.hold = running, steps, running.hold
+
+    def settle(self, value: Array) -> Array:
+        return self.running.settle(value)
+
+    def process(self, block: Array) -> Array:
+        return self.running.process(np.repeat(block, self.steps, axis=0))[self.steps - 1 :: self.steps]
 
 
 def external_simulator(simulate: Simulate, parameters: Mapping[str, Sequence[Any]]) -> tuple[ExternalSimulator, tuple[float, ...]]:

@@ -283,6 +283,10 @@ class Stage:
         """Linear stages in its place for small signals on so many axes; empty where it changes none, None where none does."""
         return () if self.only_limits else None
 
+    def followed(self, stage: Stage) -> tuple[Stage, ...]:
+        """This stage and the one right behind it as a chain starts them."""
+        return self, stage
+
     def at_rest(self, signal: Array) -> Array:
         """Output without rates, delays and dynamics, rows (N, A).
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
     part = record.aligned(allow_gaps=True)[0]
     stage, deviations = external_simulator(simulate, parameters)
     _check_repeatable(stage, part.command, part.sample_time)
+    stage = stage if record.hold == "foh" else stage.stepped(part.command, part.sample_time)
     known = {"parameters": [f"{stage.name}.{name}" for name in stage.names], "factor": np.diag(deviations).tolist()}
     return Model(
         name=title_of(simulate),
@@ -44,7 +46,7 @@ def simulator_model(simulate: Simulate, parameters: Mapping[str, Sequence[Any]],
 
 def _check_repeatable(stage: ExternalSimulator, command: Array, sample_time: float) -> None:
     """Refuse a function whose second call gives something else: derivatives by differences would be noise."""
-    if not np.array_equal(stage.run(command, sample_time), stage.run(command, sample_time)):
+    if not np.array_equal(stage.run(command, sample_time), replace(stage, recent={}).run(command, sample_time)):
         raise InputError(
             f"simulator {title_of(stage.simulate)}: a second call gives other values: begin each call from the same state, and seed "
             "its random numbers"
@@ -62,7 +64,7 @@ def named_simulator(name: str) -> Simulate:
         found: Any = importlib.import_module(module)
         for part in attribute.split("."):
             found = getattr(found, part)
-    except Exception as error:  # of any kind: it is foreign code
+    except (Exception, SystemExit) as error:  # of any kind: it is foreign code
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(
             f"--simulator {name}: cannot be imported ({reason}): start from the folder that the module is in"

@@ -114,11 +114,10 @@ def diagnose_bags(
     for path in (json, report, augmented):
         if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
             raise InputError(f"{path}: {Path(os.path.realpath(path)).parent} is no folder: choose one that exists")
+    if learned_residual and simulator is not None:
+        raise InputError("--learned-residual: is a stage of a model file, which a Python function is not: leave it out")
     if learned_residual and augmented is None:
         raise InputError("--learned-residual: is a stage of the augmented model: give --augmented with the file to write")
-    for name in without:
-        if name not in EFFECTS:
-            raise InputError(f"--without {name}: no such effect, one of {', '.join(EFFECTS)} is due")
     if simulator is None and parameters is not None:
         raise InputError(f"--parameters {parameters}: are those of a simulator: give --simulator module:function")
     if simulator is not None and (other := model or augmented) is not None:
@@ -172,6 +171,7 @@ def diagnose_records(
 ) -> GapResult:
     """Diagnose records that are measurements of their command; say so of those that are none."""
     # coming: name and rows (N, A) of the command of a future run. settings: as `diagnosed` has them
+    _check_effects(settings.get("without", ()))
     lost, notes = losses([*records, *baseline])
     with beside(lambda: (None, []) if model is None else invalid_report(records, model)) as checked:
 
@@ -198,6 +198,15 @@ def diagnose_records(
         except InputError as error:
             raise InputError(f"--on {coming[0]}: {error}") from None
     return GapResult(document, in_words(document), diagnosis, better)
+
+
+def _check_effects(without: Sequence[str]) -> None:
+    """Refuse names of effects that do not exist."""
+    if isinstance(without, str):
+        raise InputError(f"without: {without!r}, must be a list of effects: give [{without!r}]")
+    for name in without:
+        if name not in EFFECTS:
+            raise InputError(f"without: {name!r} is no such effect, one of {', '.join(EFFECTS)} is due")
 
 
 def diagnose_simulator(

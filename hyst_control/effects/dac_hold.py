@@ -116,7 +116,9 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     return (
         Parameter("samples", "", 1.0, tuple(float(held) for held in HELD), 1.0, 20.0, 3.0),
         Parameter("phase", "", 0.0, (0.0,), 0.0, 20.0, 1.0, told=False),
-        Parameter("step", "V", 0.0, (0.002 * reach, 0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.01 * reach, suggested=True),
+        Parameter(
+            "step", "command", 0.0, (0.002 * reach, 0.01 * reach, 0.05 * reach), 0.0, 0.25 * reach, 0.01 * reach, suggested=True
+        ),
         Parameter("rounding", "", 0.0, (0.0,), 0.0, 4.0, 1.0, told=False),
     )
 

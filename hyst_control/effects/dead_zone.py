@@ -41,15 +41,15 @@ class DeadZone(Stage):
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:
-    """Zone about 0 V, or about a point that is fitted, up to a quarter of the drive's range."""
+    """Zone about 0, or about a point that is fitted, up to a quarter of the drive's range."""
     low, high = around.command
     reach = max(high - low, 1e-9)
     half = (0.01 * reach, *3 * (0.05 * reach,))
     starts = tuple(low + share * reach for share in (0.5, 0.5, 0.3, 0.7))
     return (
-        Parameter("half_width", "V", 0.0, half, 0.0, 0.25 * reach, 0.03 * reach),
+        Parameter("half_width", "command", 0.0, half, 0.0, 0.25 * reach, 0.03 * reach),
         # At an end of the range it would be an offset, or a limit.
-        Parameter("center", "V", 0.0, starts, low + 0.1 * reach, high - 0.1 * reach, 0.1 * reach),
+        Parameter("center", "command", 0.0, starts, low + 0.1 * reach, high - 0.1 * reach, 0.1 * reach),
     )
 
 

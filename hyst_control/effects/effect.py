@@ -52,8 +52,8 @@ class Surroundings:
 
     sample_time: float  # s
     duration: float  # s
-    command: tuple[float, float]  # (lower, upper) V of the record
-    slew: float  # V/s, the largest of the command
+    command: tuple[float, float]  # (lower, upper) of the record, in its unit
+    slew: float  # The largest of the command, in its unit per s
     measurement: tuple[float, float]  # (lower, upper) of the record, in its unit
     axes: int
     lowest_frequency: float = 1.0  # Lowest frequency that the command excites, Hz
@@ -80,7 +80,7 @@ class Parameter:
     """A parameter of an effect: where fits begin, its bounds and its prior."""
 
     name: str  # By which the gap report has it
-    unit: str  # "" (a share), "s", "Hz", "V", "V/s", or "unit" for that of the measurement
+    unit: str  # "" (a share), "s", "Hz", "unit" for that of the measurement, "command" for that of the command, or "command/s"
     absent: float  # Value at which the effect is not there
     starts: tuple[float, ...]  # Where fits begin
     lower: float

@@ -32,7 +32,7 @@ EFFECT = Effect(
     "saturation",
     "drive",
     "The driver clips the command.",
-    lambda around: limits("V", *around.command, 1e-3, True),  # at the end of the range that is driven a limit does nothing
+    lambda around: limits("command", *around.command, 1e-3, True),  # at the end of the range that is driven a limit does nothing
     lambda values, around: Saturation(values["lower"], values["upper"], values.get("knee", 0.0)),
     variants=lambda around: ({"knee": 0.0}, {}),
     exercised=lambda around: around.command[1] > around.command[0],

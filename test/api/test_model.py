@@ -243,3 +243,8 @@ def test_families_take_the_record_of_the_front_door():
         np.testing.assert_allclose(simulate(found, record.command), record.measurement, atol=1e-6)
     with pytest.raises(hc.InputError, match="every tick of one clock"):
         identify([record.merge(record)], "linear", order=1)
+
+
+def test_the_family_called_model_is_said():
+    with pytest.raises(hc.InputError, match="model: the argument is called family: give family='linear'"):
+        hc.identify(hc.from_arrays(COMMAND, COMMAND, RATE), model="linear")

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
@@ -14,6 +16,7 @@ from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.workflow import diagnose_records
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
+from test.diagnose.conftest import all_but
 
 RATE, ROWS = 1000.0, 4000
 TIME = np.arange(ROWS) / RATE
@@ -152,3 +155,97 @@ def test_a_limit_that_the_command_hardly_reaches_is_not_told():
     found = diagnosed(command, lagged, slow, {**GAIN, "corner": (300.0, 3.0, "1/s")})
     values = values_of(found, "saturation")
     assert values["upper"] == pytest.approx(70.0, rel=0.01) and "lower" not in values
+
+
+STEPS_OF_COMMAND = np.repeat(np.append(0.0, np.random.default_rng(6).uniform(-8.0, 8.0, ROWS // 20 - 1)), 20)
+
+
+def resonant(command, sample_time, frequency):
+    """A mode of a held command, at a tenth of the rate."""
+    w = 2 * np.pi * frequency
+    top, bottom, _ = cont2discrete(([w * w], [1.0, 0.1 * w, w * w]), sample_time)
+    return lfilter(np.ravel(top), bottom, command)
+
+
+MODE = {"frequency": (100.0, 1.0, "Hz")}
+
+
+def fine(command, times=20):
+    """A command held at finer steps."""
+    return np.repeat(command, times)
+
+
+@pytest.mark.parametrize("ticks", [0.5, 1.35])
+def test_a_delay_of_a_part_of_a_tick_before_a_fast_mode(ticks):
+    rows, late = fine(STEPS_OF_COMMAND), round(20 * ticks)
+    measured = resonant(np.append(np.full(late, rows[0]), rows[:-late]), 1 / RATE / 20, 100.4)[::20]
+    found = diagnosed(STEPS_OF_COMMAND, measured, resonant, MODE)
+    assert values_of(found, "delay")["tau"] == pytest.approx(ticks / RATE, rel=0.02)
+
+
+def test_a_lag_before_a_linear_function_is_as_well_one_behind_it():
+    """And either has the cutoff of the machine, which is a fifth of the rate."""
+    pole = np.exp(-2 * np.pi * 200.0 / RATE / 20)
+    measured = lfilter([0.5 * (1.0 - pole)] * 2, [1.0, -pole], resonant(fine(STEPS_OF_COMMAND), 1 / RATE / 20, 30.1))[::20]
+    found = diagnosed(STEPS_OF_COMMAND, measured, resonant, {"frequency": (30.0, 0.5, "Hz")})
+    cutoffs = {effect["name"]: effect["parameters"]["cutoff"]["value"] for effect in found.document["effects"]}
+    assert cutoffs == {name: pytest.approx(200.0, rel=0.02) for name in ("amplifier_lowpass", "sensor_lowpass")}
+
+
+def test_a_parameter_that_is_off_is_told_with_its_value(tmp_path):
+    pytest.importorskip("pandas")
+    found = diagnosed(STEPS_OF_COMMAND, simulate(STEPS_OF_COMMAND, 1 / RATE, 0.11))
+    (row,) = found.document["parameters"]
+    assert row["ci90"][0] < 0.11 < row["ci90"][1] and (row["nominal"], row["unit"]) == (0.1, "um/V")
+    assert re.search(r"parameters: gain is 0\.1[01]\d* ± \S+ um/V, the model has 0\.1 \(\+5\.0 σ\)\.", found.summary())
+    frame = found.to_frame().set_index("parameter").loc["gain"]
+    assert (frame["value"], frame["nominal"], frame["unit"]) == (row["value"], 0.1, "um/V")
+    found.save(tmp_path / "gap.html")
+    assert len(re.findall(r"0\.1[01]\d* ± \S+ um/V", (tmp_path / "gap.html").read_text())) == 2
+
+
+def test_a_command_in_ampere_is_told_in_ampere(tmp_path):
+    dead = np.sign(STEPS_OF_COMMAND) * np.maximum(np.abs(STEPS_OF_COMMAND) - 0.4, 0.0)
+    noise = 0.01 * np.random.default_rng(5).standard_normal(ROWS)
+    record = hc.from_arrays(STEPS_OF_COMMAND, resonant(dead, 1 / RATE, 30.0) + noise, rate=RATE, command_unit="A", unit="V")
+    found = hc.diagnose(record, resonant, parameters={"frequency": (30.0, 0.5, "Hz")}, without=all_but("dead_zone"), verbose=False)
+    assert found.document["effects"][0]["parameters"]["half_width"]["unit"] == "A"
+    assert re.search(r"dead zone of ±0\.(4|39\d|40\d) A in the drive", found.summary())
+    found.save(tmp_path / "gap.html")
+    assert "command [A]" in (tmp_path / "gap.html").read_text()
+
+
+def leaving(command, sample_time, gain):
+    raise SystemExit("no license")
+
+
+RECORD = hc.from_arrays(STEPS_OF_COMMAND, simulate(STEPS_OF_COMMAND, 1 / RATE, 0.1), rate=RATE)
+
+
+@pytest.mark.parametrize(
+    ("records", "model", "more", "said"),
+    [
+        (simulate, RECORD, {}, "records: function is no Record: make one by"),
+        (STEPS_OF_COMMAND, simulate, {}, "records: ndarray is no Record"),
+        ("record", simulate, {}, "records: str is no Record"),
+        ([RECORD, "record"], simulate, {}, "records: str is no Record"),
+        (RECORD, simulate, {"baseline": "record"}, "baseline: str is no Record"),
+        (RECORD, simulate, {"warm_up": "0.1"}, "warm_up: must be a number >= 0 s, got '0.1'"),
+        (RECORD, simulate, {"without": ["dellay"]}, "without: 'dellay' is no such effect, one of dac_hold, delay"),
+        (RECORD, simulate, {"without": "delay"}, r"without: 'delay', must be a list of effects: give \['delay'\]"),
+        (RECORD, leaving, {}, "simulator leaving: SystemExit: no license: mend it, and try"),
+        (RECORD, lambda command, sample_time, gain: 1j * command, {}, "complex values: return real ones"),
+    ],
+)
+def test_a_careless_call_is_one_line(records, model, more, said):
+    with pytest.raises(hc.InputError, match=said) as raised:
+        hc.diagnose(records, model, parameters=GAIN, verbose=False, **more)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_baseline_may_be_one_record():
+    few = all_but("delay")
+    one, several = (
+        hc.diagnose(RECORD, simulate, given, parameters=GAIN, without=few, verbose=False) for given in (RECORD, [RECORD])
+    )
+    assert one.document == several.document

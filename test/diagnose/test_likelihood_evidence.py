@@ -90,3 +90,13 @@ def test_a_parameter_stays_within_its_range_and_the_others_go_on():
     slope = float(design[:, 1] @ (weights * (left - design[:, 1] * bounded.value[1])))
     pull = bounded.value[1] / (1.0 + (bounded.value[1] / TAIL) ** 2)
     assert slope == pytest.approx(pull, abs=0.05) or abs(bounded.value[1]) == pytest.approx(1.0)
+
+
+def test_derivatives_that_run_away_end_in_no_error_and_are_not_for_free():
+    """At the edge of stability every derivative is the same runaway: beside these the curvature's other directions are rounding."""
+    design, residual = problem(2)
+    wild = np.hstack([design, 1e36 * design[:, :1] * np.array([1.0, 1.0, 2.0])])
+    degrees = np.full(2, 6.0)
+    usual = log_evidence(fit_of(design, residual, [False, True]), HALVES, VARIANCE, degrees).value
+    found = log_evidence(fit_of(wild, residual, [False] + 4 * [True], 40.0), HALVES, VARIANCE, degrees).value
+    assert np.isfinite(found) and found < usual - 50.0

@@ -52,5 +52,15 @@ def test_the_command_takes_a_function_by_name(tmp_path, monkeypatch, capsys):
     assert "simulator simulate: ZeroDivisionError: division by zero" in capsys.readouterr().err
     assert main([*arguments, "--augmented", "better.yaml"]) == 2
     assert "better.yaml: a Python function is no model file" in capsys.readouterr().err
+    assert main([*arguments, "--learned-residual"]) == 2
+    assert "--learned-residual: is a stage of a model file, which a Python function is not" in capsys.readouterr().err
     assert main(["diagnose", "record", "--parameters", "prior.yaml"]) == 2
     assert "--parameters prior.yaml: are those of a simulator" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "package"), NEEDED.items())
+def test_an_example_without_its_package_is_one_line(name, package, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, f"simulators.{name}", raising=False)
+    with pytest.raises(SystemExit, match=f"{name}: needs .*: pip install"):
+        import_module(f"simulators.{name}")

@@ -103,7 +103,7 @@ def log_evidence(fit: Fit, octaves: Octaves, variance: Array, freedom: Array) ->
         if gained < ENOUGH:
             break
     curvature = _exact(fit, octaves, variance, freedom, curved(fit)[0])
-    occam = -0.5 * float(np.linalg.slogdet(curvature)[1]) + NORMALIZATION * np.count_nonzero(fit.heavy)
+    occam = -0.5 * _log_determinant(curvature) + NORMALIZATION * np.count_nonzero(fit.heavy)
     return LogEvidence(best + occam, fit, curvature, variance, freedom)
 
 
@@ -119,7 +119,7 @@ def _exact(fit: Fit, octaves: Octaves, variance: Array, freedom: Array, rough: A
 
 def _inside(fit: Fit, curvature: Array, slope: Array) -> Array:
     """Newton's step; what would leave its range is held at its end, and the others go on from there."""
-    step: Array = np.linalg.solve(curvature, slope).astype(np.float64)
+    step = _solved(curvature, slope)
     out = np.flatnonzero((fit.value + step < fit.lower) | (fit.value + step > fit.upper))
     if not len(out):
         return step
@@ -127,8 +127,22 @@ def _inside(fit: Fit, curvature: Array, slope: Array) -> Array:
     free = np.setdiff1d(np.arange(len(step)), out)
     fresh = np.empty_like(step)
     fresh[out] = held
-    fresh[free] = np.linalg.solve(curvature[np.ix_(free, free)], slope[free] - curvature[np.ix_(free, out)] @ held)
+    fresh[free] = _solved(curvature[np.ix_(free, free)], slope[free] - curvature[np.ix_(free, out)] @ held)
     return np.clip(fit.value + fresh, fit.lower, fit.upper) - fit.value
+
+
+def _solved(curvature: Array, slope: Array) -> Array:
+    """Newton's step; directions that rounding hides, as where derivatives run away, are not gone along."""
+    size = np.sqrt(np.diag(curvature))
+    step: Array = np.linalg.lstsq(curvature / np.outer(size, size), slope / size, rcond=None)[0] / size
+    return step
+
+
+def _log_determinant(curvature: Array) -> float:
+    """Of a positive curvature; directions that rounding hides count as what rounding leaves, so that they are not for free."""
+    size = np.diag(curvature)
+    values = np.linalg.eigvalsh(curvature / np.sqrt(np.outer(size, size)))
+    return float(np.sum(np.log(size)) + np.sum(np.log(np.maximum(values, np.finfo(float).eps))))
 
 
 def prior_misfit(fit: Fit) -> float:

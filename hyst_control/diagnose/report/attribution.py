@@ -13,13 +13,13 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
 from hyst_control.diagnose.configuration import AttributionSettings
-from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by
+from hyst_control.diagnose.report.coefficient_changes import CoefficientChange, coefficient_changes, repetition
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.validate.cross_validation import HeldOut, held_out, shares, shrink
 from hyst_control.effects import EFFECTS
-from hyst_control.records.correlation import matching_length
+from hyst_control.model_file import Model
 
 Value = tuple[float, tuple[float, float], str]  # Value of a parameter, its 90 % interval and its unit
 
@@ -50,18 +50,19 @@ class Attribution:
 
     effects: tuple[Named, ...]  # The most probable first
     candidates: tuple[tuple[str, float], ...]  # Every effect that was weighed, with its probability
-    # Coefficients that are off, in tolerances from the nominal ones
-    parameters: tuple[tuple[str, float], ...]
+    # Coefficients that are off by more than their tolerance suggests, the furthest first
+    parameters: tuple[CoefficientChange, ...]
 
 
 def attribute(diagnosis: Diagnosis) -> Attribution:
     """Attribute the gap to the effects that the decisions list."""
     found_by_checks = _without_waveform(diagnosis)
+    least = diagnosis.configuration.attribution.coefficient_deviations
     named = sorted(_waveforms(diagnosis) + found_by_checks, key=_rank)
     return Attribution(
         (*named, *_companions(diagnosis)),
         _candidates(diagnosis, found_by_checks),
-        _parameters(diagnosis),
+        tuple(change for change in coefficient_changes(diagnosis) if abs(change.deviations) > least),
     )
 
 
@@ -190,7 +191,7 @@ def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings:
     where = scored.candidate.slices()[index]
     begin = part.linearized.count + where.start
     covariance = scored.solution.covariance[begin : begin + member.size, begin : begin + member.size] / part.found.temper
-    covariance = covariance * _repetition(part.problem)
+    covariance = covariance * repetition(part.problem)
     centre = scored.solution.x[where]
     lower, upper, _ = member.bounds()
     freedom = _freedom(part, settings)
@@ -205,21 +206,15 @@ def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings:
         found[name] = (
             float(value),
             (float(min(low, value - least)), float(max(high, value + least))),
-            member.units().get(name, ""),
+            _unit(member.units().get(name, ""), part.problem.model),
         )
     return found
 
 
-def _repetition(problem: Problem) -> float:
-    """Factor by which a record says less of an effect where the model discrepancy has a size and a correlation alone.
-
-    That error may follow the command as the effect does, and what comes again tells nothing new: of the samples as many count as are
-    independent of two signals of the command's autocorrelation. Where the spectrum of the error is known, its lines are in that.
-    """
-    if problem.own_spectrum is not None or not problem.weighs_own_error:
-        return 1.0
-    length = max(matching_length(piece.counted(piece.command)) for piece in problem.pieces)
-    return max(length / problem.own_correlation, 1.0)
+def _unit(unit: str, model: Model) -> str:
+    """Unit of an effect's parameter, of which some are those of the model's signals."""
+    signals = {"unit": model.units["measurement"], "command": model.units["command"], "command/s": f"{model.units['command']}/s"}
+    return signals.get(unit, unit)
 
 
 def _freedom(part: AxisDiagnosis, settings: AttributionSettings) -> float:
@@ -266,7 +261,7 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
             if effect is None:
                 continue
             parameter = effect.checked_parameter(diagnosis.problem.surroundings)
-            unit = diagnosis.model.units["measurement"] if parameter.unit == "unit" else parameter.unit
+            unit = _unit(parameter.unit, diagnosis.model)
             own = finding.rms**2 if finding.check.is_noise or finding.check.is_of_the_record else 0.0
             probability = float(1.0 - np.exp(-min(finding.gain, 50.0)))
             values = {parameter.name: (finding.value, finding.ci90, unit)}
@@ -297,16 +292,3 @@ def _candidates(diagnosis: Diagnosis, found_by_checks: Sequence[Named]) -> tuple
     ranked = sorted(found.items(), key=lambda item: (-item[1], item[0]))
     least = diagnosis.configuration.attribution.candidate_probability
     return tuple((name, p) for name, p in ranked if p >= least)
-
-
-def _parameters(diagnosis: Diagnosis) -> tuple[tuple[str, float], ...]:
-    """Nominal coefficients that are off by more than their tolerance suggests, in standard deviations of it."""
-    least = diagnosis.configuration.attribution.coefficient_deviations
-    found = []
-    for part in diagnosis.parts:
-        axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
-        scatter = part.linearized.scatter.coefficients
-        found += [
-            (c.name + axis, float(z)) for c, z in zip(scatter, part.coefficients, strict=True) if abs(z) > least and not c.companion
-        ]
-    return tuple(sorted(found, key=lambda item: -abs(item[1])))

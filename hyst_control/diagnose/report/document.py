@@ -14,6 +14,7 @@ import numpy as np
 from hyst_control.diagnose.decide.policy import join
 from hyst_control.diagnose.report.attribution import Attribution, Named
 from hyst_control.diagnose.report.block_replay import Block
+from hyst_control.diagnose.report.coefficient_changes import CoefficientChange
 from hyst_control.diagnose.report.gap_breakdown import SESSION, Rows, stages
 from hyst_control.diagnose.report.next_experiment import next_experiment
 from hyst_control.diagnose.run.diagnosis import Diagnosis
@@ -61,7 +62,7 @@ def gap_report(
             },
             "effects": [_effect(effect) for effect in attribution.effects],
             "candidates": [{"name": name, "probability": _number(p)} for name, p in attribution.candidates],
-            "parameters": [{"name": name, "z": _number(z)} for name, z in attribution.parameters],
+            "parameters": [_parameter(change) for change in attribution.parameters],
             "next_experiment": next_experiment(diagnosis) if with_next else None,
             "augmented_model": augmented,
             "unexplained_share": _number(joint.unexplained),
@@ -176,6 +177,34 @@ def _effect(effect: Named) -> dict[str, Any]:
     }
 
 
+def _parameter(change: CoefficientChange) -> dict[str, Any]:
+    low, high = change.after - change.spread, change.after + change.spread
+    values = {"value": change.after, "ci90": [low, high], "nominal": change.before, "unit": change.unit}
+    return {"name": change.name, "z": change.deviations, **values}
+
+
+def off_by(row: Mapping[str, Any]) -> str:
+    """Say what a parameter is and what the model has; older reports have its deviation alone."""
+    deviations = f"({row['z']:+.1f} σ)"
+    if None in (row.get("value"), *row.get("ci90", ())):
+        return f"{row['name']} {deviations}"
+    value, unit = within(row["value"], 0.5 * (row["ci90"][1] - row["ci90"][0])), f" {row['unit']}".rstrip()
+    return f"{row['name']} is {value}{unit}, the model has {plain(row['nominal'])} {deviations}"
+
+
+def within(value: float, half: float) -> str:
+    """Write a value with half of its 90 % interval, to two digits of that."""
+    known = 0.0 < half < math.inf and value
+    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(half)) + 2 if known else 4
+    return f"{plain(value, max(digits, 2))} ± {plain(half, 2)}"
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """Write a number to these digits, or to whole ones below a million."""
+    whole = len(f"{abs(value):.0f}") if abs(value) < 1e6 else 0
+    return f"{value:.{max(digits, whole)}g}"
+
+
 def _number(value: float | None) -> float | None:
     """A JSON number; null where there is none."""
     return None if value is None or not math.isfinite(value) else float(value)
@@ -216,10 +245,10 @@ def sentence(report: dict[str, Any]) -> str:
             return f"No gap beyond {known.strip(', ')} and the noise: simulation and record differ by {size}. {moved}"
         return f"No gap beyond the model's tolerances{known} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
-        worst = ", ".join(f"{row['name']} ({row['z']:+.1f} σ)" for row in report["parameters"][:3])
+        worst = "; ".join(off_by(row) for row in report["parameters"][:3])
         if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:
             return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
-        return f"The gap of {size} is caused by the model's parameters: re-identify {worst or 'the nominal model'}."
+        return f"The gap of {size} is caused by the model's parameters: {worst or 're-identify the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
         near = _nearest(report, names)
         if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
@@ -322,7 +351,7 @@ def in_words(report: dict[str, Any]) -> str:
     for block in report["replay"]:
         lines.append(f"  {block['name']}: {block['text']}")
     if report["parameters"]:
-        lines.append("  coefficients off: " + ", ".join(f"{row['name']} {row['z']:+.1f} σ" for row in report["parameters"][:6]))
+        lines.append("  coefficients off: " + "; ".join(off_by(row) for row in report["parameters"][:6]))
     if report["next_experiment"]:
         following = report["next_experiment"]
         lines.append(

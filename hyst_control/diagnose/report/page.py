@@ -20,8 +20,8 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.signals import averaged_periodogram
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
-from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
-from hyst_control.diagnose.report.document import sentence
+from hyst_control.diagnose.report.coefficient_changes import LIKELY, coefficient_changes
+from hyst_control.diagnose.report.document import plain, sentence, within
 from hyst_control.diagnose.report.rejected_hypotheses import Rejected, rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
@@ -42,12 +42,11 @@ MAX_FIGURES = 4
 MAX_CANDIDATES = 12
 MAX_REJECTED = 8
 MAX_COEFFICIENTS = 15
-LIKELY = 1.645  # Standard deviations on either side that hold 90 %
 PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
 MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
 ADVICE = {
     Verdict.NO_GAP: "Nothing: the simulator explains the record within noise and tolerance.",
-    Verdict.PARAMETERS: "Identify the model again from these records (hyst identify): its coefficients have changed.",
+    Verdict.PARAMETERS: "Take the values above, or identify the model again (hyst identify): its parameters have changed.",
     Verdict.EFFECT: "Look for its cause ({effects}) in the machine, or simulate with the augmented model. Confirm it with a second record.",
     Verdict.AMBIGUOUS: "Record another signal: {effects} explain this record equally well.",
     Verdict.UNKNOWN: "Look at the residual and at where the gap lies: no effect of the catalogue explains it.",
@@ -113,7 +112,7 @@ def write_page(
         candidates=figure_markup(_candidates(weighed), 150 + 28 * len(weighed)) if weighed else None,
         next_experiment=document["next_experiment"],
         coefficients=[
-            (row.name, f"{row.before:.5g}", f"{row.after:.5g}", f"{row.deviations:+.1f}")
+            (row.name, plain(row.before, 5), f"{within(row.after, row.spread)} {row.unit}".rstrip(), f"{row.deviations:+.1f}")
             for row in coefficient_changes(diagnosis, MAX_COEFFICIENTS)
         ],
         replay=[(block["name"], block["text"]) for block in document["replay"]],
@@ -313,7 +312,7 @@ def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> Figure:
             if name != "measured":
                 error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
                 figure.add("scatter", 2, axis + 1, x=x, y=error, showlegend=False, **look)
-    figure.axes("x", 2, title="command [V]")
+    figure.axes("x", 2, title=f"command [{diagnosis.model.units['command']}]")
     figure.axes("y", 1, 1, title=f"displacement [{unit}]")
     figure.axes("y", 2, 1, title=f"measured − curve [{unit}]")
     return figure
