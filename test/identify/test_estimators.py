@@ -317,4 +317,6 @@ def test_the_uncertainty_is_of_physical_size_and_makes_models(name, fits):
     for seed in range(5):
         drawn = scatter.at(np.random.default_rng(seed).normal(size=len(scatter.coefficients)))
         change = simulate(model.with_stages(drawn), command) - nominal
-        assert 0.0 < np.std(change) < 0.05 * np.ptp(nominal)
+        # Of a family that fits its plant to the last bit the covariance is rounding, which may move the output or not.
+        exact = np.linalg.norm(factor) < 1e-9 * np.linalg.norm(sizes)
+        assert (exact or 0.0 < np.std(change)) and np.std(change) < 0.05 * np.ptp(nominal)

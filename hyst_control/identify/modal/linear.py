@@ -50,6 +50,7 @@ DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 2
 MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
+LOBE = 8  # Bins that one sine fills
 UNSURE = 0.1  # Relative standard deviation of the static gain from which a note says it
 
 
@@ -164,7 +165,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
             f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
         )
     equations = _equations(windows)
-    orders = [options.order] if options.order else [order for order in ORDERS if LEAST_ROWS * order < min(total, equations)]
+    orders = [options.order] if options.order else [order for order in ORDERS if order == 1 or LEAST_ROWS * order < min(total, equations)]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
     tried: list[Candidate] = []
@@ -313,7 +314,12 @@ def _equations(windows: Sequence[Window]) -> float:
         lines = drive > SILENT * drive.max()
         if lines.mean() > 0.5 or answer[~lines].sum() > SILENT * answer.sum():
             return np.inf
-        count += 2.0 * np.count_nonzero(lines[1:-1] & (drive[1:-1] > drive[:-2]) & (drive[1:-1] >= drive[2:]))
+        peaks = lines[1:-1] & (drive[1:-1] > drive[:-2]) & (drive[1:-1] >= drive[2:])
+        begins, ends = (np.flatnonzero(np.diff(lines.astype(int), prepend=0, append=0) == sign) for sign in (1, -1))
+        for begin, end in zip(begins, ends, strict=True):
+            sines = max(int(np.count_nonzero(peaks[max(begin - 1, 0) : end])), 1)
+            # A run of many bins with few peaks is no row of sines, but a sweep.
+            count += 2.0 * (sines if end - begin <= 4 * LOBE * sines else end - begin)
     return count
 
 
