@@ -170,7 +170,7 @@ def diagnose(
 
 def _records(name: str, given: Record | Sequence[Record]) -> list[Record]:
     """Records that are given as one or as several."""
-    several = list(given) if isinstance(given, (list, tuple, Iterator)) else [given]
+    several: list[Any] = list(given) if isinstance(given, (list, tuple, Iterator)) else [given]
     for each in several:
         if not isinstance(each, BaseRecord):
             raise InputError(

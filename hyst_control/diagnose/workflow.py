@@ -251,7 +251,8 @@ def diagnosed(
     tell("shrink on held-out blocks")
     with beside(partial(budget, diagnosis)) as split:
         attribution = attribute(diagnosis)
-        better = augmented_model(diagnosis) if attribution.effects and model is not None else None
+        useful = any(effect.shrink is None or effect.shrink > 0.0 for effect in attribution.effects)
+        better = augmented_model(diagnosis) if useful and model is not None else None
         remainder = remainder_of(diagnosis)
         added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
         if added and model is not None and remainder is not None:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,9 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.command_features import FEATURES, CommandFeatures, FeatureFilter
 from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.problem.problem import Piece, Problem
+from hyst_control.diagnose.report import unknown_remainder
 from hyst_control.diagnose.validate.predictability import learn_residual, predictability
+from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects.learned_residual import LearnedResidual
 from hyst_control.model_file import Model, load_model, model_to_document, save_model, simulate
 
@@ -92,3 +96,21 @@ def test_the_model_file_keeps_every_number_of_the_stage():
     stage, _ = learn_residual(seen, residual(seen), 10)
     written = model_to_document(seen.model.with_stages((stage,)))["chain"][0]
     assert written["stage"] == "learned_residual" and len(written["weights"]) == FEATURES
+
+
+@pytest.mark.parametrize("shrink, added", [(0.4, True), (-0.2, False)])
+def test_a_learned_stage_that_widens_the_gap_on_blocks_held_out_is_not_added(monkeypatch, shrink, added):
+    """It was added at -20 %: the model left thrice as much of its own record."""
+    left = problem(0.3 * np.tanh(COMMAND / 15.0) ** 2)
+    stage, _ = learn_residual(left, residual(left), 10)
+    monkeypatch.setattr(unknown_remainder, "learn_residual", lambda *given: (stage, shrink))
+    monkeypatch.setattr(unknown_remainder, "_as_given", lambda diagnosis, part: residual(left))
+    part = SimpleNamespace(
+        decision=SimpleNamespace(verdict=Verdict.UNKNOWN, remainder=1.0),
+        axes=(0,),
+        problem=left,
+        chosen=SimpleNamespace(solution=SimpleNamespace(residual=residual(left))),
+    )
+    settings = SimpleNamespace(budget=SimpleNamespace(bands=(0.5, 10.0, 100.0)), baseline=SimpleNamespace(blocks=10))
+    found = unknown_remainder.remainder_of(SimpleNamespace(parts=(part,), configuration=settings))
+    assert found is not None and bool(found.stages) == added and found.shrink == shrink

@@ -380,10 +380,9 @@ def _predictable(found: dict[str, Any]) -> list[str]:
             lines.append(f"      {title}: {told}")
     if found["learned"]:
         far, added = found["learned"]["shrink"], found["learned"]["added"]
-        lines.append(
-            f"      a learned residual {'was added: it removes' if added else 'would remove'} {100 * far:.0f} % of what the effects "
-            "leave, on blocks that it was not learned from"
-        )
+        does = "was added: it removes" if added else "would remove"
+        share = f"{does} {100 * far:.0f} %" if far > 0.0 else "would remove nothing"
+        lines.append(f"      a learned residual {share} of what the effects leave, on blocks that it was not learned from")
     return lines
 
 

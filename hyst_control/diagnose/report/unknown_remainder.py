@@ -27,7 +27,7 @@ class Remainder:
     """Remainder of the axes whose gap no known effect explains."""
 
     predictable: Predictability  # Of the axis on which most is left
-    # By the index of an axis: what adds the predictable part to its model. Axes that the model mixes have none
+    # By the index of an axis: what adds the predictable part to its model; none of axes that the model mixes, or where it takes nothing off
     stages: Mapping[int, LearnedResidual]
     # Of the gap beside the effects that are named, with these stages, on blocks not used for the fit; None without a stage
     shrink: float | None
@@ -51,9 +51,10 @@ def remainder_of(diagnosis: Diagnosis) -> Remainder | None:
     stages, shrinks = {}, {}
     for part in unknown:
         if len(part.axes) == 1:
-            stages[part.axes[0]], shrinks[part.axes[0]] = learn_residual(
-                part.problem, _as_given(diagnosis, part), settings.baseline.blocks
-            )
+            stage, shrink = learn_residual(part.problem, _as_given(diagnosis, part), settings.baseline.blocks)
+            shrinks[part.axes[0]] = shrink
+            if shrink > 0.0:  # one that rows held out do not confirm makes the model worse
+                stages[part.axes[0]] = stage
     return Remainder(found, stages, shrinks.get(worst.axes[0]))
 
 
