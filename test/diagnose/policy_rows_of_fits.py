@@ -12,6 +12,7 @@ from test.diagnose.made_evidence import (
     MISFIT,
     NULL,
     QUIET,
+    SAMPLES,
     SMALL,
     UNRELATED,
     changing,
@@ -165,8 +166,17 @@ ROWS = (
         ("a",),
     ),
     Row(
+        "a coefficient many tolerances away, and an effect of more numbers that takes off no more",
+        evidence(
+            effect("a", 40.0), coefficients(60.0, farthest=9.0), base=none(misfit=0.5 * SAMPLES + 70.0, energy=1.0, strain=70.0)
+        ),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_BEYOND_TOLERANCE,),
+        ("",),
+    ),
+    Row(
         "a coefficient many tolerances away, and an effect that explains less",
-        evidence(effect("a", 900.0, left=1.3), coefficients(1010.0, farthest=9.0)),
+        evidence(effect("a", 900.0, left=1.3), coefficients(4010.0, farthest=9.0)),
         V.PARAMETERS,
         (R.COEFFICIENTS_BEYOND_TOLERANCE,),
         ("",),

@@ -73,10 +73,23 @@ ROWS = (
     Row(
         "a lattice beside coefficients that are off",
         evidence(coefficients(), record=(replace(PLAIN, step=1.0),)),
-        V.EFFECT,
-        (R.RECORD_CHECK,),
+        V.PARAMETERS,
+        (R.COEFFICIENTS_BEYOND_TOLERANCE,),
         ("",),
         (C.VALUE_LATTICE,),
+    ),
+    Row(
+        "a lattice within a noise floor that nobody states",
+        evidence(base=SMALL, record=(replace(PLAIN, step=1.0),), stated_noise=(0.0,)),
+        V.NO_GAP,
+        (R.BELOW_NULL,),
+    ),
+    Row(
+        "a lattice far above a noise floor that nobody states",
+        evidence(base=SMALL, record=(replace(PLAIN, step=10.0),), stated_noise=(0.0,)),
+        V.EFFECT,
+        (R.RECORD_CHECK,),
+        checks=(C.VALUE_LATTICE,),
     ),
     Row(
         "a lattice beside two effects that cannot be told apart",

@@ -67,9 +67,11 @@ def test_a_decision_is_consistent(found):
     assert {finding.check for finding in decision.findings} <= found.checks
     assert join([decision]).verdict is decision.verdict and join([decision]).reasons == decision.reasons
     assert {0, decision.chosen} <= set(contenders(found, LIMITS))
-    named = any(found.hypotheses[index].names for index in decision.listed) or bool(decision.findings)
+    fitted = any(found.hypotheses[index].names for index in decision.listed)
+    named = fitted or bool(decision.findings)
     assert named or decision.verdict is not Verdict.EFFECT
-    assert not named or decision.verdict in (Verdict.EFFECT, Verdict.AMBIGUOUS, Verdict.UNKNOWN)
+    assert not fitted or decision.verdict in (Verdict.EFFECT, Verdict.AMBIGUOUS, Verdict.UNKNOWN)
+    assert not named or decision.verdict is not Verdict.NO_GAP
 
 
 @settings(max_examples=60, deadline=None)

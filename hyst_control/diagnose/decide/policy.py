@@ -8,7 +8,7 @@ than the practical size; claims become probabilities by their scores. The verdic
     unknown      the best explanation leaves too much, needs too many effects, one at the end of its range, one whose size changes
                  with something else, or beside effects much is left, or taken up by coefficients far away
     ambiguous    the data cannot separate several explanations
-    effect       one explanation by effects, or a check of the record found something
+    effect       one explanation by effects, or where coefficients are none what a check of the record found
     parameters   the coefficients explain it, further off than their tolerance, or within it where that moves the simulation far
     no_gap       none of these
 """
@@ -70,6 +70,8 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
 
     signs = novelty.signs(evidence, chosen, outweighed, outliers, thresholds)
+    # Fits count with rounding, held samples and white noise. Only noise that they take for white moves coefficients.
+    correlated = noise is not None or shaken is not None
     unknown = {reason for reason, sign in signs.items() if sign > thresholds.novelty_threshold}
     # What leaves much, needs too much or is not itself stands alone: others that are as probable fail as well.
     alone = unknown - {Reason.UNEXPLAINED_SHARE, Reason.OUTLIERS}
@@ -85,7 +87,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
             reasons -= {Reason.OUTLIERS} if unaccounted <= left else set()
     elif len(listed) > 1:
         verdict, reasons = Verdict.AMBIGUOUS, {Reason.SEVERAL_EXPLANATIONS}
-    elif effects or shown or (companions and not listed):
+    elif effects or (shown and (correlated or not listed)) or (companions and not listed):
         verdict = Verdict.EFFECT
         if companions:
             reasons |= {Reason.SESSION_DIFFERS}
@@ -218,7 +220,8 @@ def _has_own_error(evidence: Evidence) -> bool:
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
 
-    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away.
+    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away. By score: where
+    one wrong parameter costs less than the numbers of an effect that does the same, it is the parameter.
     """
     one = evidence.hypotheses[index]
     # Beside baseline records the coefficients are those of these records, and what has changed is an effect if a known one does it.
@@ -231,7 +234,7 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
         and (
             not exceeds(other, one, evidence, thresholds)
             if _has_own_error(evidence)
-            else size * (other.energy - one.energy) <= max(thresholds.added_share * taken_off, evidence.null + thresholds.margin)
+            else one.score - other.score <= thresholds.added_share * taken_off  # a stage may differ from the physics by as much
         )
         and not strained(other.strain, evidence.coefficients, thresholds)
         for other in (evidence.hypotheses[i] for i in claims)

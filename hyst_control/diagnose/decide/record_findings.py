@@ -71,6 +71,7 @@ def findings(
         finding
         for finding in detected(evidence.record, evidence.checks, thresholds)
         if not (finding.check is RecordCheck.REPEATED_VALUES and (holds or is_stuck(evidence.record[finding.axis], thresholds)))
+        and not _is_within_floor(finding, evidence, thresholds)
     ]
     outliers: list[Outliers] = []
     hidden = noise is not None and noise.top > thresholds.flicker_hides
@@ -126,6 +127,13 @@ def _is_own_error(noise: Finding, evidence: Evidence, thresholds: Thresholds) ->
     if evidence.whitened or evidence.clean_noise:
         return False
     return (noise.rms / evidence.noise[noise.axis]) ** 2 < thresholds.noise_own_share * (evidence.stated - 1.0)
+
+
+def _is_within_floor(finding: Finding, evidence: Evidence, thresholds: Thresholds) -> bool:
+    """True for rounding that the noise floor has in it, where neither model nor baseline records say how much noise is usual."""
+    usual = evidence.stated_noise[finding.axis] > 0.0 or evidence.whitened or evidence.carried or evidence.clean_noise
+    limit = thresholds.beyond_clean * evidence.noise[finding.axis]
+    return finding.check is RecordCheck.VALUE_LATTICE and not usual and finding.rms <= limit
 
 
 def is_stuck(seen: RecordEvidence, thresholds: Thresholds) -> bool:

@@ -34,6 +34,8 @@ from hyst_control.diagnose.search.fit import Linearized, Solution, fit, refined
 from hyst_control.diagnose.search.starts import Begun, begin, gone_on, misfit_at, within
 from hyst_control.records.correlation import correlation_length
 
+RENEWED = 20  # Most times that the columns of the coefficients alone are renewed
+
 
 @dataclass(frozen=True)
 class FittedHypothesis:
@@ -388,8 +390,8 @@ def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -
 
 
 def settled(linearized: Linearized, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, gone on with columns taken where it ended."""
-    return refined(linearized, None, fit(linearized, z=z))
+    """The fit of the coefficients alone, by columns that are renewed wherever a step comes out other than they promise."""
+    return refined(linearized, None, fit(linearized, z=z, renewed=True), RENEWED, renewed=True)
 
 
 def _gone_on(

@@ -10,7 +10,8 @@ is known by no more than the order of its size):
 
 (w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
 J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
-only the effect's few columns are renewed. `refined` renews them all.
+only the effect's few columns are renewed. `refined` renews them all. Where parameters are far off that leads astray: a fit of the
+coefficients alone has its columns `renewed`, from differences to both sides, as soon as a step takes off less than they promise.
 
 Beside a large gap such steps lead astray where the effect is the wrong one: the coefficients would have to leave their tolerance many
 times over. A fit beside linear coefficients takes ŷ(z, x) = ŷ(0, x) + J z instead, and has the best z for every x.
@@ -50,6 +51,8 @@ LINEAR_FIT_TOLERANCE_FACTOR = 50.0
 
 SAFETY = 4.0  # Factor on what is estimated of the misfit that further steps take off
 LENGTHS = (1.0, 0.5, 0.25, 0.1)  # Lengths of a step that are tried, in full steps
+DAMPED = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)  # The same of a fit whose columns are renewed: its steps are damped to them
+KEPT_PROMISE = 0.25  # Least share of the promised misfit that such a step has to take off: else it is too long for its columns
 
 
 @dataclass(frozen=True)
@@ -96,19 +99,27 @@ class Linearized:
     """The columns J (M, K) of a model's scattered coefficients on its records, prepared once for all fits."""
 
     def __init__(
-        self, problem: Problem, scatter: Scatter, z: Array | None = None, unknowns: Unknowns | None = None, x: Array | None = None
+        self,
+        problem: Problem,
+        scatter: Scatter,
+        z: Array | None = None,
+        unknowns: Unknowns | None = None,
+        x: Array | None = None,
+        two_sided: bool = False,
     ) -> None:
-        """About the nominal coefficients, or about others, with effects at x where unknowns are given."""
+        """About the nominal coefficients, or about others, with effects at x where unknowns are given; by differences to both sides."""
         self.problem, self.scatter = problem, scatter
         self.count = len(scatter.coefficients)
         self.measured = problem.measured()
         centre = np.zeros(self.count) if z is None else z
-        with together(self._known_chains([centre, *(centre + STEP * np.eye(self.count))])) as at_once:
+        sides = (STEP, -STEP) if two_sided else (STEP,)
+        points = [centre, *(centre + step * moved for step in sides for moved in np.eye(self.count))]
+        with together(self._known_chains(points)) as at_once:
             self.nominal = self.simulate(centre, unknowns, x)
             if not is_bounded(self.nominal):
                 raise InputError("model: its simulation of the record grows without limit: check its dynamics")
             parts = np.array_split(np.arange(self.count), 1 if at_once else known_workers())
-            jobs = [(problem, scatter, self.nominal, centre, part, unknowns, x) for part in parts]
+            jobs = [(problem, scatter, self.nominal, centre, part, unknowns, x, two_sided) for part in parts]
             columns = map_known(_columns, jobs)
             self.columns = columns[0] if len(columns) == 1 else np.asfortranarray(np.hstack(columns))
         self.gram = problem.weight * (self.columns.T @ self.columns)
@@ -176,10 +187,12 @@ def _columns(
     wanted: Sequence[int],
     unknowns: Unknowns | None,
     x: Array | None,
+    two_sided: bool,
 ) -> Annotated[Array, "M K'"]:
     """∂ŷ/∂z_k; 0 for a coefficient that can go neither way: a stage may refuse values next to those of the centre, or run away."""
     found = np.zeros((len(nominal), len(wanted)), order="F")  # a column's values side by side: it is faster
     for place, k in enumerate(wanted):
+        sides = list[Array]()
         for step in (STEP, -STEP):
             moved = centre.copy()
             moved[k] += step
@@ -188,8 +201,11 @@ def _columns(
             except InputError:
                 continue
             if is_bounded(column):
-                found[:, place] = column
-                break
+                sides.append(column)
+                if not two_sided:
+                    break
+        if sides:
+            found[:, place] = sum(sides) / len(sides)
     return found
 
 
@@ -203,12 +219,14 @@ def fit(
     weight: Array | None = None,
     rival: float = np.inf,
     linear: bool = False,
+    renewed: bool = False,
 ) -> Solution:
     """Minimize Φ over z and x by damped Gauss-Newton steps.
 
     A step that does not lower Φ is shortened a few times; the fit then ends at the last point. So it does where it is far behind
     another and comes no nearer.
     """
+    # renewed: whether the caller renews the columns where the fit ends: it ends with the first step that they are too old for
     # linear: whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients
     # that it has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this
     # output
@@ -276,23 +294,27 @@ def fit(
         if promise < enough:
             break  # a linear step would gain next to nothing
         better = False
-        for shorter in LENGTHS:
-            if shorter * (2.0 - shorter) * promise < enough:
+        for shorter in DAMPED if renewed else LENGTHS:
+            part = _damped(normal, right, shorter * float(np.linalg.norm(step))) if renewed and shorter < 1.0 else shorter * step
+            promised = float(right @ part - 0.5 * part @ normal @ part)
+            if promised < enough:
                 break
-            new_z, new_x = z + shorter * step[:count], x + shorter * step[count:]
+            new_z, new_x = z + part[:count], x + part[count:]
             if fitted is not None:
                 new_x = np.clip(new_x, fitted.lower, fitted.upper)
             try:
                 new, new_z, new_residual, new_output = tried(new_z, new_x)
             except InputError:
                 continue
-            if np.isfinite(new) and new < misfit:
+            if np.isfinite(new) and misfit - new > (KEPT_PROMISE * promised if renewed else 0.0):
                 better = True
                 break
         if not better:
             break
         gained = misfit - new
         z, x, residual, output, misfit = new_z, new_x, new_residual, new_output, new
+        if renewed and gained < 0.75 * promise:
+            break
         remaining = SAFETY * promise
         if linear and fitted is not None and shorter == LENGTHS[0]:
             # Of a quadratic misfit a full step leaves neither a slope nor a difference between what it promised and what it gained.
@@ -313,6 +335,15 @@ def fit(
         beyond = 1.0 - _prior_weight(x - fitted.centre)
         information = np.asarray(np.linalg.inv(covariance[count:, count:]), dtype=np.float64) + np.diag(beyond)
     return Solution(misfit, z, x, residual, covariance, information, remaining)
+
+
+def _damped(normal: Annotated[Array, "P P"], right: Annotated[Array, "P"], length: float) -> Array:
+    """The step of a length that takes off most: shorter mainly in the directions that the data hardly show (Levenberg, 1944)."""
+    sizes, directions = np.linalg.eigh(normal)
+    along = directions.T @ right
+    damping = sizes[0] * 2.0 ** np.arange(64)
+    lengths = np.linalg.norm(along / (sizes + damping[:, None]), axis=1)
+    return np.asarray(directions @ (along / (sizes + damping[np.argmin(np.abs(lengths - length))])), dtype=np.float64)
 
 
 def effect_columns(
@@ -386,13 +417,18 @@ def _within(normal: Array, right: Array, step: Array, x: Array, unknowns: Unknow
 
 
 def refined(
-    linearized: Linearized, unknowns: Unknowns | None, solution: Solution, rounds: int = 4, rival: float = np.inf
+    linearized: Linearized,
+    unknowns: Unknowns | None,
+    solution: Solution,
+    rounds: int = 4,
+    rival: float = np.inf,
+    renewed: bool = False,
 ) -> Solution:
     """Continue a fit with columns taken at its end, until that gains nothing more or brings it no nearer to a better one."""
     for _ in range(rounds):
         try:
-            here = Linearized(linearized.problem, linearized.scatter, solution.z, unknowns, solution.x)
-            again = fit(here, unknowns, solution.x, solution.z, rival=rival)
+            here = Linearized(linearized.problem, linearized.scatter, solution.z, unknowns, solution.x, renewed)
+            again = fit(here, unknowns, solution.x, solution.z, rival=rival, renewed=renewed)
         except InputError:
             break
         gained = solution.misfit - again.misfit
