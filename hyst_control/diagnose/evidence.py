@@ -102,6 +102,7 @@ class ResidualEvidence:
     distortions: tuple[DistortionEvidence, ...] = ()  # Of its effects
     # A vibration whose phase wanders; None where none stands out, or none was looked for
     hump: HumpEvidence | None = None
+    held_out: float = 0.0  # Share of the gap that it leaves on blocks that neither effects nor coefficients were fitted to
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,20 @@ ROWS = (
         ("a",),
     ),
     Row(
+        "an effect that leaves more than noise, and most of the gap on blocks that it was not fitted to",
+        evidence(effect("a", left=3.0, residual=replace(QUIET, energy=3.0, held_out=0.6))),
+        V.UNKNOWN,
+        (R.UNEXPLAINED_SHARE,),
+        ("a",),
+    ),
+    Row(
+        "an effect that leaves nothing but noise, and on blocks that it was not fitted to a little",
+        evidence(effect("a", residual=replace(QUIET, held_out=0.2))),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+    ),
+    Row(
         "coefficients alone far away",
         evidence(coefficients(farthest=40.0)),
         V.PARAMETERS,

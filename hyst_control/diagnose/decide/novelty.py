@@ -131,7 +131,8 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
         return beyond  # coefficients took all of it
     if one.names:
         beyond = min(beyond, one.taken_up / before)
-    return max(beyond, float(np.clip((residual_of(evidence, chosen).energy - evidence.stated) / before, 0.0, 1.0)))
+    left = residual_of(evidence, chosen)
+    return max(beyond, left.held_out, float(np.clip((left.energy - evidence.stated) / before, 0.0, 1.0)))
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:

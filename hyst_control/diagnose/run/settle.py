@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from hyst_control.base.arrays import Array
@@ -18,7 +19,7 @@ from hyst_control.diagnose.run.prepare import Prepared
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.constancy import distortions
-from hyst_control.diagnose.validate.cross_validation import holds, widens
+from hyst_control.diagnose.validate.cross_validation import holds, left_out, widens
 from hyst_control.diagnose.verdict import Decision
 from hyst_control.effects.effect import RecordCheck
 
@@ -73,7 +74,8 @@ class ContenderTests:
         """Measure what hypotheses leave."""
         prepared, beside = self._prepared, self._baseline
         new = [index for index in indices if index not in self._residuals]
-        same = (prepared.findings, prepared.checks, self._configuration, self._found.temper, beside and beside.usual_zero)
+        none = self._found.none
+        same = (none, prepared.findings, prepared.checks, self._configuration, self._found.temper, beside and beside.usual_zero)
         measured = map_known(_residual, [(prepared.linearized, self._hypotheses[index], *same) for index in new])
         self._residuals.update(zip(new, measured, strict=True))
         return {index: self._residuals[index] for index in indices}
@@ -112,6 +114,7 @@ class ContenderTests:
 def _residual(
     linearized: Linearized,
     scored: FittedHypothesis,
+    none: FittedHypothesis,
     findings: Sequence[Finding],
     checks: frozenset[RecordCheck],
     configuration: Configuration,
@@ -121,4 +124,5 @@ def _residual(
     """Measure the residual of a hypothesis, beside the usual zero of a session (A, 3)."""
     zero = () if usual is None else companions(linearized, scored, usual, temper)
     distorted = distortions(linearized, scored, temper)
-    return residual_evidence(linearized.problem, scored, findings, checks, configuration, zero, distorted)
+    seen = residual_evidence(linearized.problem, scored, findings, checks, configuration, zero, distorted)
+    return replace(seen, held_out=left_out(linearized, scored, none, configuration.reduction))

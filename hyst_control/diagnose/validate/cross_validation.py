@@ -78,6 +78,17 @@ def held_out(
     return nothing, found
 
 
+def left_out(
+    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
+) -> float:
+    """Share of the gap, beyond the noise, that effects leave on blocks that they were not fitted to."""
+    if scored.candidate is None:
+        return 0.0
+    _, (errors,) = held_out(linearized, [scored], none, settings)
+    before, after = float(errors.before_fitted.mean()), float(errors.after_fitted.mean())
+    return float(np.clip((after - 1.0) / max(before - 1.0, 1e-12), 0.0, 1.0))
+
+
 def _beside_companions(columns: Array, residual: Array) -> Array:
     """A residual (N,) without what columns (N, K) explain of it within their priors."""
     if not columns.shape[1]:

@@ -40,6 +40,8 @@ SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
 WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, from the middle of a longer one
 MIN_GAIN = 0.02  # Share of the held-out mean square error by which a larger model has to be better, at least
+WHITE, SURE = 2.0, 4.0
+"""Scatter of the blocks' energies, in that of white noise, up to which what is left is noise, and deviations from which a gain is sure."""
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
 HIDDEN = 0.1  # Share of the least square error under which many poles show that growing has not ended
@@ -48,6 +50,7 @@ TWO_MODES = 4
 DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
 """Delays (samples) with which a search begins."""
 MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
+MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
 LOBE = 8  # Bins that one sine fills
@@ -97,12 +100,32 @@ class Candidate:
         return self.held_out if np.isinf(self.equations) else expected, expected
 
     @property
+    def energies(self) -> Array:
+        """Square errors of the blocks held out."""
+        found: Array = self.solution.grams.blocks[2::3, -1, -1]
+        return found
+
+    @property
+    def scatter(self) -> float:
+        """Relative standard deviation of the blocks' energies, which colored errors widen."""
+        mean = float(np.mean(self.energies)) if len(self.energies) > 1 else 0.0
+        return float(np.std(self.energies)) / mean if mean > 0.0 else 0.0
+
+    @property
+    def leaves_noise(self) -> bool:
+        """True where the energies of the blocks scatter no more than those of white noise do: then any sure gain is one."""
+        rows = self.solution.grams.rows[1] / max(len(self.energies), 1)
+        return 0.0 < self.scatter < WHITE * np.sqrt(2.0 / rows)
+
+    @property
     def doubt(self) -> float:
-        """Share of the held-out error that is within its standard error over the blocks, which colored errors widen."""
-        energies = self.solution.grams.blocks[2::3, -1, -1]
-        if len(energies) < 2 or not np.mean(energies) > 0.0:
-            return MIN_GAIN
-        return max(MIN_GAIN, float(np.std(energies / np.mean(energies)) / np.sqrt(len(energies))))
+        """Share of the held-out error that is within its standard error over the blocks."""
+        return max(MIN_GAIN, self.scatter / np.sqrt(max(len(self.energies), 1)))
+
+    def surely_beats(self, other: Candidate) -> bool:
+        """True where this leaves less of the blocks held out, by far more than the standard error of the difference, and the rest is noise."""
+        less = other.energies - self.energies
+        return self.leaves_noise and float(np.sum(less)) > SURE * float(np.std(less)) * np.sqrt(len(less))
 
 
 @register
@@ -185,15 +208,22 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
                 alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
                 starts[start, variant.direct] = _poles(few, order, start, variant.direct, alike)
             solution = _grown(few, sections, starts[start, variant.direct], start, smaller.get(variant), options.nuisance, still)
-            candidate = smaller[variant] = Candidate(variant, sections, solution, time.perf_counter() - began, exact, equations)
-            table.append(_row(candidate, sample_time, few))
-            if order == orders[0] or not (
-                _beyond_reach(candidate) or (not still and _rings_by_itself(candidate, tried, few, options.nuisance))
-            ):
-                fresh.append(candidate)
+            fresh.append(Candidate(variant, sections, solution, time.perf_counter() - began, exact, equations))
+        nearest = min(fresh, key=lambda each: each.solution.fitted)
+        fresh = [_from_poles_of(nearest, each, few, options.nuisance, still) for each in fresh]
+        smaller.update({each.variant: each for each in fresh})
+        table += [_row(each, sample_time, few) for each in fresh]
+        if order > orders[0]:
+            fresh = [
+                each
+                for each in fresh
+                if not (_beyond_reach(each) or (not still and _rings_by_itself(each, tried, few, options.nuisance)))
+            ]
         least = min(each.held_out for each in smaller.values())
         variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
-        stale = 0 if any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2)) else stale + 1
+        gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
+        known = min(tried, key=lambda each: each.held_out, default=None)
+        stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
         tried += fresh
         if stale >= STALE and order >= TWO_MODES:
             reach = reach or vector_fit(few, spread_poles(orders[-1], longest), late, False, relocations=4).error
@@ -204,7 +234,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     behind = {each: max(own / due for own, due in zip(each.errors, lowest, strict=True)) for each in tried}
     best = min(behind, key=lambda each: behind[each])
     chosen = min(
-        (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best]),
+        (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best] and not best.surely_beats(each)),
         key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
     )
     whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
@@ -292,6 +322,16 @@ def _grown(
     idle = sections.vector(_nested(smaller, sections.order, windows), sample_time, late)
     nested = _fit(windows, sections, idle, nuisance, 12, unknown_state=free)
     return min(found, nested, key=lambda each: each.fitted)
+
+
+def _from_poles_of(nearest: Candidate, other: Candidate, windows: Sequence[Window], nuisance: str, still: bool) -> Candidate:
+    """A structure fitted from the poles of another one of its order, where that leaves far less: its own start had missed them."""
+    if other.solution.fitted <= MISSED * nearest.solution.fitted + other.exact:
+        return other
+    sample_time = windows[0].sample_time
+    start, late = nearest.sections.partial(nearest.solution.parameters, sample_time), nearest.sections.tau(nearest.solution.parameters)
+    found = _fit(windows, other.sections, other.sections.vector(start, sample_time, late), nuisance, 12, unknown_state=not still)
+    return min(other, replace(other, solution=found), key=lambda each: each.solution.fitted)
 
 
 def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
