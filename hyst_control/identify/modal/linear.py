@@ -123,7 +123,7 @@ class Candidate:
         return max(MIN_GAIN, self.scatter / np.sqrt(max(len(self.energies), 1)))
 
     def surely_beats(self, other: Candidate) -> bool:
-        """True where this leaves less of the blocks held out, by far more than the standard error of the difference, and the rest is noise."""
+        """True where this leaves surely less of the blocks held out, and the rest is noise."""
         less = other.energies - self.energies
         return self.leaves_noise and float(np.sum(less)) > SURE * float(np.std(less)) * np.sqrt(len(less))
 
