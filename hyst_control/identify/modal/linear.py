@@ -115,17 +115,17 @@ class Candidate:
     def leaves_noise(self) -> bool:
         """True where the energies of the blocks scatter no more than those of white noise do: then any sure gain is one."""
         rows = self.solution.grams.rows[1] / max(len(self.energies), 1)
-        return 0.0 < self.scatter < WHITE * np.sqrt(2.0 / rows)
+        return bool(0.0 < self.scatter < WHITE * np.sqrt(2.0 / rows))
 
     @property
     def doubt(self) -> float:
         """Share of the held-out error that is within its standard error over the blocks."""
-        return max(MIN_GAIN, self.scatter / np.sqrt(max(len(self.energies), 1)))
+        return max(MIN_GAIN, self.scatter / float(np.sqrt(max(len(self.energies), 1))))
 
     def surely_beats(self, other: Candidate) -> bool:
         """True where this leaves surely less of the blocks held out, and the rest is noise."""
         less = other.energies - self.energies
-        return self.leaves_noise and float(np.sum(less)) > SURE * float(np.std(less)) * np.sqrt(len(less))
+        return self.leaves_noise and float(np.sum(less)) > SURE * float(np.std(less)) * float(np.sqrt(len(less)))
 
 
 @register
