@@ -265,3 +265,11 @@ def test_a_frequency_response_of_few_lines_is_not_overfitted():
     found = rows(identify([data], "linear"))
     assert found["static_gain"] == pytest.approx(3.0, rel=0.02) and found["delay[0]"] == pytest.approx(0.3, abs=0.03)
     assert found["frequency[0]"] == pytest.approx(1 / (4 * np.pi), rel=0.05)
+
+
+def test_a_gain_alone_has_no_pole():
+    """The smallest order had one: of 1e-4 Hz, with a static gain of 2.2 in place of 3 that nothing tells."""
+    command = np.random.default_rng(1).uniform(-1, 1, 2000)
+    data, sigma = record(command, 3.0 * np.append(0.0, command[:-1]), 0.01, 5e-3)
+    found = rows(identify([data], "linear"))
+    assert found == {"static_gain": pytest.approx(3.0, rel=1e-3)}

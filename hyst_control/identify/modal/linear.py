@@ -34,7 +34,7 @@ from hyst_control.identify.solve.gram_sums import Grams, Window
 from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
 from hyst_control.records.record import Record
 
-ORDERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
+ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 LEAST_ROWS = 8  # Rows for each state of a model
 SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
 """Rows on which structures are compared: of longer records as many parts, evenly spread."""
@@ -188,7 +188,8 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
             f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
         )
     equations = _equations(windows)
-    orders = [options.order] if options.order else [order for order in ORDERS if order == 1 or LEAST_ROWS * order < min(total, equations)]
+    limit = max(min(total, equations) / LEAST_ROWS, 2)
+    orders = [options.order] if options.order else [each for each in ORDERS[not options.direct :] if each < limit]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
     table: list[OrderRow] = []
     tried: list[Candidate] = []
@@ -198,7 +199,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         fresh: list[Candidate] = []
         starts: dict[tuple[float, bool], Partial] = {}
         for variant in variants:
-            if variant.smooth and order < 2:
+            if (variant.smooth and order < 2) or (order == 0 and not variant.direct):
                 continue
             began = time.perf_counter()
             start = late if variant.delay or not guess else 0.0
@@ -213,7 +214,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         fresh = [_from_poles_of(nearest, each, few, options.nuisance, still) for each in fresh]
         smaller.update({each.variant: each for each in fresh})
         table += [_row(each, sample_time, few) for each in fresh]
-        if order > orders[0]:
+        if order > max(orders[0], 1):
             fresh = [
                 each
                 for each in fresh
@@ -457,7 +458,7 @@ def _axis_fit(candidate: Candidate, axis: str, unit: str, suffix: str) -> AxisFi
 
     def numbers(vector: Array) -> list[Number]:
         found: list[Number] = []
-        poles = np.concatenate([np.roots(den) for _, den in sections.terms(vector)])
+        poles = np.concatenate([np.zeros(0), *(np.roots(den) for _, den in sections.terms(vector))])
         for i, pole in enumerate(sorted((pole for pole in poles if pole.imag >= 0), key=abs)):
             found.append(Number(f"frequency[{i}]{suffix}", float(abs(pole)) / (2 * np.pi), "Hz"))
             if pole.imag:
