@@ -58,11 +58,15 @@ def test_devices_and_pipes_stay_what_they_are(tmp_path):
     assert heard == ["through"] and stat.S_ISFIFO(os.stat(pipe).st_mode)
 
 
-def test_the_standard_output_by_its_name_takes_the_json_and_keeps_what_it_has(tmp_path):
+@pytest.mark.parametrize("buffered", [False, True])
+def test_the_standard_output_by_its_name_takes_the_json_and_keeps_what_it_has(tmp_path, buffered):
+    """What Python still held back was written over the JSON."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment |= {} if buffered else {"PYTHONUNBUFFERED": "1"}
     out = tmp_path / "out.txt"
     with open(out, "w") as file:
         words = [sys.executable, "-c", "from hyst_control.cli import main; raise SystemExit(main())", "excite", "--list"]
-        assert subprocess.run([*words, "--json", "/dev/stdout"], stdout=file, check=False).returncode == 0
+        assert subprocess.run([*words, "--json", "/dev/stdout"], stdout=file, env=environment, check=False).returncode == 0
     text = out.read_text()
     assert '"schema": "hyst_control/excitations"' in text and "cosine_ramp start stop duration" in text
 

@@ -13,6 +13,7 @@ import os
 import secrets
 import shutil
 import stat
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -77,7 +78,7 @@ def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
         if mode is not None and stat.S_ISDIR(mode):
             raise InputError(f"{path}: is a directory: give the name of a file")
         if (mode is not None and not stat.S_ISREG(mode)) or _of_process(target):
-            with open(target, "ab") as device:  # what a shell redirected is not cut off
+            with _through(target) as device:
                 yield device
             return
         part = target.with_name(f".{target.name[:200]}-{secrets.token_hex(6)}.part")
@@ -170,6 +171,14 @@ def _target(path: str | Path) -> Path:
 def _of_process(path: Path) -> bool:
     """True for a path such as /dev/stdout, which names an open file of a process: no other file can take its place."""
     return Path("/proc") in path.parents or Path(os.path.realpath(path.parent)).is_relative_to("/proc")
+
+
+def _through(target: Path) -> BinaryIO:
+    """A device, a FIFO or an open file of a process; of this process the file itself, behind what was printed to it."""
+    if os.path.realpath(target.parent) == f"/proc/{os.getpid()}/fd":
+        sys.stdout.flush()
+        return os.fdopen(os.dup(int(target.name)), "wb")
+    return open(target, "ab")  # what a shell redirected is not cut off
 
 
 def _mode(path: Path) -> int | None:

@@ -202,7 +202,7 @@ def test_a_vectorized_simulator_has_the_same_verdict_by_fewer_calls(monkeypatch)
         found[vectorized] = gap.document, len(calls), max(calls)
     assert found[True][0] == found[False][0]
     assert found[True][0]["verdict"] == "parameters"
-    assert found[True][1] < found[False][1] and (found[False][2], found[True][2]) == (1, 3)
+    assert found[True][1] < found[False][1] and (found[False][2], found[True][2]) == (1, 5)
 
 
 def test_a_vectorized_simulator_of_another_shape_is_one_line():

@@ -19,7 +19,8 @@ from hyst_control.diagnose.model_error.baseline import with_discrepancy
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of, within_own_error
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.report.attribution import _repetition, deviations
+from hyst_control.diagnose.report.attribution import deviations
+from hyst_control.diagnose.report.coefficient_changes import repetition
 from hyst_control.diagnose.run.collect import _has_holes
 from hyst_control.diagnose.search.candidate import Candidate
 from hyst_control.diagnose.search.catalogue import catalogue
@@ -142,6 +143,6 @@ def test_an_interval_knows_by_how_many_records_the_own_error_was_estimated(freed
 def test_an_error_that_follows_the_command_tells_as_little_as_the_command_has_independent_samples():
     noise = np.random.default_rng(3).normal(size=(500, 1))
     seen = replace(problem(Chain((Gain(1.0),)), COMMAND), own_error=np.array([100.0]), own_correlation=50.0)
-    assert _repetition(seen) == pytest.approx(len(COMMAND) / 2 / 50.0, rel=0.01)
-    assert _repetition(replace(seen, pieces=(Piece(noise, noise),))) == 1.0
-    assert _repetition(replace(seen, own_error=None)) == 1.0
+    assert repetition(seen) == pytest.approx(len(COMMAND) / 2 / 50.0, rel=0.01)
+    assert repetition(replace(seen, pieces=(Piece(noise, noise),))) == 1.0
+    assert repetition(replace(seen, own_error=None)) == 1.0

@@ -330,7 +330,10 @@ def _from_poles_of(nearest: Candidate, other: Candidate, windows: Sequence[Windo
     if other.solution.fitted <= MISSED * nearest.solution.fitted + other.exact:
         return other
     sample_time = windows[0].sample_time
-    start, late = nearest.sections.partial(nearest.solution.parameters, sample_time), nearest.sections.tau(nearest.solution.parameters)
+    start, late = (
+        nearest.sections.partial(nearest.solution.parameters, sample_time),
+        nearest.sections.tau(nearest.solution.parameters),
+    )
     found = _fit(windows, other.sections, other.sections.vector(start, sample_time, late), nuisance, 12, unknown_state=not still)
     return min(other, replace(other, solution=found), key=lambda each: each.solution.fitted)
 
