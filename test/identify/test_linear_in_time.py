@@ -12,7 +12,9 @@ from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.identify import identify
-from hyst_control.identify.modal.linear import Linear, LinearOptions, search
+from hyst_control.identify.modal.linear import Linear
+from hyst_control.identify.modal.linear_options import LinearOptions
+from hyst_control.identify.modal.linear_search import search
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window

@@ -1,0 +1,345 @@
+# Copyright 2026 The hyst_control authors
+# SPDX-License-Identifier: Apache-2.0
+"""Search of the structure of the family "linear": states are added as long as rows held out are explained better."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import rfft
+from scipy.linalg import block_diag
+
+from hyst_control.base.arrays import Array
+from hyst_control.base.errors import InputError
+from hyst_control.chain.linear.linear_stages import StateSpace
+from hyst_control.identify.data.excited_band import REACH, excited_band
+from hyst_control.identify.data.fit import OrderRow
+from hyst_control.identify.data.fit_windows import response_sign
+from hyst_control.identify.modal.linear_candidate import MIN_GAIN, VARIANTS, Candidate, Variant
+from hyst_control.identify.modal.linear_options import LinearOptions
+from hyst_control.identify.modal.partial_fractions import Sections
+from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
+from hyst_control.identify.solve.gram_sums import Grams, Window
+from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError, Solution, minimize_simulation_error
+
+ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
+LEAST_ROWS = 8  # Rows for each state of a model
+SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
+"""Rows on which structures are compared: of longer records as many parts, evenly spread."""
+WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, from the middle of a longer one
+STALE, FALLEN = 2, 2.25
+"""Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
+HIDDEN = 0.1  # Share of the least square error under which many poles show that growing has not ended
+TWO_MODES = 4
+"""Order up to which growing goes on: while one of two modes is missing, states without it may gain nothing."""
+DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0, 96.0, 128.0, 192.0, 256.0)
+"""Delays (samples) with which a search begins."""
+PASSES = 12  # Of a fit while structures are compared
+MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
+MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
+EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
+SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
+LOBE = 8  # Bins that one sine fills
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Fits of structures to some rows, all with the same session effects."""
+
+    windows: Sequence[Window]
+    nuisance: str
+    still: bool  # Initial states stay at rest
+
+    @property
+    def sample_time(self) -> float:
+        """Sample time, s."""
+        return self.windows[0].sample_time
+
+    @property
+    def longest(self) -> int:
+        """Rows of the longest window."""
+        return max(len(window.command) for window in self.windows)
+
+    def fit(self, sections: Sections, start: Partial, tau: float) -> Solution:
+        """Fit a structure from partial fractions and a delay (s)."""
+        vector = sections.vector(start, self.sample_time, tau)
+        return _fit(self.windows, sections, vector, self.nuisance, PASSES, unknown_state=not self.still)
+
+    def poles(self, order: int, delay: float, direct: bool, smaller: Sequence[Candidate]) -> Partial:
+        """Vector fitting from evenly spread poles, and from those of the last order with idle ones; delay in samples."""
+        starts = [spread_poles(order, self.longest)]
+        if smaller:
+            starts.append(self.nested(min(smaller, key=lambda each: each.solution.fitted), order).poles)
+        return min((vector_fit(self.windows, start, delay, direct) for start in starts), key=lambda each: each.error)
+
+    def nested(self, smaller: Candidate, order: int) -> Partial:
+        """Partial fractions of a smaller model with idle poles, evenly spread, up to an order."""
+        known = smaller.sections.partial(smaller.solution.parameters, self.sample_time)
+        idle = -np.geomspace(1.0, 0.1 * self.longest, order - smaller.sections.order + 2)[1:-1] / self.longest
+        return replace(known, poles=np.concatenate([known.poles, idle]), residues=np.concatenate([known.residues, 0.0 * idle]))
+
+    def grown(self, sections: Sections, start: Partial, delay: float, smaller: Candidate | None) -> Solution:
+        """Fit from partial fractions; where that leaves more than the last order did, from the latter: never worse."""
+        found = self.fit(sections, start, delay * self.sample_time)
+        if smaller is None or found.fitted <= smaller.solution.fitted:
+            return found
+        late = smaller.sections.tau(smaller.solution.parameters)
+        return min(found, self.fit(sections, self.nested(smaller, sections.order), late), key=lambda each: each.fitted)
+
+    def from_poles_of(self, nearest: Candidate, other: Candidate) -> Candidate:
+        """A structure fitted from the poles of another one of its order, where that leaves far less: its own start had missed them."""
+        if other.solution.fitted <= MISSED * nearest.solution.fitted + other.exact:
+            return other
+        known = nearest.solution.parameters
+        found = self.fit(other.sections, nearest.sections.partial(known, self.sample_time), nearest.sections.tau(known))
+        return min(other, replace(other, solution=found), key=lambda each: each.solution.fitted)
+
+    def counts(self, candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
+        """True where the data tell a structure's poles, and it owes its gain to what the command drives."""
+        return not (_beyond_reach(candidate) or (not self.still and self.rings_by_itself(candidate, smaller)))
+
+    def rings_by_itself(self, candidate: Candidate, smaller: Sequence[Candidate]) -> bool:
+        """Check that a structure owes its gain over the best smaller one to unknown initial states, not to what the command drives.
+
+        The free motion of its poles beside the smaller model then shows more than half of the gain and leaves nearly as little. Modes that
+        the command does not drive do so: they fit mains hum by ringing from the beginning of the record on.
+        """
+        if not smaller:
+            return False
+        best = min(smaller, key=lambda each: each.held_out)
+        fitted, known = _usual_error(candidate.solution.grams), _usual_error(best.solution.grams)
+        if known - fitted <= MIN_GAIN * known + candidate.exact:
+            return False  # what it gains is in few rows, such as those behind a step
+        *late, driven = best.sections.running(best.solution.parameters)
+        *_, free = candidate.sections.running(candidate.solution.parameters)
+        assert isinstance(driven, StateSpace) and isinstance(free, StateSpace)
+        both = [*late, _beside_undriven(driven, free)]
+        beside = SimulationError(self.windows, Parametrization(lambda _: both), self.nuisance, unknown_state=True).visit(
+            np.zeros(0)
+        )
+        # What the command drives may be in few rows, those behind steps: nearly as little is a matter of all rows.
+        nearly = beside.fitted < FALLEN * max(candidate.solution.fitted, candidate.exact)
+        return nearly and known - _usual_error(beside.grams) > 0.5 * (known - fitted)
+
+
+def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = False) -> tuple[Candidate, list[OrderRow]]:
+    """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows.
+
+    still: the records begin at rest, as far as their hysteresis tells. Then no initial state is free to take back what a slow pole does,
+    unless states that are free explain far more.
+    """
+    few = _parts(windows)
+    still = still and len(few) == len(windows)
+    sample_time = few[0].sample_time
+    band = REACH * excited_band(few) or np.inf
+    fastest = 2 * np.pi * min(band, 1.5 / sample_time)
+    travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
+    gain = response_sign(few) * travel
+    exact = (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2
+    guess = options.delay == "estimate"
+    late = _dead_time(few) if guess else float(options.delay) / sample_time
+    # The first rows answer commands from before the record, which an initial state does not stand for.
+    early = int(np.ceil(1.5 * late))
+    few = [replace(window, skip=max(window.skip, early)) for window in few]
+    total = sum(len(window.command) for window in few)
+    if options.order and LEAST_ROWS * options.order >= total:
+        most = total // LEAST_ROWS
+        raise InputError(
+            f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
+        )
+    equations = _equations(windows)
+    limit = max(min(total, equations) / LEAST_ROWS, 2)
+    orders = [options.order] if options.order else [each for each in ORDERS[not options.direct :] if each < limit]
+    variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
+    table: list[OrderRow] = []
+    tried: list[Candidate] = []
+    smaller: dict[Variant, Candidate] = {}
+    trials = Trials(few, options.nuisance, still)
+    slowest = 0.005 / (trials.longest * sample_time)
+    stale, reach = 0, 0.0
+    for order in orders:
+        fresh: list[Candidate] = []
+        starts: dict[tuple[float, bool], Partial] = {}
+        for variant in variants:
+            if (variant.smooth and order < 2) or (order == 0 and not variant.direct):
+                continue
+            began = time.perf_counter()
+            start = late if variant.delay or not guess else 0.0
+            unit = (max(start, 1.0) if variant.delay else start) * sample_time
+            sections = Sections(order, *variant, gain, unit, slowest, fastest)
+            if (start, variant.direct) not in starts:
+                alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
+                starts[start, variant.direct] = trials.poles(order, start, variant.direct, alike)
+            solution = trials.grown(sections, starts[start, variant.direct], start, smaller.get(variant))
+            fresh.append(Candidate(variant, sections, solution, time.perf_counter() - began, exact, equations))
+        nearest = min(fresh, key=lambda each: each.solution.fitted)
+        fresh = [trials.from_poles_of(nearest, each) for each in fresh]
+        smaller.update({each.variant: each for each in fresh})
+        table += [_row(each, sample_time, few) for each in fresh]
+        if order > max(orders[0], 1):
+            fresh = [each for each in fresh if trials.counts(each, tried)]
+        least = min(each.held_out for each in smaller.values())
+        variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
+        gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
+        known = min(tried, key=lambda each: each.held_out, default=None)
+        stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
+        tried += fresh
+        if stale >= STALE and order >= TWO_MODES:
+            reach = reach or vector_fit(few, spread_poles(orders[-1], trials.longest), late, False, relocations=4).error
+            if reach > HIDDEN * least:
+                break
+    chosen = _best_of(tried)
+    whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
+    final = _final(whole, chosen, options, still)
+    if final is None:
+        return search(windows, options)
+    return replace(chosen, solution=final, search_error=chosen.held_out), table
+
+
+def _best_of(tried: Sequence[Candidate]) -> Candidate:
+    """The smallest structure that is as good as any on rows held out and on rows fitted."""
+    lowest = _least(tried, 0), _least(tried, 1)
+    # A step's answer may lie in fitted rows alone, of which the held-out ones say nothing.
+    behind = {each: max(own / due for own, due in zip(each.errors, lowest, strict=True)) for each in tried}
+    best = min(behind, key=lambda each: behind[each])
+    return min(
+        (each for each in tried if behind[each] <= (1.0 + best.doubt) * behind[best] and not best.surely_beats(each)),
+        key=lambda each: (each.sections.parameters, each.sections.order, VARIANTS.index(each.variant)),
+    )
+
+
+def _final(windows: Sequence[Window], chosen: Candidate, options: LinearOptions, still: bool) -> Solution | None:
+    """Fit to all rows; records count as at rest and without drift unless Schwarz's criterion asks for more.
+
+    still: initial states stay at rest; None where free ones explain far more.
+    """
+    sections, start, steps = chosen.sections, chosen.solution.parameters, options.iterations
+    free = _fit(windows, sections, start, options.nuisance, steps, everything=True)
+    rest = "offset" if options.nuisance == "linear" else options.nuisance
+    begin = start if still else free.parameters
+    plain = _fit(windows, sections, begin, rest, steps, everything=True, unknown_state=False)
+    if still and plain.fitted > MOVING * free.fitted + chosen.exact:
+        return None
+    if still:
+        free = _fit(windows, sections, begin, options.nuisance, steps, everything=True, unknown_state=False)
+    rows = sum(len(window.command) for window in windows)
+    columns = len(windows) * (sections.order * (not still) + (rest != options.nuisance))
+    return plain if plain.fitted < free.fitted * (1.0 + columns * np.log(rows) / rows) + chosen.exact else free
+
+
+def _fit(
+    windows: Sequence[Window],
+    sections: Sections,
+    start: Array,
+    nuisance: str,
+    passes: int,
+    *,
+    everything: bool = False,
+    unknown_state: bool = True,
+) -> Solution:
+    free = Parametrization(sections.running, limit=sections.limit)
+    return minimize_simulation_error(
+        windows,
+        free,
+        start,
+        nuisance=nuisance,
+        unknown_state=unknown_state,
+        passes=max(passes, 1),
+        tolerance=1e-5,
+        everything=everything,
+        alike=True,
+    )
+
+
+def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
+    """Delay (samples) at which few poles without a direct path fit best."""
+    shortest = min(len(window.command) for window in windows)
+    delays = [delay for delay in DELAYS if delay <= shortest / 8]
+    start = spread_poles(order, max(len(window.command) for window in windows))
+    errors = [vector_fit(windows, start, delay, False, relocations=4).error for delay in delays]
+    return delays[int(np.argmin(errors))]
+
+
+def _equations(windows: Sequence[Window]) -> float:
+    """Independent equations of records that hold some sines and nothing else, as those of frequency responses do; else infinite."""
+    from scipy.signal.windows import blackmanharris  # takes a second
+
+    count = 0.0
+    for window in map(_middle, windows):
+        taper = blackmanharris(len(window.command))
+        drive, answer = (np.abs(rfft(taper * (rows - rows.mean()))) ** 2 for rows in (window.command, window.measurement))
+        lines = drive > SILENT * drive.max()
+        if lines.mean() > 0.5 or answer[~lines].sum() > SILENT * answer.sum():
+            return np.inf
+        peaks = lines[1:-1] & (drive[1:-1] > drive[:-2]) & (drive[1:-1] >= drive[2:])
+        begins, ends = (np.flatnonzero(np.diff(lines.astype(int), prepend=0, append=0) == sign) for sign in (1, -1))
+        for begin, end in zip(begins, ends, strict=True):
+            sines = max(int(np.count_nonzero(peaks[max(begin - 1, 0) : end])), 1)
+            # A run of many bins with few peaks is no row of sines, but a sweep.
+            count += 2.0 * (sines if end - begin <= 4 * LOBE * sines else end - begin)
+    return count
+
+
+def _beyond_reach(candidate: Candidate) -> bool:
+    """Whether a pole is as fast as it may be: the data cannot tell it from a delay or a direct path."""
+    fastest = max(float(np.abs(np.roots(den)).max()) for _, den in candidate.sections.terms(candidate.solution.parameters))
+    return fastest > 0.99 * candidate.sections.fastest
+
+
+def _least(candidates: Sequence[Candidate], of: int) -> float:
+    return min((each.errors[of] for each in candidates), default=np.inf)
+
+
+def _usual_error(grams: Grams) -> float:
+    """Mean square error of usual rows: a transient at the beginning is in few blocks, and does not count."""
+    energies = grams.blocks[:, -1, -1]
+    return float(np.median(energies)) * len(energies) / sum(grams.rows)
+
+
+def _beside_undriven(driven: StateSpace, free: StateSpace) -> StateSpace:
+    """Dynamics with those of `free` beside them, whose states the command does not reach."""
+    a, b, c, d = (np.asarray(part, dtype=float) for part in (driven.A, driven.B, driven.C, driven.D))
+    other = np.asarray(free.A, dtype=float)
+    return StateSpace(block_diag(a, other), np.vstack([b, np.zeros((len(other), 1))]), np.hstack([c, np.asarray(free.C)]), d)
+
+
+def _row(candidate: Candidate, sample_time: float, windows: Sequence[Window]) -> OrderRow:
+    power = np.sqrt(np.mean(np.concatenate([window.measurement - np.mean(window.measurement) for window in windows]) ** 2))
+    sections, solution = candidate.sections, candidate.solution
+    return {
+        "order": sections.order,
+        "states": sections.order,
+        "parameters": sections.parameters,
+        "fitted": float(np.sqrt(solution.fitted) / power),
+        "held_out": float(np.sqrt(solution.held_out) / power),
+        "seconds": candidate.seconds,
+        "delay_samples": [sections.tau(solution.parameters) / sample_time],
+    }
+
+
+def _parts(windows: Sequence[Window]) -> list[Window]:
+    """The records, or parts of long ones, each with session effects of its own."""
+    share = SEARCH_ROWS / max(sum(len(window.command) for window in windows), SEARCH_ROWS)
+    found: list[Window] = []
+    for window in windows:
+        n = len(window.command)
+        count = SEARCH_PARTS if share < 1.0 else 1
+        size = max(int(share * n / count), 64)
+        cuts = (
+            [slice(int(begin), int(begin) + size) for begin in np.linspace(0, n - size, count)]
+            if size * count < n
+            else [slice(0, n)]
+        )
+        parts = [replace(window, command=window.command[cut], measurement=window.measurement[cut]) for cut in cuts]
+        moving = [part for part in parts if np.ptp(part.command) > 0]
+        found += [replace(part, group=len(found) + number) for number, part in enumerate(moving)]
+    return found
+
+
+def _middle(window: Window) -> Window:
+    begin = max(len(window.command) - WHOLE_ROWS, 0) // 2
+    rows = slice(begin, begin + WHOLE_ROWS)
+    return window if begin == 0 else replace(window, command=window.command[rows], measurement=window.measurement[rows])
