@@ -6,21 +6,20 @@ from __future__ import annotations
 
 import tempfile
 import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyst_control import model_file
 from hyst_control.api.model import Model
-from hyst_control.api.record import Record
+from hyst_control.api.record import Record, records_of
 from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import NUMBER, Quantity
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.workflow import GapResult, diagnose_records, diagnose_simulator
-from hyst_control.records.record import Record as BaseRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -151,7 +150,7 @@ def diagnose(
     >>> hc.diagnose(machine, simulate, parameters={"gain": (0.1, 0.002, "um/V")}, verbose=False).verdict
     'parameters'
     """
-    given, before = _records("records", records), _records("baseline", baseline)
+    given, before = records_of("records", records), records_of("baseline", baseline)
     settings: dict[str, Any] = {
         "without": without,
         "warm_up": WARM_UP.checked(warm_up),
@@ -166,14 +165,3 @@ def diagnose(
         else:
             found = diagnose_simulator(given, model, parameters or {}, before, **settings)
     return promoted(Gap, found)
-
-
-def _records(name: str, given: Record | Sequence[Record]) -> list[Record]:
-    """Records that are given as one or as several."""
-    several: list[Any] = list(given) if isinstance(given, (list, tuple, Iterator)) else [given]
-    for each in several:
-        if not isinstance(each, BaseRecord):
-            raise InputError(
-                f"{name}: {type(each).__name__} is no Record: make one by hc.from_arrays, hc.from_pandas or hc.read_bag"
-            )
-    return several

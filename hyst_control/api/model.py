@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control import model_file
-from hyst_control.api.record import Record, from_arrays
+from hyst_control.api.record import Record, from_arrays, records_of
 from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted, rows_for, step_of, table_frame
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
@@ -154,11 +154,15 @@ class Model(model_file.Model, Shown):
 
     def score(self, record: Record) -> Score:
         """Score the model on a record that it was not fitted to: errors; as a number the coefficient of determination."""
+        record, *others = records_of("record", record)
+        if others:
+            raise InputError(f"record: {1 + len(others)} records: score them one by one")
         table = validate_record({self.name: self}, record, "score")
         shares = []
         for data in compared_stretches(record, self):
             error = residual(self, data)
-            shares.append(1.0 - np.mean(error**2, axis=0) / np.var(data.measurement[-len(error) :], axis=0))
+            with np.errstate(divide="ignore", invalid="ignore"):  # minus infinity of what does not move
+                shares.append(1.0 - np.mean(error**2, axis=0) / np.var(data.measurement[-len(error) :], axis=0))
         return Score(table, float(np.min(shares)), self, record)
 
     def plot(self, record: Record, path: str | Path | None = None) -> list[Axes]:
@@ -359,7 +363,7 @@ def identify(
     START.checked(start)
     if "model" in options:
         raise InputError(f"model: the argument is called family: give family={options['model']!r}")
-    given = [records] if isinstance(records, Record) else list(records)
+    given = records_of("records", records)
     with progress.shown(verbose):
         fit = identify_records(given, family, method=method, start=start, allow_gaps=allow_gaps, force=force, **options)
     if fit.report["verdict"] == NOTHING and not force:

@@ -587,3 +587,14 @@ def _array(topic: str, given: str | Sequence[str]) -> Column:
     return replace(
         column, columns=tuple(match["name"] if (match := _WITH_UNIT.fullmatch(name)) else name for name in column.columns)
     )
+
+
+def records_of(name: str, given: Record | Sequence[Record]) -> list[Record]:
+    """Records that are given as one or as several."""
+    several: list[Any] = list(given) if isinstance(given, (list, tuple, Iterator)) else [given]
+    for each in several:
+        if not isinstance(each, records.Record):
+            raise InputError(
+                f"{name}: {type(each).__name__} is no Record: make one by hc.from_arrays, hc.from_pandas or hc.read_bag"
+            )
+    return several

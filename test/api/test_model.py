@@ -248,3 +248,17 @@ def test_families_take_the_record_of_the_front_door():
 def test_the_family_called_model_is_said():
     with pytest.raises(hc.InputError, match="model: the argument is called family: give family='linear'"):
         hc.identify(hc.from_arrays(COMMAND, COMMAND, RATE), model="linear")
+
+
+def test_what_is_no_record_is_said():
+    stage = model(LAG)
+    for call in (lambda: hc.identify(COMMAND, "pi"), lambda: stage.score(COMMAND)):
+        with pytest.raises(hc.InputError, match="ndarray is no Record: make one by"):
+            call()
+    with pytest.raises(hc.InputError, match="2 records: score them one by one"):
+        stage.score([stage.simulate(COMMAND)] * 2)
+
+
+def test_a_measurement_that_does_not_move_is_scored_without_a_warning(recwarn):
+    assert float(model(LAG).score(hc.from_arrays(COMMAND, np.ones(len(COMMAND)), RATE))) == -np.inf
+    assert not [each for each in recwarn if each.category is RuntimeWarning]
