@@ -116,7 +116,9 @@ def _of_arrays(path: Path, held: Container, wanted: Sequence[str], variable: str
             raise InputError(f"{path}: its columns differ in length: name them: {', '.join(arrays)}")
         first = 0 if "0" in missing else 1
         notes = () if first else (f"{path}: columns are numbered from 0, since a column 0 is named",)
-        found |= {name: table[:, [_number(path, name, table.shape[1], first, ", ".join(arrays))]] for name in missing}
+        for name in missing:
+            at = _number(path, name, table.shape[1], first, ", ".join(arrays))
+            found[name] = table[:, at : at + 1]  # a view: an hour's column is a gigabyte
     columns = {name: array for name, array in found.items() if array is not None}
     if len({len(array) for array in columns.values()}) > 1:
         sizes = ", ".join(f"{name} {len(array)} x {array.shape[1]}" for name, array in columns.items())
