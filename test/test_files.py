@@ -60,7 +60,7 @@ def test_devices_and_pipes_stay_what_they_are(tmp_path):
 
 @pytest.mark.parametrize("buffered", [False, True])
 def test_the_standard_output_by_its_name_takes_the_json_and_keeps_what_it_has(tmp_path, buffered):
-    """What Python still held back was written over the JSON."""
+    """Text that Python had still buffered was written over the JSON."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     environment |= {} if buffered else {"PYTHONUNBUFFERED": "1"}
     out = tmp_path / "out.txt"

@@ -26,7 +26,7 @@ NAME = "check"
 HELP = "tell what is missing in recorded bags"
 READS = ("bags",)
 LOST = re.compile(r"is damaged|has no footer|metadata\.yaml: cannot be used|left out|holds no (messages|rows)|rows are missing")
-"""What a note says of something that was lost or damaged; others tell how the rest was read."""
+"""Words of notes on lost or damaged data; other notes describe how the rest was read."""
 ALONE = 0.05  # Share of its time up to which command or measurement may be without the other: a recorder meets one first
 TICKS = 3  # And ticks, in a short bag
 
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 
 
 def _incomplete(bag: str, topics: Mapping[str, TopicAccount]) -> list[str]:
-    """What lacks to compare command and measurement."""
+    """Notes on a missing command or measurement, and on times that only one of the two covers."""
     pair = [topics[name] for name in ("command", "measurement") if name in topics]
     if len(pair) < 2:
         lacking = " and no ".join(name for name in ("command", "measurement") if name not in topics)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from hyst_control.model_file import Model
     from hyst_control.reporting.tables import Table
 
-AT_LIMITS = 0.01  # Share of a trial from which on a command at its limits is told
+AT_LIMITS = 0.01  # Share of a trial with the command at its limits from which a note reports it
 NAME = "learn"
 HELP = "learn the feedforward of a repeated reference from trial to trial"
 READS = ("model", "bags", "response", "reference", "plant")

@@ -206,7 +206,7 @@ def _check_effects(without: Sequence[str]) -> None:
         raise InputError(f"without: {without!r}, must be a list of effects: give [{without!r}]")
     for name in without:
         if name not in EFFECTS:
-            raise InputError(f"without: {name!r} is no such effect, one of {', '.join(EFFECTS)} is due")
+            raise InputError(f"without: {name!r} is not an effect: use one of {', '.join(EFFECTS)}")
 
 
 def diagnose_simulator(

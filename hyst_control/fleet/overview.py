@@ -202,7 +202,7 @@ def _quantities(kind: str, row: Mapping[str, Any], compared: bool, believed: Map
     if row["verdict"] in NAMED:
         effects = row["effects"] or []
         if row["verdict"] == "ambiguous":
-            # Of the alternatives the one that the unit's reports believe most: else the first of them would change from run to run.
+            # Of the alternatives the most probable one in all reports of the unit: the first one may differ from run to run.
             effects = sorted(effects, key=lambda effect: -believed[row["unit"], effect["name"]])[:1]
         for effect in effects:
             for parameter in (effect["parameters"] or [])[:1]:

@@ -180,7 +180,7 @@ ROWS = (
         ("a",),
     ),
     Row(
-        "a coefficient many tolerances away, and an effect of more numbers that takes off no more",
+        "a coefficient many tolerances away, and an effect with more parameters that explains no more",
         evidence(
             effect("a", 40.0), coefficients(60.0, farthest=9.0), base=none(misfit=0.5 * SAMPLES + 70.0, energy=1.0, strain=70.0)
         ),

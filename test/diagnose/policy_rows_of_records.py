@@ -79,13 +79,13 @@ ROWS = (
         (C.VALUE_LATTICE,),
     ),
     Row(
-        "a lattice within a noise floor that nobody states",
+        "a lattice within an estimated noise floor",
         evidence(base=SMALL, record=(replace(PLAIN, step=1.0),), stated_noise=(0.0,)),
         V.NO_GAP,
         (R.BELOW_NULL,),
     ),
     Row(
-        "a lattice far above a noise floor that nobody states",
+        "a lattice far above an estimated noise floor",
         evidence(base=SMALL, record=(replace(PLAIN, step=10.0),), stated_noise=(0.0,)),
         V.EFFECT,
         (R.RECORD_CHECK,),

@@ -231,7 +231,7 @@ RECORD = hc.from_arrays(STEPS_OF_COMMAND, simulate(STEPS_OF_COMMAND, 1 / RATE, 0
         ([RECORD, "record"], simulate, {}, "records: str is no Record"),
         (RECORD, simulate, {"baseline": "record"}, "baseline: str is no Record"),
         (RECORD, simulate, {"warm_up": "0.1"}, "warm_up: must be a number >= 0 s, got '0.1'"),
-        (RECORD, simulate, {"without": ["dellay"]}, "without: 'dellay' is no such effect, one of dac_hold, delay"),
+        (RECORD, simulate, {"without": ["dellay"]}, "without: 'dellay' is not an effect: use one of dac_hold, delay"),
         (RECORD, simulate, {"without": "delay"}, r"without: 'delay', must be a list of effects: give \['delay'\]"),
         (RECORD, leaving, {}, "simulator leaving: SystemExit: no license: mend it, and try"),
         (RECORD, lambda command, sample_time, gain: 1j * command, {}, "complex values: return real ones"),

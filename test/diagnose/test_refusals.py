@@ -56,7 +56,7 @@ def test_a_record_that_cannot_be_used_is_refused_in_one_line(case, tmp_path, cap
 
 def test_an_effect_that_is_none_is_refused_in_one_line(tmp_path, capsys):
     write_bag(tmp_path / "bag", record())
-    assert "no such effect" in refused([str(tmp_path / "bag"), "--without", "gremlins"], tmp_path, capsys)
+    assert "is not an effect" in refused([str(tmp_path / "bag"), "--without", "gremlins"], tmp_path, capsys)
 
 
 def test_a_bag_that_is_none_is_refused_in_one_line(tmp_path, capsys):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A wrong parameter of a simulator is told as such: its fit ends at the minimum, and neither a sensor's steps nor an effect replaces it."""
+"""Wrong parameters of a simulator are named: the fit ends at the minimum, and neither rounding nor an effect takes their place."""
 
 from __future__ import annotations
 

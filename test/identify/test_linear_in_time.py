@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from hyst_control.chain import Chain, Sampling
+from hyst_control.chain.memoryless import Gain
 from hyst_control.identify import identify
 from hyst_control.identify.modal.linear import Linear
 from hyst_control.identify.modal.linear_options import LinearOptions
@@ -18,6 +19,7 @@ from hyst_control.identify.modal.linear_search import search
 from hyst_control.identify.modal.partial_fractions import Sections
 from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Window
+from hyst_control.identify.solve.simulation_error import Parametrization, SimulationError
 from hyst_control.model_file import simulate
 from hyst_control.records.record import Record, sampled_record
 from hyst_control.records.tables.columns import Column
@@ -275,3 +277,20 @@ def test_a_gain_alone_has_no_pole():
     data, sigma = record(command, 3.0 * np.append(0.0, command[:-1]), 0.01, 5e-3)
     found = rows(identify([data], "linear"))
     assert found == {"static_gain": pytest.approx(3.0, rel=1e-3)}
+
+
+def test_the_held_out_blocks_of_several_records_are_those_of_each():
+    """Of records whose numbers of blocks are no multiples of three, every third block of all was taken for a held-out one."""
+    windows = [
+        Window(np.random.default_rng(n).normal(size=n), np.random.default_rng(n + 1).normal(size=n), 1e-3, "zoh", 0, group)
+        for group, n in enumerate((700, 1030, 860))
+    ]
+    found = SimulationError(windows, Parametrization(lambda _: [Gain(1.0)]), "linear", everything=False).visit(np.zeros(0))
+    assert found.energies.sum() == pytest.approx(found.grams.held_out[-1, -1], rel=1e-9)
+
+
+def test_growing_ends_soon_where_a_record_has_no_noise():
+    command = stairs(12, 60)
+    data, _ = record(command, answer(command, 1e-3, mode(2.0, 30.0, 0.1)), 1e-3, noise=0.0)
+    fit = identify([data], "linear")
+    assert max(row["order"] for row in fit.report["orders"]) <= 6 and fit.report["states"] == 2

@@ -390,7 +390,7 @@ def effective_sample_weight(problem: Problem, residual: Annotated[Array, "M"]) -
 
 
 def settled(linearized: Linearized, z: Array | None = None) -> Solution:
-    """The fit of the coefficients alone, by columns that are renewed wherever a step comes out other than they promise."""
+    """The fit of the coefficients alone, with columns renewed wherever a step reduces Φ by less than they predict."""
     return refined(linearized, None, fit(linearized, z=z, renewed=True), RENEWED, renewed=True)
 
 

@@ -11,7 +11,7 @@ is known by no more than the order of its size):
 (w: the problem's weight of a sample, 1 where noise alone separates model and record) is minimized by Gauss-Newton steps whose z-columns
 J = ∂ŷ/∂z are those of the nominal model: a scatter of a per cent changes them by a per cent, so a step leaves a per cent of the error, and
 only the effect's few columns are renewed. `refined` renews them all. Where parameters are far off that leads astray: a fit of the
-coefficients alone has its columns `renewed`, from differences to both sides, as soon as a step takes off less than they promise.
+coefficients alone has its columns `renewed`, by central differences, as soon as a step reduces Φ by less than they predict.
 
 Beside a large gap such steps lead astray where the effect is the wrong one: the coefficients would have to leave their tolerance many
 times over. A fit beside linear coefficients takes ŷ(z, x) = ŷ(0, x) + J z instead, and has the best z for every x.
@@ -52,7 +52,7 @@ LINEAR_FIT_TOLERANCE_FACTOR = 50.0
 SAFETY = 4.0  # Factor on what is estimated of the misfit that further steps take off
 LENGTHS = (1.0, 0.5, 0.25, 0.1)  # Lengths of a step that are tried, in full steps
 DAMPED = (1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001)  # The same of a fit whose columns are renewed: its steps are damped to them
-KEPT_PROMISE = 0.25  # Least share of the promised misfit that such a step has to take off: else it is too long for its columns
+KEPT_PROMISE = 0.25  # Least share of the predicted reduction that such a step must achieve: else it is too long for its columns
 
 
 @dataclass(frozen=True)
@@ -338,7 +338,7 @@ def fit(
 
 
 def _damped(normal: Annotated[Array, "P P"], right: Annotated[Array, "P"], length: float) -> Array:
-    """The step of a length that takes off most: shorter mainly in the directions that the data hardly show (Levenberg, 1944)."""
+    """The step of a given length that reduces Φ most: shorter mainly in weakly determined directions (Levenberg, 1944)."""
     sizes, directions = np.linalg.eigh(normal)
     along = directions.T @ right
     damping = sizes[0] * 2.0 ** np.arange(64)

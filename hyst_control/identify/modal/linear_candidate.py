@@ -15,7 +15,7 @@ from hyst_control.identify.solve.simulation_error import Solution
 
 MIN_GAIN = 0.02  # Share of the held-out mean square error by which a larger model has to be better, at least
 WHITE, SURE = 2.0, 4.0
-"""Scatter of the blocks' energies, in that of white noise, up to which what is left is noise, and deviations from which a gain is sure."""
+"""Ratio of the scatter of block energies to that of white noise up to which a residual is noise; standard errors of a significant gain."""
 
 
 class Variant(NamedTuple):
@@ -55,7 +55,7 @@ class Candidate:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Mean square errors on the blocks held out and, by Schwarz's criterion, on those fitted; twice the latter for a few sines."""
+        """Mean square errors on the blocks held out and, by Schwarz's criterion, on those fitted; the latter twice for a few sines."""
         rows = min(self.solution.grams.rows[0], self.equations)
         expected = max(self.solution.fitted, self.exact) * float(np.exp(self.sections.parameters * np.log(rows) / rows))
         return self.held_out if np.isinf(self.equations) else expected, expected
@@ -63,8 +63,7 @@ class Candidate:
     @property
     def energies(self) -> Array:
         """Square errors of the blocks held out."""
-        found: Array = self.solution.grams.blocks[2::3, -1, -1]
-        return found
+        return self.solution.energies
 
     @property
     def scatter(self) -> float:
@@ -74,7 +73,7 @@ class Candidate:
 
     @property
     def leaves_noise(self) -> bool:
-        """True where the energies of the blocks scatter no more than those of white noise do: then any sure gain is one."""
+        """True where the energies of the blocks scatter no more than those of white noise: then any significant gain counts."""
         rows = self.solution.grams.rows[1] / max(len(self.energies), 1)
         return bool(0.0 < self.scatter < WHITE * np.sqrt(2.0 / rows))
 
@@ -84,6 +83,6 @@ class Candidate:
         return max(MIN_GAIN, self.scatter / float(np.sqrt(max(len(self.energies), 1))))
 
     def surely_beats(self, other: Candidate) -> bool:
-        """True where this leaves surely less of the blocks held out, and the rest is noise."""
+        """True where the residual is noise, and significantly smaller on the blocks held out."""
         less = other.energies - self.energies
         return self.leaves_noise and float(np.sum(less)) > SURE * float(np.std(less)) * float(np.sqrt(len(less)))

@@ -90,7 +90,7 @@ class Trials:
         return min(found, self.fit(sections, self.nested(smaller, sections.order), late), key=lambda each: each.fitted)
 
     def from_poles_of(self, nearest: Candidate, other: Candidate) -> Candidate:
-        """A structure fitted from the poles of another one of its order, where that leaves far less: its own start had missed them."""
+        """A structure fitted from the poles of another one of its order, where that has a far smaller error."""
         if other.solution.fitted <= MISSED * nearest.solution.fitted + other.exact:
             return other
         known = nearest.solution.parameters
@@ -128,8 +128,8 @@ class Trials:
 def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = False) -> tuple[Candidate, list[OrderRow]]:
     """Grow the number of states as long as the held-out error falls, and fit the smallest good structure to all rows.
 
-    still: the records begin at rest, as far as their hysteresis tells. Then no initial state is free to take back what a slow pole does,
-    unless states that are free explain far more.
+    still: the records begin at rest, according to their hysteresis. Initial states are then zero, unless estimated ones reduce the
+    error far more: otherwise they cancel the motion of a slow pole.
     """
     few = _parts(windows)
     still = still and len(few) == len(windows)
@@ -189,7 +189,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         tried += fresh
         if stale >= STALE and order >= TWO_MODES:
             reach = reach or vector_fit(few, spread_poles(orders[-1], trials.longest), late, False, relocations=4).error
-            if reach > HIDDEN * least:
+            if max(reach, exact) > HIDDEN * least:
                 break
     chosen = _best_of(tried)
     whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
@@ -264,7 +264,7 @@ def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
 
 
 def _equations(windows: Sequence[Window]) -> float:
-    """Independent equations of records that hold some sines and nothing else, as those of frequency responses do; else infinite."""
+    """Independent equations of records made of a few sines, such as frequency responses; infinite for others."""
     from scipy.signal.windows import blackmanharris  # takes a second
 
     count = 0.0
@@ -284,7 +284,7 @@ def _equations(windows: Sequence[Window]) -> float:
 
 
 def _beyond_reach(candidate: Candidate) -> bool:
-    """Whether a pole is as fast as it may be: the data cannot tell it from a delay or a direct path."""
+    """True for a pole at the upper limit: the data cannot separate it from a delay or a direct path."""
     fastest = max(float(np.abs(np.roots(den)).max()) for _, den in candidate.sections.terms(candidate.solution.parameters))
     return fastest > 0.99 * candidate.sections.fastest
 

@@ -133,7 +133,7 @@ class Sections:
     def running(self, vector: Array) -> list[Stage]:
         """Chain of the dynamics as a sum of sections, whose arithmetic loses nothing."""
         terms = self.terms(vector)
-        n = max(self.order, 1)  # a gain alone has one state that nothing drives and nobody sees
+        n = max(self.order, 1)  # a gain alone has one state, neither driven nor observed
         a, b, c, at = -np.eye(n) * self.slowest, np.zeros((n, 1)), np.zeros((1, n)), 0
         for num, den in terms:
             if len(den) == 3:

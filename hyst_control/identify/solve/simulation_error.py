@@ -71,6 +71,7 @@ class Solution:
     held_out: float  # Mean square errors on the rows fitted and held out
     grams: Grams  # Gram matrices of [derivatives, error], the session effects eliminated
     linearized: Array  # Parameters at which the derivatives in `grams` were taken: these, or those one step before
+    energies: Array  # Square errors of the blocks held out, of all where long records have neighboring blocks added up
 
     @property
     def covariance(self) -> Array:
@@ -159,6 +160,7 @@ class SimulationError:
         together = -(-everywhere // (length * MAX_BLOCKS))
         grams, rows, count = np.zeros((2, size + 1, size + 1)), np.zeros(2, dtype=int), 0
         blocks: list[Array] = []
+        energies: list[float] = []
         nuisances: list[Array] = []
         extra = NUISANCES[self.nuisance]
         for group in range(max(window.group for window in windows) + 1):
@@ -181,7 +183,7 @@ class SimulationError:
                     else:
                         pieces.append(product)
                     count += 1
-                    which = 1 if (count - first) % 3 == 0 else 0  # never a record's first rows, which tell its initial state
+                    which = 1 if (count - first) % 3 == 0 else 0  # never a record's first rows, which determine its initial state
                     sums[which] += product
                     own[which] += len(block)
             known, used = (sums.sum(axis=0), own.sum()) if self.everything else (sums[0], own[0])
@@ -190,7 +192,9 @@ class SimulationError:
             keep = np.vstack([np.eye(size, size + 1), -effects, np.eye(1, size + 1, size)])
             grams[0] += _kept(sums[0], keep) + penalty
             grams[1] += _kept(sums[1], keep)
-            blocks += [_kept(piece, keep) for piece in pieces]
+            kept = [_kept(piece, keep) for piece in pieces]
+            blocks += kept
+            energies += [float(each[-1, -1]) for each in (kept[2::3] if together == 1 else kept)]
             nuisances.append(effects[:extra, -1] + zero * (np.arange(extra) == 0))
             rows += own
         chosen, counted = (grams.sum(axis=0), rows.sum()) if self.everything else (grams[0], rows[0])
@@ -201,6 +205,7 @@ class SimulationError:
             max(float(grams[1, -1, -1]), 0.0) / max(int(rows[1]), 1),
             Grams(grams[0], grams[1], (int(rows[0]), int(rows[1])), np.array(blocks)),
             parameters,
+            np.array(energies),
         )
 
     def _blocks(

@@ -97,8 +97,8 @@ def _check_widths(known: dict[str, Array]) -> None:
     width = max(values.shape[1] for values in known.values())
     for topic, values in known.items():
         if values.shape[1] not in {"frequency": (1,), "coherence": (1, width)}.get(topic, (width,)):
-            due = "one is due" if topic == "frequency" else f"another has {width}: name one of each axis (magnitude=2+4[dB])"
-            raise InputError(f"columns: {topic}: {values.shape[1]} columns, {due}")
+            remedy = "name one" if topic == "frequency" else f"another has {width}: name one of each axis (magnitude=2+4[dB])"
+            raise InputError(f"columns: {topic}: {values.shape[1]} columns: {remedy}")
 
 
 def _steady(frequency: Array, response: Complex, rate: float, count: int, generator: np.random.Generator) -> tuple[Array, Array]:
