@@ -27,7 +27,7 @@ class Stub:
 
     def __init__(self, axes=2, safe=(LOWER,)):
         self.settings = SimpleNamespace(safe_command=safe, safe_rate=RATE)
-        self.axes, self.period, self.timer = ("x", "y")[:axes], PERIOD, SimpleNamespace(longest_age=AGE)
+        self.axes, self.period, self.timer = ("x", "y")[:axes], PERIOD, SimpleNamespace(longest_age=AGE, now=0.0)
         self.sent, self.warned = [], []
 
     def get_name(self):
@@ -47,6 +47,13 @@ def made(step=math.inf, rest=LOWER, **node):
     stub = Stub(**node)
     actuator = Actuator(stub, CommandLimits(LOWER, UPPER, step))
     actuator.start_from(np.full(len(stub.axes), rest))
+    wanted = actuator.wanted
+
+    def in_time(tick, allowed=True):
+        stub.timer.now = tick * PERIOD
+        return wanted(tick, allowed)
+
+    actuator.wanted = in_time
     return actuator, stub
 
 
@@ -116,6 +123,50 @@ def test_two_sources_take_it_to_its_safe_value():
     assert actuator.voltage(1)[0] == LOWER
     actuator.report(1)
     assert stub.warned == ["contradicted"]
+
+
+@pytest.mark.parametrize("step", [math.inf, 3.0])
+def test_behind_a_stop_of_the_process_the_command_is_approached(step):
+    actuator, stub = made(step, axes=1)
+    for tick in range(20):
+        actuator.command.rows.receive(tick, np.array([[5.0]]), 0.0)
+        actuator.voltage(tick)
+    assert actuator.watchdog.following
+    voltages = [5.0]
+    for tick in range(40, 60):  # what was missed is older than `AGE`; the feedback went to another voltage meanwhile
+        actuator.command.rows.receive(tick, np.array([[15.0]]), 0.0)
+        voltages += actuator.voltage(tick).tolist()
+    assert np.abs(np.diff(voltages)).max() <= RATE * PERIOD * (1 + 1e-9)
+    assert voltages[-1] == 15.0 and actuator.watchdog.following and stub.warned == ["stood still"]
+
+
+@pytest.mark.parametrize("late", range(2, 5))
+def test_a_short_stop_is_within_what_a_command_may_be_old(late):
+    actuator, stub = made(axes=1)
+    for tick in [*range(20), 19 + late]:
+        actuator.command.rows.receive(tick, np.array([[5.0 if tick < 20 else 15.0]]), 0.0)
+        voltage = actuator.voltage(tick)
+    assert voltage.tolist() == [15.0] and not stub.warned
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30))
+def test_the_slope_is_limited_in_time_where_writes_follow_late_ones(gaps):
+    actuator, stub = made(0.7, axes=1)
+    actuator.command.rows.receive(0, np.array([[UPPER]]), 0.0)
+    for _ in range(10):
+        actuator.voltage(0)
+    now, last = 0.0, float(actuator.watchdog.applied[0])
+    wanted = type(actuator).wanted
+    for gap in gaps:
+        now += gap * PERIOD
+        stub.timer.now = now
+        actuator.command.rows.receive(int(now / PERIOD), np.array([[UPPER]]), 0.0)
+        voltage = wanted(actuator, int(now / PERIOD))
+        most = 0.7 if gap >= 0.5 else 0.7 * gap
+        assert abs(float(voltage[0]) - last) <= max(most, RATE * PERIOD * (not actuator.watchdog.following)) + 1e-9
+        actuator.written(voltage)
+        last = float(voltage[0])
 
 
 def test_tells_at_most_once_per_interval():

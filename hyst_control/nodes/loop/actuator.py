@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from hyst_control.nodes.signal_node.parameters import Setting
 from hyst_control.records.actuator_following import APPLIED, INTERVAL
 
 CLOSE = 1e-9  # V; a voltage that differs by less was not limited
+BUNCHED = 0.5  # Share of a tick; two writes that follow each other sooner, behind a late one, change by what that time allows
 
 SAFE_SETTINGS = (
     Setting("safe_command", (0.0,), "V", "actuator without a command, under the timer: one value for all axes or each", -1e6, 1e6),
@@ -54,6 +57,8 @@ class Actuator:
     def start_from(self, rest: Annotated[Array, "A"]) -> None:
         """Begin anew."""
         self.watchdog = CommandWatchdog(rest, self._safe, self._rate, self.node.period)
+        self._last_tick: int | None = None
+        self._last_written = -math.inf  # Time, s
 
     def reset(self) -> None:
         """Return to the start."""
@@ -67,16 +72,22 @@ class Actuator:
     def voltage(self, tick: int, allowed: bool = True) -> Annotated[Array, "A"]:
         """Voltage of a tick, where nothing can keep it from being written."""
         voltage = self.wanted(tick, allowed)
-        self.watchdog.written(voltage)
+        self.written(voltage)
         return voltage
+
+    def written(self, voltage: Annotated[Array, "A"]) -> None:
+        """Take note that a voltage, as `wanted` returned it, is on the actuator."""
+        self.watchdog.written(voltage)
+        self._last_written = self.node.timer.now
 
     def wanted(self, tick: int, allowed: bool = True) -> Array:
         """Voltage (A,) to be written in a `tick`, V, the way to the safe value unless `allowed`; inform the watchdog once it is."""
         rows, node = self.command.rows, self.node
         command = rows.newest(tick)
-        trusted = allowed and not self._contradicted and rows.behind(tick) * node.period <= node.timer.longest_age
+        fresh = rows.behind(tick) * node.period <= node.timer.longest_age
+        trusted = allowed and fresh and not self._contradicted and not self._stood_still(tick)
         if command is not None and trusted:
-            within = self.limits.limited(command, self.watchdog.applied)
+            within = self._present_limits.limited(command, self.watchdog.applied)
             if within is not command:
                 self.limited += bool(np.abs(within - command).max() > CLOSE)
                 command = within
@@ -111,6 +122,22 @@ class Actuator:
             "applied [V]": ", ".join(f"{value:.6g}" for value in self.watchdog.applied),
             **({"limited ticks": self.limited} if self.limited else {}),
         }
+
+    def _stood_still(self, tick: int) -> bool:
+        """True in the first tick behind so long a stop of this process that the feedback may have gone elsewhere meanwhile."""
+        before, self._last_tick = self._last_tick, tick
+        seconds = 0.0 if before is None else (tick - before) * self.node.period
+        if seconds <= self.node.timer.longest_age:
+            return False
+        if self.watchdog.armed:
+            self.node.warn("stood still", f"this process stood still for {seconds:.3g} s: the command is approached at safe_rate")
+        return True
+
+    @property
+    def _present_limits(self) -> CommandLimits:
+        """The limits, the slope in time where this write follows a late one."""
+        share = (self.node.timer.now - self._last_written) / self.node.period
+        return self.limits if share >= BUNCHED else replace(self.limits, step=self.limits.step * max(share, 0.0))
 
     @property
     def _contradicted(self) -> bool:
