@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -245,6 +245,10 @@ def model_from_document(document: Any) -> Model:
         chain.filter(Sampling(float(sample_time), len(axes), hold))  # modifiers change their neighbors
     except InputError as error:
         raise InputError(f"chain: {error}") from None
+
+    def section(key: str, checked: Callable[..., dict[str, Any]], *known: Any) -> dict[str, Any]:
+        return {} if document.get(key) is None else checked(document[key], *known)
+
     return Model(
         name=name,
         axes=tuple(axes),
@@ -252,11 +256,11 @@ def model_from_document(document: Any) -> Model:
         sample_time=float(sample_time),
         chain=chain,
         hold=hold,
-        valid=_ranges(document.get("valid")),
-        noise=_noise(document.get("noise"), len(axes)),
-        tolerance=_tolerance(document.get("tolerance")),
-        uncertainty=_uncertainty(document.get("uncertainty"), chain.stages, axes),
-        discrepancy=_discrepancy(document.get("discrepancy"), len(axes)),
+        valid=section("valid", _ranges),
+        noise=section("noise", _noise, len(axes)),
+        tolerance=section("tolerance", _tolerance),
+        uncertainty=section("uncertainty", _uncertainty, chain.stages, axes),
+        discrepancy=section("discrepancy", _discrepancy, len(axes)),
     )
 
 
@@ -285,14 +289,9 @@ def model_to_document(model: Model) -> dict[str, Any]:
     if model.valid:
         document["valid"] = _plain(model.valid)
     document["chain"] = [stage_to_document(stage) for stage in model.chain.stages]
-    if model.noise:
-        document["noise"] = _plain(model.noise)
-    if model.tolerance:
-        document["tolerance"] = _plain(model.tolerance)
-    if model.uncertainty:
-        document["uncertainty"] = _plain(model.uncertainty)
-    if model.discrepancy:
-        document["discrepancy"] = _plain(model.discrepancy)
+    for key in ("noise", "tolerance", "uncertainty", "discrepancy"):
+        if known := getattr(model, key):
+            document[key] = _plain(known)
     return document
 
 
@@ -361,8 +360,6 @@ def _units(units: Any) -> dict[str, str]:
 
 
 def _ranges(valid: Any) -> dict[str, Any]:
-    if valid is None:
-        return {}
     if not isinstance(valid, Mapping):
         raise InputError("valid: must be a mapping with command and frequency")
     for key, value in valid.items():
@@ -375,8 +372,6 @@ def _ranges(valid: Any) -> dict[str, Any]:
 
 
 def _noise(noise: Any, axes: int) -> dict[str, Any]:
-    if noise is None:
-        return {}
     if not isinstance(noise, Mapping) or set(noise) != {"sigma"}:
         raise InputError("noise: a mapping with sigma alone is due")
     sigma = noise["sigma"]
@@ -386,8 +381,6 @@ def _noise(noise: Any, axes: int) -> dict[str, Any]:
 
 
 def _tolerance(tolerance: Any) -> dict[str, float]:
-    if tolerance is None:
-        return {}
     if not isinstance(tolerance, Mapping):
         raise InputError("tolerance: must be a mapping from parameter to relative standard deviation")
     for key, value in tolerance.items():
@@ -397,8 +390,6 @@ def _tolerance(tolerance: Any) -> dict[str, float]:
 
 
 def _uncertainty(uncertainty: Any, stages: Sequence[Stage], axes: Sequence[str]) -> dict[str, Any]:
-    if uncertainty is None:
-        return {}
     if not isinstance(uncertainty, Mapping) or set(uncertainty) != {"parameters", "factor"}:
         raise InputError("uncertainty: must be a mapping with parameters and factor: identify the model again, or leave it out")
     names, factor = uncertainty["parameters"], uncertainty["factor"]
@@ -414,8 +405,6 @@ def _uncertainty(uncertainty: Any, stages: Sequence[Stage], axes: Sequence[str])
 
 
 def _discrepancy(discrepancy: Any, axes: int) -> dict[str, Any]:
-    if discrepancy is None:
-        return {}
     if not isinstance(discrepancy, Mapping) or discrepancy.get("version") != DISCREPANCY_VERSION:
         raise InputError(
             f"discrepancy: must be a mapping with version {DISCREPANCY_VERSION}: identify the model again, or leave it out"

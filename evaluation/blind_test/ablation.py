@@ -58,7 +58,7 @@ RULES: dict[str, Rule] = {
     "_worth_naming": (policy, "_worth_naming", lambda *_: True),
     "_has_own_error": (policy, "_has_own_error", lambda *_: False),
     "strained": (policy, "strained", lambda *_: False),
-    "_unusual": (policy, "_unusual", lambda *_: False),
+    "_unusual": (policy, "is_unusual", lambda *_: False),
     "vibration_found": (policy, "vibration_found", lambda *_: None),
     "flicker_found": (policy, "flicker_found", lambda *_: None),
     "too_many": (novelty, "_too_many", lambda *_: False),

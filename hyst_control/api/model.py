@@ -20,6 +20,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import TEXT, Quantity
 from hyst_control.chain.coordinates import chain_coordinates
+from hyst_control.control.feedback.loop import feedforward_rows
 from hyst_control.control.feedforward.compensator import Compensator, build_compensator, drive_limits
 from hyst_control.control.feedforward.whole_inverse import lifted_inverse
 from hyst_control.control.linearization import hysteresis_slopes, linearized
@@ -307,9 +308,7 @@ class Inverse(Shown):
         rows = rows_for("reference", reference, self.model.axes)
         if self.compensator is None:
             return lifted_inverse(self.model, rows, sample_time=self.sample_time, limits=self.limits).command
-        ahead = self.compensator.preview
-        self.compensator.settle(rows[0])
-        return self.compensator.process(np.concatenate([rows, np.repeat(rows[-1:], ahead, axis=0)]))[ahead:]
+        return feedforward_rows(rows, self.compensator)
 
 
 def identify(

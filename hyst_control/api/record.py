@@ -430,7 +430,7 @@ def from_pandas(
     columns = [str(name) for name in frame.columns]
     values = []
     for column in chosen:
-        picked = [index for name in column.columns for index in column_indices("frame", name, columns, len(columns))]
+        picked = [index for name in column.columns for index in column_indices("frame", name, columns)]
         values.append(column.scales[0] * rows_of(column.topic, frame.iloc[:, picked]))
     given = 1.0 if rate is None else rate  # till the times are known
     made = from_arrays(values[0], values[1], given, command_unit=chosen[0].unit, unit=chosen[1].unit, source="frame")

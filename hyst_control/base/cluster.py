@@ -32,7 +32,7 @@ def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, Callable[[
     with ExitStack() as stack:
         try:
             if address == LOCAL:
-                cluster = stack.enter_context(
+                cluster: object = stack.enter_context(
                     LocalCluster(  # type: ignore[no-untyped-call]
                         n_workers=count,
                         threads_per_worker=1,
@@ -41,11 +41,10 @@ def cluster_executor(address: str, count: int) -> Iterator[tuple[Any, Callable[[
                         silence_logs=logging.ERROR,
                     )
                 )
-                client = stack.enter_context(Client(cluster, timeout=CONNECT_TIMEOUT))  # type: ignore[no-untyped-call]
-            elif os.path.exists(address):
-                client = stack.enter_context(Client(scheduler_file=address, timeout=CONNECT_TIMEOUT))  # type: ignore[no-untyped-call]
+                place = {"address": cluster}
             else:
-                client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT))  # type: ignore[no-untyped-call]
+                place = {"scheduler_file" if os.path.exists(address) else "address": address}
+            client = stack.enter_context(Client(**place, timeout=CONNECT_TIMEOUT))  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:  # a timeout is an OSError
             raise InputError(
                 f"--cluster {address}: no scheduler answers ({error}): start dask scheduler, or check the address"

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The error of every unusable input, shown to the user as one clear line."""
+"""The error of every unusable input, shown to the user as one clear line, and the kind of note that tells of a loss."""
 
 from __future__ import annotations
 
@@ -17,3 +17,9 @@ class InputError(ValueError):
 
 class WorkerLost(InputError):
     """A process that computed was killed from outside; reported like an unusable input, since the program cannot correct it."""
+
+
+class Loss(str):
+    """A note on data that are lost or damaged; other notes say how the rest was read."""
+
+    __slots__ = ()

@@ -32,10 +32,9 @@ def entry_points(group: str) -> metadata.EntryPoints:
     return cast(metadata.EntryPoints, _all_entry_points().select(group=group))
 
 
-def load(group: str, add: Callable[[str, object], object] = lambda name, value: None) -> None:
+def load(group: str, add: Callable[[str, object], object]) -> None:
     """Import every plugin of a group; a log line of level WARNING names the distribution of each that is unusable."""
-    # add: called with the name and the value of each; an exception makes the plugin unusable. By default a plugin is only imported:
-    # its module registers itself
+    # add: called with the name and the value of each; an exception makes the plugin unusable
     assert group in GROUPS
     for point in sorted(entry_points(group=f"hyst_control.{group}"), key=lambda point: point.name):
         try:

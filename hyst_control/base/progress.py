@@ -14,26 +14,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Protocol
+from typing import Any
 
-
-class Bar(Protocol):
-    """The part of a tqdm bar that is used here."""
-
-    def set_description_str(self, desc: str | None = None, refresh: bool | None = True) -> None:
-        """Set the text behind the elapsed time."""
-
-    def update(self) -> bool | None:
-        """Count one step."""
-
-    def refresh(self) -> object:
-        """Draw the line again."""
-
-    def close(self) -> None:
-        """Remove the line."""
-
-
-_bar: Bar | None = None
+_bar: Any = None  # tqdm's, None while nothing is shown
 _within = ""
 _lines = False  # True when the standard error is no terminal, and parts are printed as lines
 

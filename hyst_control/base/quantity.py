@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import Any, Generic, NoReturn, TypeVar, cast
 
@@ -35,14 +36,8 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _truth(value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
+def _unchanged(value: object, kind: type[T]) -> T:
+    if not isinstance(value, kind):
         raise TypeError
     return value
 
@@ -60,8 +55,8 @@ def list_of(kind: Kind[T], name: str) -> Kind[tuple[T, ...]]:
 
 INTEGER = Kind("an integer", _integer)
 NUMBER = Kind("a number", _number)
-TRUTH = Kind("true or false", _truth)
-TEXT = Kind("a text", _text)
+TRUTH = Kind("true or false", partial(_unchanged, kind=bool))
+TEXT = Kind("a text", partial(_unchanged, kind=str))
 OF_TYPE: dict[type, Kind[Any]] = {int: INTEGER, float: NUMBER, bool: TRUTH, str: TEXT}
 LISTS: dict[type, Kind[Any]] = {
     int: list_of(INTEGER, "a list of integers"),
@@ -69,11 +64,6 @@ LISTS: dict[type, Kind[Any]] = {
     bool: list_of(TRUTH, "a list of true or false"),
     str: list_of(TEXT, "a list of texts"),
 }
-
-
-def kind_of(default: Any) -> Kind[Any]:
-    """Kind of the values of which this is the default."""
-    return LISTS[type(default[0])] if isinstance(default, tuple) else OF_TYPE[type(default)]
 
 
 @dataclass(frozen=True)
@@ -94,7 +84,8 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if self.kind is None:
-            object.__setattr__(self, "kind", kind_of(self.default))
+            kind = LISTS[type(self.default[0])] if isinstance(self.default, tuple) else OF_TYPE[type(self.default)]
+            object.__setattr__(self, "kind", kind)
 
     def within(self, number: float) -> bool:
         """True for a number within the bounds."""

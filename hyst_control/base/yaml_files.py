@@ -46,7 +46,7 @@ def parse_yaml(text: str, where: str | Path) -> Any:
     try:
         _check(text)
         return yaml.load(text, Loader=_Loader)
-    except _LimitExceeded as error:
+    except InputError as error:
         raise InputError(f"{where}: {error}") from None
     except yaml.MarkedYAMLError as error:
         line = f" line {error.problem_mark.line + 1}" if error.problem_mark else ""
@@ -57,14 +57,10 @@ def parse_yaml(text: str, where: str | Path) -> Any:
         raise InputError(f"{where}: is not valid YAML: a value does not fit its tag ({first_line(error)})") from None
 
 
-class _LimitExceeded(Exception):
-    pass
-
-
 def _check(text: str) -> None:
     """Count what a text holds without building it."""
     if len(text) > MAX_BYTES:
-        raise _LimitExceeded(f"is longer than {MAX_BYTES >> 20} MiB: split it, or keep large arrays in .npy files")
+        raise InputError(f"is longer than {MAX_BYTES >> 20} MiB: split it, or keep large arrays in .npy files")
     nodes = 0
     anchors: dict[str, int] = {}  # Nodes of everything anchored so far
     open_nodes: list[tuple[str | None, int]] = []
@@ -74,15 +70,15 @@ def _check(text: str) -> None:
         if isinstance(event, yaml.NodeEvent):
             room[-1] -= 1
             if room[-1] < 0:
-                raise _LimitExceeded(f"holds a mapping of more than {MAX_KEYS} keys: split it")
+                raise InputError(f"holds a mapping of more than {MAX_KEYS} keys: split it")
         if isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _ in open_nodes):
-                raise _LimitExceeded(f"the alias *{event.anchor} stands within itself: write the values out")
+                raise InputError(f"the alias *{event.anchor} stands within itself: write the values out")
             nodes += anchors.get(str(event.anchor), 1)
         elif isinstance(event, yaml.ScalarEvent):
             nodes += 1
             if len(event.value) > MAX_CHARACTERS:
-                raise _LimitExceeded(f"holds a value of {len(event.value)} characters: at most {MAX_CHARACTERS} are read")
+                raise InputError(f"holds a value of {len(event.value)} characters: at most {MAX_CHARACTERS} are read")
             if event.anchor is not None:
                 anchors[event.anchor] = 1
         elif isinstance(event, yaml.CollectionStartEvent):
@@ -90,14 +86,14 @@ def _check(text: str) -> None:
             open_nodes.append((event.anchor, nodes))
             room.append(2 * MAX_KEYS if isinstance(event, yaml.MappingStartEvent) else MAX_NODES)
             if len(open_nodes) > MAX_DEPTH:
-                raise _LimitExceeded(f"is nested more than {MAX_DEPTH} deep: flatten it")
+                raise InputError(f"is nested more than {MAX_DEPTH} deep: flatten it")
         elif isinstance(event, yaml.CollectionEndEvent):
             anchor, begin = open_nodes.pop()
             room.pop()
             if anchor is not None:
                 anchors[anchor] = nodes - begin + 1
         if nodes > MAX_NODES:
-            raise _LimitExceeded(f"holds more than {MAX_NODES} values, its aliases counted: split it")
+            raise InputError(f"holds more than {MAX_NODES} values, its aliases counted: split it")
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import groupby
 from typing import ClassVar, cast
 
@@ -95,16 +96,10 @@ class ParallelFilter(Filter):
         self.hold = "zoh" if all(running.hold == "zoh" for running in filters) else "foh"
 
     def settle(self, value: Array) -> Array:
-        total = self.filters[0].settle(value)
-        for running in self.filters[1:]:
-            total = total + running.settle(value)
-        return total
+        return reduce(np.add, [running.settle(value) for running in self.filters])
 
     def process(self, block: Array) -> Array:
-        total = self.filters[0].process(block)
-        for running in self.filters[1:]:
-            total = total + running.process(block)
-        return total
+        return reduce(np.add, [running.process(block) for running in self.filters])
 
     def c_code(self) -> CCode:
         return parallel([running.c_code() for running in self.filters])
@@ -207,10 +202,8 @@ def arrange(stages: Sequence[Stage], hold: str = "foh") -> tuple[Stage, ...]:
 
 
 def _pass_bends(stages: Sequence[Stage]) -> list[Stage]:
-    """Take what a lag does between the samples over the memory that follows it, to the next linear stage or into branches.
-
-    Where nothing linear follows, the samples are all that is seen. A stage with dynamics of its own gets the mean instead.
-    """
+    """Take what a lag does between the samples over the memory that follows it, to the next linear stage or into branches."""
+    # Where nothing linear follows, the samples are all that is seen. A stage with dynamics of its own gets the mean instead.
     passed: list[Stage] = []
     waiting: tuple[Stage, ...] = ()
     for index, stage in enumerate(stages):
@@ -306,10 +299,7 @@ def _cut_before_uneven_delays(run: Sequence[Stage]) -> list[list[Stage]]:
 
 
 def _gains_last(stages: Sequence[Stage]) -> list[Stage]:
-    """A gain or an offset behind linear stages or parallel branches would part them from a linear stage that follows.
-
-    Where that changes nothing, they change places.
-    """
+    """Stages in which a gain or an offset changes places with a linear stage behind it that it would part from those before."""
     ordered = list(stages)
     for index in range(1, len(ordered) - 1):
         before, static, after = ordered[index - 1 : index + 2]

@@ -31,11 +31,8 @@ def with_coordinates(stages: Sequence[Stage], values: Mapping[str, float], axes:
     """A chain with other values of some of its numbers."""
     changed: dict[Place, Stage] = {}
     for title, place, stage in _titled(stages):
-        own = {}
-        for name, axis in stage.coordinates(len(axes)):
-            label = _label(title, name, axis, axes)
-            if label in values:
-                own[name, axis] = values[label]
+        labels = {key: _label(title, *key, axes) for key in stage.coordinates(len(axes))}
+        own = {key: values[label] for key, label in labels.items() if label in values}
         if own:
             changed[place] = stage.with_coordinates(own, len(axes))
     return tuple(_rebuilt(stage, (i,), changed) for i, stage in enumerate(stages))

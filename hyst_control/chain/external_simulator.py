@@ -8,10 +8,7 @@ command[k] holds from tick k to tick k + 1, and measurement[k] is the sample at 
 `foh` command and measurement are samples at the same instants. Arrays are (N,) for one axis and (N, A) for several. The stage is no part
 of the vocabulary of model files: a file that is read must not run functions by name.
 
-Lags and delays next to it bend signals within a tick: a function that can be called at finer steps is there called at these.
-
-A function with the attribute `vectorized` also takes parameters (P,) and returns the measurement of each, (P, N) or (P, N, A): columns of
-derivatives are then one call.
+docs/any_simulator.md says when it is called at finer steps, and what the attribute `vectorized` is for.
 """
 
 from __future__ import annotations

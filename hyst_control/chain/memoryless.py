@@ -169,7 +169,5 @@ class Quantization(Stage):
         step = per_axis_scalar(self.step, sampling.axes, "step")
         rounded = "(p->step[i] > R(0.0)) ? (p->step[i] * M(rint)(u / p->step[i])) : u"
         code = each_axis(rounded, "lattice", {"step": (step, "signal unit, distance of two values; 0: none")})
-        if np.all(step > 0):
-            return StaticFilter(lambda u: step * np.rint(u / step), sampling.hold, code)
         divisor = np.where(step > 0, step, 1.0)
         return StaticFilter(lambda u: np.where(step > 0, step * np.rint(u / divisor), u), sampling.hold, code)

@@ -6,9 +6,7 @@ A stage is a frozen dataclass whose fields say what they are:
 
     tau: ScalarPerAxis = scalar("s", "transport delay", lower=0.0)
 
-From this one declaration come the checks (`Parameter.check`), the split of a model by axis and the spreading over axes
-(`Parameter.of_axis`, `Parameter.spread`), which numbers are uncertain (`Parameter.scatter`), and the reference of all stages
-in the documents (`docs/reference/stages.py`).
+The checks, the split of a model by axis, the uncertainty and the reference in the documents all come from this one declaration.
 """
 
 from __future__ import annotations
@@ -171,26 +169,16 @@ def depth(value: Any) -> int:
 
 
 def per_axis(value: VectorPerAxis | ScalarPerAxis | AllAxes, axes: int, due: int, field: str) -> list[Array]:
-    """Spread a parameter over the axes."""
+    """Spread a checked parameter over the axes."""
     found = depth(value)
     if found == due:
-        return [_array(value, due, field)] * axes
+        return [np.array(value, dtype=float)] * axes
     if found == due + 1:
         items = cast(Sequence[Any], value)
         if len(items) != axes:
             raise InputError(f"{field}: {len(items)} values for {axes} axes: give one for all or one per axis")
-        return [_array(item, due, field) for item in items]
+        return [np.array(item, dtype=float) for item in items]
     raise InputError(f"{field}: nested {found} deep, give {due} (all axes alike) or {due + 1} (per axis)")
-
-
-def _array(value: Any, dimensions: int, field: str) -> Array:
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        array = np.zeros((0,) * (dimensions + 1))
-    if array.ndim != dimensions:
-        raise InputError(f"{field}: {value!r} is not {('a number', 'a list of numbers')[min(dimensions, 1)]}")
-    return array
 
 
 def per_axis_scalar(value: ScalarPerAxis, axes: int, field: str) -> Annotated[Array, "A"]:
@@ -225,14 +213,14 @@ def all_axes(unit: str, text: str, *dimensions: int, default: Any = MISSING, **d
     return _field(Form.ALL_AXES, unit, text, default, dimensions=dimensions, **declared)
 
 
-def count(text: str, *, default: Any = MISSING, lower: int = 0) -> Any:
+def count(text: str, *, default: Any = MISSING) -> Any:
     """Declare a field that is a whole number, and known exactly."""
-    return _field(Form.COUNT, "", text, default, lower=lower, whole=True, scatter=Scattering.NONE)
+    return _field(Form.COUNT, "", text, default, lower=0, whole=True, scatter=Scattering.NONE)
 
 
-def flag(text: str, *, default: bool = False) -> Any:
-    """Declare a field that is true or false."""
-    return _field(Form.FLAG, "", text, default, kind=TRUTH, scatter=Scattering.NONE)
+def flag(text: str) -> Any:
+    """Declare a field that is true or false, and false by default."""
+    return _field(Form.FLAG, "", text, False, kind=TRUTH, scatter=Scattering.NONE)
 
 
 def chains(text: str) -> Any:

@@ -13,7 +13,6 @@ example:
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 NAME = "check"
 HELP = "tell what is missing in recorded bags"
 READS = ("bags",)
-LOST = re.compile(r"is damaged|has no footer|metadata\.yaml: cannot be used|left out|holds no (messages|rows)|rows are missing")
-"""Words of notes on lost or damaged data; other notes describe how the rest was read."""
 ALONE = 0.05  # Share of its time up to which command or measurement may be without the other: a recorder meets one first
 TICKS = 3  # And ticks, in a short bag
 
@@ -42,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    from hyst_control.base.errors import Loss
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.records.losses import account
     from hyst_control.reporting.artifacts import Artifacts
@@ -52,7 +50,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         record = read_bag(bag, arguments.namespace, unit=arguments.unit, columns=arguments.columns)
         topics = account(record)
         incomplete = _incomplete(bag, {one.topic: one for one in topics})
-        sound = all(one.whole for one in topics) and not incomplete and not any(map(LOST.search, record.notes))
+        sound = all(one.whole for one in topics) and not incomplete and not any(isinstance(note, Loss) for note in record.notes)
         whole &= sound
         made.lines.append(f"{bag}: {'whole' if sound else 'not whole'}")
         for one in topics:

@@ -34,9 +34,9 @@ class Step:
         """Overshoot of the worst axis, percent."""
         return float(100.0 * max(self.measurement.max() - 1.0, 0.0))
 
-    def settling_ticks(self, band: float = 0.02) -> float:
-        """Ticks until every axis stays within the band; NaN where one does not."""
-        outside = np.flatnonzero(~np.all(np.abs(self.measurement - 1.0) <= band, axis=1))
+    def settling_ticks(self) -> float:
+        """Ticks until every axis stays within 2 %; NaN where one does not."""
+        outside = np.flatnonzero(~np.all(np.abs(self.measurement - 1.0) <= 0.02, axis=1))
         last = int(outside[-1]) if len(outside) else -1
         return float(self.ticks[last + 1]) if last + 1 < len(self.ticks) else np.nan
 

@@ -46,12 +46,13 @@ def hysteresis_slopes(model: Model) -> tuple[Array, Array]:
     return mean, greatest[np.abs(greatest).argmax(axis=0), np.arange(axes)]
 
 
-def linearized(model: Model, slope: Annotated[Array, "A"]) -> tuple[Stage, ...]:
-    """The chain with its hysteresis replaced by `slope` (A,), a parallel rate correction kept; modes that soften stand still.
+def linearized(model: Model, slope: Annotated[Array, "A"] | None = None) -> tuple[Stage, ...]:
+    """The chain with its hysteresis replaced by `slope` (A,), its mean one by default; modes that soften stand still.
 
-    Hysteresis besides the first one, such as play, gets its own mean slope.
+    A parallel rate correction is kept. Hysteresis besides the first one, such as play, gets its own mean slope.
     """
     axes = len(model.axes)
+    slope = hysteresis_slopes(model)[0] if slope is None else slope
     stages = resolved(model.chain.stages, axes)
     slopes: dict[int, Array] = {}
     for stage in _hystereses(stages, axes):

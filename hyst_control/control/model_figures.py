@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
+from hyst_control.control.linearization import linearized, sampled_response
 from hyst_control.control.state_space import Discrete, state_space
 from hyst_control.control.tuning import Tuning, controller_response, spread_responses
 from hyst_control.identify.assess.fit_report import residual
@@ -33,9 +33,8 @@ def frequencies(sample_time: float) -> Array:
 def model_responses(model: Model, frequency: Array, sample_time: float | None = None) -> list[Response]:
     """Response of every axis to its own held command at frequencies (F,), Hz, the hysteresis replaced by its mean slope."""
     step = sample_time or model.sample_time
-    mean, _ = hysteresis_slopes(model)
     z = np.exp(2j * np.pi * frequency * step)
-    found = sampled_response(linearized(model, mean), len(model.axes), step, z)
+    found = sampled_response(linearized(model), len(model.axes), step, z)
     several = len(model.axes) > 1
     return [
         Response(f"{model.name} {axis}" if several else model.name, frequency, found[:, index, index])
@@ -55,8 +54,7 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
 
 def poles_and_zeros(model: Model) -> list[Panel]:
     """Poles and zeros of every axis in the plane of s, those of delays left out; the hysteresis is replaced by its mean slope."""
-    mean, _ = hysteresis_slopes(model)
-    system = state_space(linearized(model, mean), len(model.axes), model.sample_time)
+    system = state_space(linearized(model), len(model.axes), model.sample_time)
     panels = []
     for index, axis in enumerate(model.axes):
         zeros, poles = _of_axis(system, index)

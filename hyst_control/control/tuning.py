@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it.
+"""Automatic tuning of the PI feedback to stability margins, from a model's linear part as the loop samples it (docs/control.md).
 
 The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1) + D(z) - G(z)): P exact for the held command, delays included, d further
 ticks where the loop carries them (a loop closed over topics on wall-clock timers carries about one), F the roll-off and the notches
@@ -30,7 +30,6 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
-from hyst_control.chain import Chain
 from hyst_control.control.feedback.filters import Filters, response
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
@@ -111,8 +110,7 @@ class Tuning:
     def step(self, model: Model, length: int) -> Array:
         """Measurement (length, A) of `model` in the linear loop when the reference jumps from 0 to 1."""
         axes = len(model.axes)
-        mean, _ = hysteresis_slopes(model)
-        plant = Simulator(model.with_stages(Chain(linearized(model, mean)).stages), self.sample_time)
+        plant = Simulator(model.with_stages(linearized(model)), self.sample_time)
         return run_loop(np.ones((length, axes)), None, self.law.start(axes), plant)["measurement"]
 
     def table(self, model: Model) -> Table:

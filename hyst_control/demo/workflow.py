@@ -1,10 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""`hyst demo`: excite, record, identify, track and diagnose, and the HAMPI paper's Table 5 beside the result.
-
-The plant is a truth PEA that shares no code with the models. With ROS every run goes through five real nodes, open loops in blocks and the
-closed loop sample by sample; without ROS the same numbers are computed in this process.
-"""
+"""`hyst demo`: excite, record, identify, track and diagnose, and the HAMPI paper's Table 5 beside the result."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence of a diagnosis: numbers only, on which the policy decides.
-
-A further kind of evidence is a further number here, measured by code that decides nothing, and a further rule in the policy.
-"""
+"""Evidence of a diagnosis: numbers only, measured by code that decides nothing, on which the policy decides."""
 
 from __future__ import annotations
 

@@ -8,12 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from hyst_control.diagnose.evidence import (
-    CompanionEvidence,
-    DistortionEvidence,
-    Finding,
-    Outliers,
-)
+from hyst_control.diagnose.evidence import CompanionEvidence, DistortionEvidence, Finding, Outliers
 
 
 class Verdict(str, Enum):
@@ -30,47 +25,28 @@ class Reason(str, Enum):
     """Reason of a verdict."""
 
     ENERGY_LEFT = "energy_left"  # Unknown: the best explanation leaves more of the gap's energy than it may
-
     OUTLIERS = "outliers"  # Unknown: what is left is single samples that stand out
-
     TOO_MANY_EFFECTS = "too_many_effects"  # Unknown: the best explanation needs more effects at once than are likely
-
     AT_BOUND = "at_bound"  # Unknown: the one explanation has an effect at the end of its range
-
+    # Unknown: beside the effects much of the gap is left, or taken up by coefficients many tolerances away.
     UNEXPLAINED_SHARE = "unexplained_share"
-    """Unknown: beside the effects much of the gap is left, or taken up by coefficients many tolerances away."""
-
     DISTORTION_TIME = "distortion_time"  # Unknown: the size of a named effect would have to change with time
-
     DISTORTION_LEVEL = "distortion_level"  # Unknown: it would have to change with the level of the command
-
     DISTORTION_RATE = "distortion_rate"  # Unknown: it would have to change with the rate of the command
-
     DISTORTION_BRANCH = "distortion_branch"  # Unknown: it would have to change with the direction of the command
-
+    # Unknown: by the likelihood of all hypotheses, something that none of them is, is more probable than all of them.
     SOMETHING_ELSE = "something_else"
-    """Unknown: by the likelihood of all hypotheses, something that none of them is, is more probable than all of them."""
-
     SEVERAL_EXPLANATIONS = "several_explanations"  # Ambiguous: more than one explanation is probable
-
     ONE_EXPLANATION = "one_explanation"  # Effect: one explanation is sure
-
     NO_OTHER_EXPLANATION = "no_other_explanation"  # Effect: one explanation is not sure, but every other is improbable
-
     RECORD_CHECK = "record_check"  # Effect: a check of the record found an effect without a waveform
-
     SESSION_DIFFERS = "session_differs"  # Effect: zero or drift of the session differ, more than between baseline records
-
     NOISE_EXPLAINS_MORE = "noise_explains_more"  # Effect: 1/f noise explains more than any effect with a waveform
-
+    # Parameters: coefficients further off than their tolerance explain the gap.
     COEFFICIENTS_BEYOND_TOLERANCE = "coefficients_beyond_tolerance"
-    """Parameters: coefficients further off than their tolerance explain the gap."""
-
+    # Parameters: the tolerances explain the gap, but the simulation as given is so far off that a user has to act.
     COEFFICIENTS_WITHIN_TOLERANCE = "coefficients_within_tolerance"
-    """Parameters: the tolerances explain the gap, but the simulation as given is so far off that a user has to act."""
-
     BELOW_PRACTICAL_SIZE = "below_practical_size"  # No gap: what beats the simulated null is too small to be worth naming
-
     BELOW_NULL = "below_null"  # No gap: nothing beats what records without a gap score by chance
 
 

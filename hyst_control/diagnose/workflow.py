@@ -20,7 +20,6 @@ from hyst_control.base.parallel import beside
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
 from hyst_control.diagnose.problem.coefficient_prior import names_that_scatter
-from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.report.attribution import attribute
 from hyst_control.diagnose.report.augmented_model import augmented as augmented_model
 from hyst_control.diagnose.report.block_replay import replay
@@ -30,7 +29,7 @@ from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import RULES, AxisDiagnosis, Diagnosis, diagnose
+from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
@@ -65,9 +64,7 @@ class GapResult:
         model, panels = self.diagnosis.model, []
         unit = model.units["measurement"]
         for piece in traces_of(self.diagnosis, self.better):
-            curves = {"simulated": piece.simulated}
-            if piece.augmented is not None:
-                curves["with the effects"] = piece.augmented
+            curves = {"with the effects" if name == "augmented" else name: values for name, values in piece.curves.items()}
             for index, axis in enumerate(model.axes):
                 label = f" {axis}" if len(model.axes) > 1 else ""
                 drawn = {"measured": piece.measured, **curves}
@@ -80,7 +77,7 @@ class GapResult:
     def write_page(self, path: str | Path, origins: Sequence[Origin] = ()) -> None:
         """Write the HTML page of the gap."""
         if self.diagnosis is None:
-            write_invalid_page(str(path), self.document, origins)
+            write_invalid_page(Path(path), self.document, origins)
             return
         from hyst_control.diagnose.report.page import write_page
 
@@ -142,10 +139,10 @@ def diagnose_bags(
         own_records=own_records,
         coming=None if on is None else (str(on), _command(on, namespace, unit)),
     )
-    written = [augmented] if augmented is not None and gap.better is not None else []
-    if gap.better is not None:
-        for path in written:
-            save_model(gap.better, path)
+    written = []
+    if augmented is not None and gap.better is not None:
+        save_model(gap.better, augmented)
+        written = [augmented]
     if json is not None:
         write_json(json, gap.document)
     if report is not None:
@@ -247,15 +244,22 @@ def diagnosed(
 
     diagnosis = diagnose(records, model, seed, without, cache, progress=tell, warm_up=warm_up, baseline=baseline, core=core)
     if model is not None:
-        diagnosis = replace(diagnosis, parts=tuple(_with_structure(diagnosis.problem, part) for part in diagnosis.parts))
+        parts = [
+            replace(part, structure=gap_structure(diagnosis.problem, part.axes))
+            if part.decision.verdict is Verdict.UNKNOWN and not part.structure
+            else part  # the core has told the structure, or there is nothing to tell
+            for part in diagnosis.parts
+        ]
+        diagnosis = replace(diagnosis, parts=tuple(parts))
     tell("shrink on held-out blocks")
     with beside(partial(budget, diagnosis)) as split:
         attribution = attribute(diagnosis)
         useful = any(effect.shrink is None or effect.shrink > 0.0 for effect in attribution.effects)
         better = augmented_model(diagnosis) if useful and model is not None else None
         remainder = remainder_of(diagnosis)
-        added = learned_residual and model is not None and remainder is not None and bool(remainder.stages)
-        if added and model is not None and remainder is not None:
+        added = False
+        if learned_residual and model is not None and remainder is not None and remainder.stages:
+            added = True
             better = with_learned_residual(better or replace(model, name=f"{model.name}_augmented"), remainder)
         blocks = [block for record in records for block in replay(record, diagnosis.configuration.replay)]
         document = gap_report(
@@ -275,13 +279,6 @@ def _as_before_identification(model: Model) -> Model:
     names = {name for stage in stages for name in names_that_scatter(stage)}
     wide = {name: max(float(np.max(model.tolerance.get(name, 0.0))), REFITTED) for name in names if "." not in name}
     return replace(model, discrepancy={}, noise={}, uncertainty={}, tolerance=wide)
-
-
-def _with_structure(problem: Problem, part: AxisDiagnosis) -> AxisDiagnosis:
-    """The diagnosis of an axis with the structure of its gap where that is unknown, unless the core has told it."""
-    if part.decision.verdict is not Verdict.UNKNOWN or part.structure:
-        return part
-    return replace(part, structure=gap_structure(problem, part.axes))
 
 
 def _command(path: str, namespace: str | None, unit: str) -> Array:

@@ -14,8 +14,7 @@ from hyst_control.chain.parameter import ScalarPerAxis, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Effect, Parameter, Surroundings
 
-COUNT = 12
-"""Lags of the ladder."""
+COUNT = 12  # Lags of the ladder
 
 
 @register

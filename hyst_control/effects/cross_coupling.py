@@ -65,9 +65,8 @@ def stage(values: Values, around: Surroundings) -> Stage:
         size = around.stroke / max(around.command[1] - around.command[0], 1e-300)
 
         def matrix_of(part: str) -> np.ndarray:
-            return size * np.array(
-                [[values.get(f"{part}_{sensor}_{source}", 0.0) for source in range(axes)] for sensor in range(axes)]
-            )
+            rows = [[values.get(f"{part}_{sensor}_{source}", 0.0) for source in range(axes)] for sensor in range(axes)]
+            return size * np.array(rows)
 
         in_phase, quadrature = (np.array([matrix_of(f"{part}_{mode}") for mode in range(len(around.modes))]) for part in MODAL)
         frequency, damping = np.array(around.modes).T

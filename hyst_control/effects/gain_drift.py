@@ -23,23 +23,14 @@ from hyst_control.effects.time_dependent import TimedStage
 
 C = c_texts(__file__)
 
-STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5
-"""Places of the time constants in their decades."""
-STRAIGHT = 10.0
-"""Time constant, in lengths of the record, from which a drift is straight."""
+STEPS = (np.arange(6) + 0.5) / 6.0 - 0.5  # Places of the time constants in their decades
+STRAIGHT = 10.0  # Time constant, in lengths of the record, from which a drift is straight
 
-ONSET = "time from the start of the record at which it begins"
-LASTS = "time for which it goes on from there; then it stays where it is; 0: it goes on for ever"
-SMOOTH = "how smoothly it begins and ends: 0 with corners, 1 in an S"
-TIME_CONSTANT = "time constant, the geometric mean of several; negative of a drift that goes ever faster"
-"""The parameter `tau` of a drift's stage."""
-FASTEST = 8.0
-"""Length of the record, in time constants, of a drift that goes ever faster."""
+FASTEST = 8.0  # Length of the record, in time constants, of a drift that goes ever faster
 JUMPS = tuple(np.arange(0.5, 18.0) / 19.0)
 """Onsets at which fits of a jump begin, as shares of the time in which a jump is visible; each fit begins with a ramp over a twentieth of
 the record."""
-SHORTEST = 0.002
-"""Length of a drift that is a jump, in that of the record."""
+SHORTEST = 0.002  # Length of a drift that is a jump, in that of the record
 
 
 @dataclass(frozen=True)
@@ -47,15 +38,20 @@ class Drift(TimedStage):
     """A change that comes with time, t from onset on, as `arrived` has it."""
 
     change: ScalarPerAxis = scalar("", "in the end")
-    tau: ScalarPerAxis = scalar("s", TIME_CONSTANT)
+    tau: ScalarPerAxis = scalar("s", "time constant, the geometric mean of several; negative of a drift that goes ever faster")
     decades: ScalarPerAxis = scalar("", "over which several time constants are spread; 0: one", default=0.0, lower=0.0, upper=20.0)
     initial: ScalarPerAxis = scalar("", "part of the change that is there at the start", default=0.0)
-    onset: ScalarPerAxis = scalar("s", ONSET, default=0.0, lower=0.0)
-    lasts: ScalarPerAxis = scalar("s", LASTS, default=0.0, lower=0.0)
-    smooth: ScalarPerAxis = scalar("", SMOOTH, default=0.0, lower=0.0, upper=1.0)
+    onset: ScalarPerAxis = scalar("s", "time from the start of the record at which it begins", default=0.0, lower=0.0)
+    lasts: ScalarPerAxis = scalar(
+        "s", "time for which it goes on from there; then it stays where it is; 0: it goes on for ever", default=0.0, lower=0.0
+    )
+    smooth: ScalarPerAxis = scalar(
+        "", "how smoothly it begins and ends: 0 with corners, 1 in an S", default=0.0, lower=0.0, upper=1.0
+    )
 
     def check(self) -> None:
-        check_time_constant(self.tau)
+        if not np.all(np.asarray(self.tau, dtype=float)):
+            raise InputError(f"tau: must not be 0 s, got {self.tau}")
 
 
 @register
@@ -74,12 +70,6 @@ class GainDrift(Drift):
 
     def function_in_c(self, axes: int) -> CCode:
         return drift_code(self, axes, "u * (R(1.0) + (p->change[i] * (p->initial[i] + SHARE)))", "gain drift")
-
-
-def check_time_constant(tau: ScalarPerAxis) -> None:
-    """Check a drift's time constant."""
-    if not np.all(np.asarray(tau, dtype=float)):
-        raise InputError(f"tau: must not be 0 s, got {tau}")
 
 
 def drift_times(tau: Annotated[Array, "A"], decades: Annotated[Array, "A"]) -> Array:

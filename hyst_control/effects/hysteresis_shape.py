@@ -11,7 +11,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.chain.c_code.c_code import each_axis
+from hyst_control.chain.c_code.c_code import CCode, each_axis
 from hyst_control.chain.chain import Chain, Parallel
 from hyst_control.chain.memoryless import Memoryless
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
@@ -89,34 +89,30 @@ class HysteresisShape(Modifier):
             "tilt": (tilt, "share of the stroke, from end to end"),
             "stroke": (stroke, "output unit"),
         }
+
+        def code(expression: str, title: str, **constants: tuple[Array, str]) -> CCode:
+            return each_axis(expression, title, {**bend, **constants}, (BEND,))
+
         if not behind.all():
-            code = each_axis(
+            text = code(
                 f"p->share[i] * {BENT.format('lower')}",
                 "bend",
-                {
-                    **bend,
-                    "share": (1.0 - behind, "0 where the bend is one of the output"),
-                    "lower": (lower, "V, where the bend begins"),
-                    "span": (upper - lower, "V"),
-                },
-                (BEND,),
+                share=(1.0 - behind, "0 where the bend is one of the output"),
+                lower=(lower, "V, where the bend begins"),
+                span=(upper - lower, "V"),
             )
-            bent = Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), code)
+            bent = Memoryless(lambda u: (1.0 - behind) * curve((u - lower) / (upper - lower)), text)
             stages = (Parallel(((before[index],), (bent,))),)
         if behind.any():
             whole = np.where(span, span, 1.0)
-            code = each_axis(
+            text = code(
                 f"u + (p->share[i] * {BENT.format('begin')})",
                 "bend behind",
-                {
-                    **bend,
-                    "share": (behind, "0 where the bend is one of the command"),
-                    "begin": (begin, "output unit, where the bend begins"),
-                    "span": (whole, "output unit"),
-                },
-                (BEND,),
+                share=(behind, "0 where the bend is one of the command"),
+                begin=(begin, "output unit, where the bend begins"),
+                span=(whole, "output unit"),
             )
-            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / whole), code))
+            stages = (*stages, Memoryless(lambda y: y + behind * curve((y - begin) / whole), text))
         return (*before[:index], *stages, *before[index + 1 :])
 
 

@@ -54,11 +54,13 @@ class Resonance(Modifier):
         for system in systems:
             own = range(first, first + len(system.D))
             first += len(system.D)
-            blocks = [_oscillator(2 * np.pi * frequency[i], damping[i]) for i in own]
+            rates = 2 * np.pi * frequency[list(own)]
+            # A mode in position and velocity / w: the input enters the velocity with w, the position is the output.
+            blocks = [np.array([[0.0, w], [-w, -2.0 * damping[i] * w]]) for w, i in zip(rates, own, strict=True)]
             b = np.zeros((2 * len(own), len(own)))
             c = np.zeros((len(own), 2 * len(own)))
             for row, i in enumerate(own):
-                b[2 * row + 1, row] = 2 * np.pi * frequency[i]
+                b[2 * row + 1, row] = rates[row]
                 c[row, 2 * row : 2 * row + 2] = gain[i], quadrature[i]
             changed.append(
                 LinearSystem(
@@ -70,11 +72,6 @@ class Resonance(Modifier):
                 )
             )
         return changed
-
-
-def _oscillator(w: float, damping: float) -> np.ndarray:
-    """A of a mode in position and velocity / w: the input enters the velocity with w, the position is the output."""
-    return np.array([[0.0, w], [-w, -2.0 * damping * w]])
 
 
 def parameters(around: Surroundings) -> tuple[Parameter, ...]:

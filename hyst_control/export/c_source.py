@@ -2,15 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """C99 source of a program: one header and one source file, from the C that its filters bring (`chain.c_code`).
 
-Everything is static and constant but what `NAME_init`, `NAME_settle`, `NAME_step` and `NAME_block` are given: no heap, no recursion,
-no library but math.h. Numbers are hexadecimal literals, and every expression has the order of the Python kernels, so that a compiler
-that does not contract expressions (`-ffp-contract=off`) gives the same bits in double.
+Numbers are hexadecimal literals, and every expression has the order of the Python kernels, so that a compiler that does not contract
+expressions (`-ffp-contract=off`) gives the same bits in double.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +48,6 @@ class Program:
     name: str  # From which the prefix of everything in C is made
     code: CCode  # C of the filter
     axes: int  # Number of axes
-    # inputs, outputs: What goes in and comes out of a step
     inputs: tuple[Slot, ...]
     outputs: tuple[Slot, ...]
     sample_time: float  # S, between two steps
@@ -126,8 +123,9 @@ def header(program: Program) -> str:
         *_slots(f"{upper}_OUT", f"{upper}_OUTPUTS", program.outputs),
         "",
     ]
-    root = _root(program)
-    for unit in _walk(root):
+    units = _units(program)
+    root = units[-1]
+    for unit in units:
         if unit.has_state:
             lines += [*_state(program, unit), ""]
     member = f"    {root.name}_state chain;" if root.has_state else "    int nothing; /* it has no memory */"
@@ -155,7 +153,8 @@ def source(program: Program) -> str:
     functions = list(dict.fromkeys(text.strip() for unit in units for text in unit.code.functions))
     texts = "\n".join([*functions, *(text for unit in units for text in (unit.code.step, unit.code.settle))])
     lines = ["/*", *(f" * {c_comment(fact)}".rstrip() for fact in program.facts), " */", f'#include "{name}.h"', ""]
-    if MATH.search(texts) or re.search(r"\b(isnan|isfinite|INFINITY|NAN)\b", texts + _numbers(units)):
+    numbers = "\n".join(_initializer(member) for unit in units for member in unit.code.constants.values())
+    if MATH.search(texts) or re.search(r"\b(isnan|isfinite|INFINITY|NAN)\b", texts + numbers):
         lines += ["#include <math.h>", ""]
     lines += [f"typedef {name}_real real;", "", "#define R(value) ((real)(value))"]
     macros = {
@@ -172,7 +171,7 @@ def source(program: Program) -> str:
     for text in functions:
         lines += [text, ""]
     for unit in units:
-        lines += [*_constants(program, unit), *_work(program, unit)]
+        lines += [*_constants(unit), *_work(program, unit)]
     root = units[-1]
     pointer = "&state->chain, " if root.has_state else ""
     unused = [] if root.has_state else ["    (void)state;"]
@@ -219,32 +218,23 @@ def _slots(prefix: str, count: str, slots: tuple[Slot, ...]) -> list[str]:
     return ["enum {", *rows, f"    {count} = {len(slots)}", "};"]
 
 
-def _root(program: Program) -> Unit:
-    count = 0
-
-    def named(code: CCode) -> Unit:
-        nonlocal count
-        parts = tuple(named(part) for part in code.parts)
-        count += 1
-        return Unit(f"{program.name}_{count}_{c_identifier(code.title)}", code, parts)
-
-    return named(program.code)
-
-
-def _walk(unit: Unit) -> Iterator[Unit]:
-    for part in unit.parts:
-        yield from _walk(part)
-    yield unit
-
-
 def _units(program: Program) -> list[Unit]:
-    return list(_walk(_root(program)))
+    """Filters of a program, parts before what they are parts of."""
+    units: list[Unit] = []
+
+    def add(code: CCode) -> Unit:
+        parts = tuple(add(part) for part in code.parts)
+        units.append(Unit(f"{program.name}_{len(units) + 1}_{c_identifier(code.title)}", code, parts))
+        return units[-1]
+
+    add(program.code)
+    return units
 
 
-def _type(program: Program, member: Member) -> str:
+def _type(member: Member, real: str) -> str:
     if member.value.dtype.kind in "iub":
         return "int"
-    return "double" if member.wide else f"{program.name}_real"
+    return "double" if member.wide else real
 
 
 def _dimensions(member: Member) -> str:
@@ -253,21 +243,19 @@ def _dimensions(member: Member) -> str:
 
 def _state(program: Program, unit: Unit) -> list[str]:
     rows = [
-        f"    {_type(program, member)} {name}{_dimensions(member)}; /* {c_comment(member.text)} */"
+        f"    {_type(member, f'{program.name}_real')} {name}{_dimensions(member)}; /* {c_comment(member.text)} */"
         for name, member in unit.code.state.items()
     ]
     rows += [f"    {part.name}_state part{i};" for i, part in enumerate(unit.parts) if part.has_state]
     return ["typedef struct {", *rows, f"}} {unit.name}_state;"]
 
 
-def _constants(program: Program, unit: Unit) -> list[str]:
+def _constants(unit: Unit) -> list[str]:
     if not unit.code.constants:
         return []
-    short = {f"{program.name}_real": "real"}
     rows, values = [], []
     for name, member in unit.code.constants.items():
-        kind = _type(program, member)
-        rows.append(f"    {short.get(kind, kind)} {name}{_dimensions(member)}; /* {c_comment(member.text)} */")
+        rows.append(f"    {_type(member, 'real')} {name}{_dimensions(member)}; /* {c_comment(member.text)} */")
         values.append(f"    {_initializer(member)}, /* {name} */")
     return [
         "typedef struct {",
@@ -308,7 +296,7 @@ def _hexadecimal(number: float) -> str:
         return "INFINITY" if number > 0 else "-INFINITY"
     if number == int(number) and abs(number) < 2**53:
         return f"{number:.1f}"
-    return re.sub(r"\.?0*p", "p", number.hex()) if ".0p" not in number.hex() else number.hex().replace(".0p", "p")
+    return re.sub(r"\.?0*p", "p", number.hex())
 
 
 def _check_numbers(code: CCode, real: str) -> None:
@@ -323,10 +311,6 @@ def _check_numbers(code: CCode, real: str) -> None:
                 raise InputError(f"{code.title}: {name} = {largest:.15g} is beyond an int of C: take a smaller one")
         elif real == "float" and not member.wide and largest > float(np.finfo(np.float32).max):
             raise InputError(f"{code.title}: {name} = {largest:g} is beyond float: export with --real double, or take other units")
-
-
-def _numbers(units: list[Unit]) -> str:
-    return "\n".join(_initializer(member) for unit in units for member in unit.code.constants.values())
 
 
 def _work(program: Program, unit: Unit) -> list[str]:

@@ -34,14 +34,13 @@ int {name}_state_bytes(void);
 class CompiledProgram:
     """A program running in C. Its state is memory of its own: `state` may be copied, kept and written back."""
 
-    def __init__(self, program: Program, compiler: str | None = None) -> None:
-        self.program = program
+    def __init__(self, program: Program) -> None:
         self.type = np.dtype(np.float64 if program.real == "double" else np.float32)
         ffi = cffi.FFI()
         # The state is opaque here: its size is what the library says.
         ffi.cdef(INTERFACE.format(name=program.name, real=program.real))
         self._ffi = ffi
-        self._library = ffi.dlopen(str(shared_library(program, compiler)))
+        self._library = ffi.dlopen(str(shared_library(program)))
         self._settle = getattr(self._library, f"{program.name}_settle")
         self._block = getattr(self._library, f"{program.name}_block")
         self.state = np.zeros(getattr(self._library, f"{program.name}_state_bytes")(), dtype=np.uint8)
@@ -92,9 +91,9 @@ def c_compiler(compiler: str | None = None) -> str:
     raise InputError(f"no C compiler: {wanted} is not installed: install gcc, or take backend: python")
 
 
-def shared_library(program: Program, compiler: str | None = None) -> Path:
+def shared_library(program: Program) -> Path:
     """Shared library of a program, compiled unless the user's cache has it."""
-    command = c_compiler(compiler)
+    command = c_compiler()
     name = program.name
     told = subprocess.run([command, "--version"], capture_output=True, text=True, check=False).stdout
     size = f"int {name}_state_bytes(void);\n\nint {name}_state_bytes(void)\n{{\n    return (int)sizeof({name}_state);\n}}\n"

@@ -2,13 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole controller: feedforward, learned rows, PI feedback, and what the feedback node does about faults; in Python and as C.
 
-Every tick takes the newest reference and measurement. A row that is not finite is left out: the one before stands for it, and after
-`timeout` it is a fault of every axis. A fault, also a measurement that is frozen or out of range, or `enable` at 0, sends the command to
-`safe_command` at `safe_rate`; the loop returns without a jump once there was none for `recovery_time`, with `recovery: manual` when
-`enable` is raised again. Which axes run and which do not is `control.safe_loop`, in Python the very one. Before the first complete inputs
-the command rests at 0 V.
-
-It is what `nodes/pi_feedback.py` does under the timer, tick by tick, with a feedforward node before it.
+It is what `nodes/pi_feedback.py` does under the timer, tick by tick, with a feedforward node before it. A row that is not finite is left
+out: the one before stands for it, and after `timeout` it is a fault of every axis. Which axes run and which do not is
+`control.safe_loop`, in Python the very one. Before the first complete inputs the command rests at 0 V.
 """
 
 from __future__ import annotations
@@ -50,12 +46,10 @@ class FaultResponse:
 
     safe_command: tuple[float, ...] = (0.0,)  # V, (A,)
     safe_rate: float = 1000.0  # V/s
-    # Axes that go to their safe value when one axis has a fault: "all", or only that one, "own"
-    axis_fault: str = "all"
+    axis_fault: str = "all"  # Axes that go to their safe value when one axis has a fault: "all", or only that one, "own"
     timeout: float = 0.1  # S, after which inputs that are not finite are a fault
     recovery: str = "automatic"  # "automatic" or "manual"
     recovery_time: float = 0.1  # S without a fault, with automatic recovery
-    # measurement_lower, measurement_upper: Range of the measurement
     measurement_lower: float = -1e6
     measurement_upper: float = 1e6
     frozen_time: float = 0.1  # S; 0 for never

@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -35,24 +35,13 @@ HELD = {
 """The command between the ticks, and when the measurement is, by the hold."""
 
 
-class Running(Protocol):
-    """A filter in Python that a program has to match."""
-
-    def settle(self, value: Array) -> Array:
-        """Come to rest at the inputs `value`."""
-
-    def process(self, block: Array) -> Array:
-        """Outputs for a `block` of inputs."""
-
-
 @dataclass(frozen=True)
 class Exported:
     """A program, and the same in Python."""
 
     program: Program  # To be written as C
-    python: Running  # Running filter, whose outputs are the golden vectors
-    # Lower and upper value (inputs, 2) between which the golden vectors' inputs lie
-    spans: Array = field(compare=False)
+    python: Filter | Compensator  # Running filter, whose outputs are the golden vectors
+    spans: Array = field(compare=False)  # Lower and upper value (inputs, 2) between which the golden vectors' inputs lie
     notes: tuple[str, ...] = ()  # What the command says of it, as the header does
 
 
@@ -95,16 +84,14 @@ class Twin(Filter):
 class FeedforwardOptions:
     """Choices of `control.feedforward.build_compensator`, named as the parameters of the feedforward nodes."""
 
-    # kind, inverse, discretisation, iterations, smoothing, inverse_model, rate_filter, limits, preview: As there; `limits` lower
-    # and upper in V, `inverse_model` the path of a model file
     kind: str
     inverse: str = "zpetc"
     discretisation: str = "zoh"
     iterations: int | None = None
     smoothing: int = 0
-    inverse_model: str = ""
+    inverse_model: str = ""  # Path of a model file
     rate_filter: tuple[float, ...] | None = FROM_MODEL
-    limits: tuple[float, float] | None = None
+    limits: tuple[float, float] | None = None  # Lower and upper, V
     preview: bool = True
 
     def compensator(self, model: Model, sample_time: float) -> Compensator:
@@ -145,8 +132,9 @@ def twin(model: Model, sample_time: float | None = None, real: str = "double", n
     inputs += [Slot(f"measurement_{axis}", f"{unit}, {when}") for axis in model.axes]
     outputs = tuple(Slot(f"residual_{axis}", f"{unit}, measured minus predicted") for axis in model.axes)
     rms = model.discrepancy.get("rms")
+    stated = ", ".join(f"{value:.6g}" for value in np.atleast_1d(np.asarray(rms, dtype=float)))
     note = _hold(model, model.hold)
-    extra = [] if rms is None else [f"Discrepancy on the records it was identified from: {_listed(rms)} {unit} rms."]
+    extra = [] if rms is None else [f"Discrepancy on the records it was identified from: {stated} {unit} rms."]
     command = _command_span(model)
     plant = Simulator(model, time)
     plant.reset(command[:, 0])
@@ -390,7 +378,3 @@ def _sha(model: Model) -> str:
 
 def _digest(text: str) -> str:
     return f"SHA-256 {hashlib.sha256(text.encode()).hexdigest()}"
-
-
-def _listed(values: Any) -> str:
-    return ", ".join(f"{value:.6g}" for value in np.atleast_1d(np.asarray(values, dtype=float)))

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error that a model states of itself (`discrepancy` in its file), tick by tick: the mean and the standard deviation, in Python and as C.
 
-The features of `chain.command_features` are those of the past but one: the rate is a difference about its tick and needs the command a
-little later. The stated error is therefore late by `StatedError.late` ticks, and exact.
-
-The zero, the drift and the curvature of a record are not part of it. They are fitted over a whole record, which no tick knows: the mean
-begins at 0 where the filter has settled, and counts from there. An axis without a learned error has the mean 0 and the stated rms.
+The rate is a difference about its tick and needs the command a little later: the stated error is late by `StatedError.late` ticks, and
+exact. The mean begins at 0 where the filter has settled, as no tick knows the zero, drift and curvature of the record. An axis without a
+learned error has the mean 0 and the stated rms.
 """
 
 from __future__ import annotations

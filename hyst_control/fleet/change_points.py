@@ -8,9 +8,7 @@ A quantity x of a unit over T runs is its level, a random walk, white noise and,
 
 The variances of noise and walk are the fleet's: their sum 2 sigma^2 + q^2 from the differences of successive runs, by the median.
 q / sigma, the share of units that change and the size of changes are those that make the fleet's records most likely (empirical Bayes).
-A unit that changed is said to drift where a trend explains it better than any shift. Units are named, most probable first, as long as
-the mean probability of an error among them stays below the bound: the Bayesian false discovery rate (`course_fit.named_within`).
-`forecast` tells when a drifting quantity reaches its limit, with the interval that slope and random walk leave open.
+A unit that changed is said to drift where a trend explains it better than any shift.
 """
 
 from __future__ import annotations
@@ -29,6 +27,7 @@ SHARES = (0.001, 0.01, 0.03, 0.1, 0.3)  # Shares of units that change, among whi
 SHIFTS = (2.0, 4.0, 8.0, 16.0, 32.0)  # Sizes tau of a shift, in standard deviations of a run, likewise
 WALKS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 3.0)
 """Standard deviations q of a walk's step, in those sigma of the noise, likewise."""
+FALSE_SHARE = 0.02  # Mean probability of an error among the units that are named, at most
 MIN_RUNS = 4  # Runs of a unit from which on it is looked at
 PROBABILITY = 0.9  # Of the interval of the time at which a trend is at its limit
 
@@ -41,12 +40,10 @@ class Onset:
     quantity: str  # The quantity that changed
     probability: float  # That it changed at all
     moment: float  # Most probable first run of the change
-    # earliest, latest: Runs that hold the onset with 90 % probability
-    earliest: float
-    latest: float
-    # size, size_error: Shift and its standard error, in the quantity's unit
-    size: float
-    size_error: float
+    earliest: float  # First of the runs that hold the onset with 90 % probability
+    latest: float  # Last of them
+    size: float  # Shift, in the quantity's unit
+    size_error: float  # Its standard error
 
 
 @dataclass(frozen=True)
@@ -56,9 +53,8 @@ class Trend:
     unit: str  # The unit
     quantity: str  # The quantity that drifts
     probability: float  # That it changes at all
-    # slope, slope_error: Change per unit of time and its standard error, in the quantity's unit
-    slope: float
-    slope_error: float
+    slope: float  # Change per unit of time, in the quantity's unit
+    slope_error: float  # Its standard error
     level: float  # Where the trend stands at the last run
     last: float  # Time of the last run
     walk: float  # Standard deviation that the random walk adds in a unit of time
@@ -87,7 +83,7 @@ class _UnitFit:
 
 
 def find_changes(
-    quantity: str, units: Sequence[str], moments: Annotated[Array, "T"], values: Annotated[Array, "U T"], false_share: float = 0.02
+    quantity: str, units: Sequence[str], moments: Annotated[Array, "T"], values: Annotated[Array, "U T"]
 ) -> tuple[list[Onset], list[Trend]]:
     """Find the units whose quantity shifted or drifts."""
     looked_at = [index for index in range(len(units)) if np.isfinite(values[index]).sum() >= MIN_RUNS]
@@ -114,7 +110,7 @@ def find_changes(
         made = _trend if fit.drifts(tau) else _onset
         claims.append(made(units[index], quantity, probability, fit, tau, step))
     claims.sort(key=lambda claim: -claim.probability)
-    named = claims[: named_within(np.array([claim.probability for claim in claims]), false_share)]
+    named = claims[: named_within(np.array([claim.probability for claim in claims]), FALSE_SHARE)]
     return [claim for claim in named if isinstance(claim, Onset)], [claim for claim in named if isinstance(claim, Trend)]
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from scipy.stats import binom, false_discovery_control, hypergeom
 
+FALSE_SHARE = 0.01  # False discovery rate of each test
 MIN_UNITS = 3  # Units that must have changed together
 FIRST_RUN = "first run"  # In place of a column, where changes began in one run
 
@@ -23,20 +24,15 @@ class CommonCause:
     """Something that units which changed have in common."""
 
     quantity: str  # What changed
-    # column, value: Column of the manifest and its value; `FIRST_RUN` and the run where the changes began together
-    column: str
-    value: str
+    column: str  # Of the manifest; `FIRST_RUN` where the changes began together
+    value: str  # Of the column; the run
     changed: Sequence[str]  # Units with it that changed
     of: int  # Units with it; for a run, all that changed
     probability: float  # Adjusted p-value: the false discovery rate at which it would just be named
 
 
 def find_common_causes(
-    changed: Mapping[str, Mapping[str, float]],
-    columns: Mapping[str, Mapping[str, str]],
-    units: int,
-    runs: int,
-    false_share: float = 0.01,
+    changed: Mapping[str, Mapping[str, float]], columns: Mapping[str, Mapping[str, str]], units: int, runs: int
 ) -> list[CommonCause]:
     """Find what units that changed have in common."""
     shared: list[CommonCause] = []
@@ -54,7 +50,7 @@ def find_common_causes(
             if len(hit) >= MIN_UNITS and runs > 1:
                 chance = min(1.0, runs * float(binom.sf(len(hit) - 1, len(begins), 1.0 / runs)))
                 together.append(CommonCause(quantity, FIRST_RUN, f"{run:.15g}", hit, len(begins), chance))
-    return sorted(_kept(shared, false_share) + _kept(together, false_share), key=lambda cause: cause.probability)
+    return sorted(_kept(shared) + _kept(together), key=lambda cause: cause.probability)
 
 
 def shared_columns(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -> dict[str, dict[str, str]]:
@@ -70,9 +66,9 @@ def shared_columns(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -
     return found
 
 
-def _kept(causes: Sequence[CommonCause], false_share: float) -> list[CommonCause]:
+def _kept(causes: Sequence[CommonCause]) -> list[CommonCause]:
     if not causes:
         return []
     adjusted = false_discovery_control([cause.probability for cause in causes])
     known = zip(causes, adjusted, strict=True)
-    return [replace(cause, probability=float(probability)) for cause, probability in known if probability <= false_share]
+    return [replace(cause, probability=float(probability)) for cause, probability in known if probability <= FALSE_SHARE]

@@ -30,9 +30,8 @@ class CovariateEffect:
 
     quantity: str
     covariate: str  # Column of the manifest
-    # slope, slope_error: Change of the quantity per unit of the covariate, and its standard error
-    slope: float
-    slope_error: float
+    slope: float  # Change of the quantity per unit of the covariate
+    slope_error: float  # Its standard error
 
 
 def take_out(

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Manifests: lists of a fleet's records, one row a record, from a CSV or Parquet file or from the names of bags.
 
-Columns: `bag` (path, relative to the manifest's folder), `unit` (which actuator), `time` (a number, such as a run's, or a date and
-time in ISO 8601), `model` and `baseline` (paths; several separated by `;`). All but `bag` may be left out; any other column is kept.
+Columns are those of `Entry`; paths are relative to the manifest's folder. All but `bag` may be left out; any other column is kept.
 """
 
 from __future__ import annotations
@@ -128,12 +127,12 @@ def _csv_rows(path: Path) -> Iterator[dict[str, str]]:
 
 
 def _parquet_rows(path: Path) -> Iterator[dict[str, str]]:
-    from hyst_control.fleet.results import parquet
+    from hyst_control.fleet.results import arrow
 
-    library, error_type = parquet()
+    pa = arrow()
     try:
-        table = library.read_table(path)
-    except (OSError, error_type) as error:
+        table = pa.parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
         raise InputError(f"{path}: cannot be read ({error}): give a Parquet file") from None
     for row in table.to_pylist():
         yield {name: "" if value is None else str(value) for name, value in row.items()}

@@ -16,6 +16,7 @@ from hyst_control.base.arrays import Array
 STARTS = 50
 STEPS = 20
 SHARE = 0.75  # Share of the units that the scatter is estimated from, at first
+FALSE_SHARE = 0.05  # False discovery rate
 WELL_WITHIN = 0.975  # Quantile of the distances within which a unit counts for the final scatter
 
 
@@ -30,9 +31,7 @@ class Outlier:
     deviation: float  # That many
 
 
-def find_outliers(
-    units: Sequence[str], quantities: Sequence[str], values: Annotated[Array, "U P"], false_share: float = 0.05, seed: int = 0
-) -> list[Outlier]:
+def find_outliers(units: Sequence[str], quantities: Sequence[str], values: Annotated[Array, "U P"]) -> list[Outlier]:
     """Find units apart from the fleet, with the false discovery rate controlled (Benjamini and Hochberg 1995)."""
     # Center and covariance are those of the units that lie closest together (minimum covariance determinant, Rousseeuw and Van Driessen
     # 1999), so that the units looked for do not hide themselves.
@@ -44,13 +43,13 @@ def find_outliers(
     if width == 0 or count < 2 * width + 2:
         return []
     scaled = values[:, used] / spread[used]
-    center, covariance = _closest_together(scaled, np.random.default_rng(seed))
+    center, covariance = _closest_together(scaled, np.random.default_rng(0))
     squared = _distances(scaled, center, covariance)
     adjusted = false_discovery_control(chi2.sf(squared, width))
     deviations = (scaled - center) / np.sqrt(np.diag(covariance))
     found = []
     for index in np.argsort(-squared):
-        if adjusted[index] <= false_share:
+        if adjusted[index] <= FALSE_SHARE:
             worst = int(np.abs(deviations[index]).argmax())
             name = quantities[int(used[worst])]
             found.append(

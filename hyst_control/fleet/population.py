@@ -7,11 +7,9 @@ runs, and an error of the run:
 
     x(u, t) = level(u, t) + e(u, t),   level(u, .) - mu ~ N(0, B) at first, its steps ~ N(0, rho C), e ~ N(0, (1 - rho) / 2 C)
 
-C is the covariance of the differences of successive runs, rho the share of it that grows with the distance of the runs. Both are
-the fleet's. With them every unit's newest level has a closed form, a local level filter whose variances are multiples of C, and mu and B
-follow by the expectation-maximization of a normal population (empirical Bayes), in which units far out count less (Huber's weights), so
-that a faulty one does not make faults usual. A unit's own level is then drawn toward the fleet's as far as its own runs leave it open
-(partial pooling).
+C is the covariance of the differences of successive runs, rho the share of it that grows with the distance of the runs. Both are the
+fleet's. mu and B follow by the expectation-maximization of a normal population (empirical Bayes), in which units far out count less, so
+that a faulty one does not make faults usual. A unit's own level is then drawn toward the fleet's (partial pooling).
 """
 
 from __future__ import annotations
@@ -128,10 +126,10 @@ def _variance(column: Array) -> float:
 
 def _covariance(differences: Array) -> Array:
     """Covariance about 0 in which rows far out count less, drawn toward its diagonal where there are few rows."""
-    count, width = differences.shape
+    count = len(differences)
     found = np.diag([max(_variance(column), 1e-12) for column in differences.T])
     for _ in range(PASSES):
-        weights = _weights(np.sum(differences * np.linalg.solve(found, differences.T).T, axis=1), width)
+        weights = _weights(differences, found)
         new = _shrunk((weights[:, None] * differences).T @ differences / count, count)
         if np.max(np.abs(new - found)) < TOLERANCE * np.max(np.abs(found)):
             return new
@@ -139,10 +137,10 @@ def _covariance(differences: Array) -> Array:
     return found
 
 
-def _weights(squared: Array, width: int) -> Array:
-    """Huber's weights of squared Mahalanobis distances: 1 for what a normal population has."""
-    bound = chi2.ppf(WITHIN, width)
-    return np.asarray(np.minimum(1.0, bound / np.maximum(squared, 1e-300)))
+def _weights(off: Array, covariance: Array) -> Array:
+    """Huber's weights of rows by their squared Mahalanobis distances from 0: 1 for what a normal population has."""
+    squared = np.sum(off * np.linalg.solve(covariance, off.T).T, axis=1)
+    return np.asarray(np.minimum(1.0, chi2.ppf(WITHIN, len(covariance)) / np.maximum(squared, 1e-300)))
 
 
 def _shrunk(covariance: Array, count: int) -> Array:
@@ -176,7 +174,7 @@ def _between(levels: Array, spreads: Array, between_runs: Array) -> tuple[Array,
         for rows in alike:
             whole = between + spreads[rows[0]] * between_runs
             off = levels[rows] - center
-            weights[rows] = _weights(np.sum(off * np.linalg.solve(whole, off.T).T, axis=1), width)
+            weights[rows] = _weights(off, whole)
             share = np.linalg.solve(whole, between).T
             expected[rows] = off @ share.T
             second += (weights[rows, None] * expected[rows]).T @ expected[rows] + len(rows) * (between - share @ between)

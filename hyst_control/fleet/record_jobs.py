@@ -30,9 +30,7 @@ class RecordJob:
 
     kind: str  # Key of `KINDS`
     entry: Entry  # The record
-    # Of the computation: keyword arguments of `identify_bags`, `validate_bags` or `diagnose_bags`; of the latter also `pages`, and
-    # `only`: `GAPS` or `ONSETS`
-    options: Mapping[str, Any]
+    options: Mapping[str, Any]  # Of `identify_bags`, `validate_bags` or `diagnose_bags`; of the latter also `pages` and `only`
     folder: str  # Folder of the study, for models that are written
 
 

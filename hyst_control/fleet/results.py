@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A study's results: Parquet files with one row a record, which pandas, polars and DuckDB read as they are.
 
-Rows are appended in parts while a study runs, each part written under a temporary name and renamed, so that nothing that was computed
-is lost. At the end of a run all parts become one file, in which every record has its newest row.
+Rows are appended in parts while a study runs, so that nothing that was computed is lost. At its end all parts become one file.
 """
 
 from __future__ import annotations
@@ -26,21 +25,19 @@ NUMBER = re.compile(r"[+-]?(0|[1-9]\d{0,14})(\.\d*)?([eE][+-]?\d{1,2})?|nan", re
 OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")  # Columns that every table of results has
 
 
-def parquet() -> tuple[Any, type[Exception]]:
-    """Give pyarrow's Parquet module, and the class of its errors."""
+def arrow() -> Any:
+    """Give pyarrow, with its Parquet module."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ModuleNotFoundError:
         raise InputError("Parquet: pyarrow is not installed: pip install 'hyst_control[fleet]'") from None
-    return pyarrow.parquet, pyarrow.ArrowException
+    return pyarrow
 
 
 def schema(kind: str, columns: Sequence[str], numeric: Collection[str] = ()) -> Any:
     """Columns of a study's rows; `numeric` ones of the manifest's are numbers, others texts."""
-    parquet()
-    import pyarrow as pa
-
+    pa = arrow()
     text, number = pa.string(), pa.float64()
 
     def several(**members: Any) -> Any:
@@ -120,17 +117,17 @@ class Results:
 
     def rows(self, columns: list[str] | None = None) -> Iterator[dict[str, Any]]:
         """Rows of all files, with these columns or all; a record that was computed again comes again. The manifest's columns are texts."""
-        library, error_type = parquet()
+        pa = arrow()
         for file in filter(Path.exists, (self.whole, *sorted(self._parts.glob("*.parquet")))):
             try:
-                with library.ParquetFile(file) as opened:
+                with pa.parquet.ParquetFile(file) as opened:
                     held = opened.schema_arrow
                     for name in OWN:
                         if name not in held.names or held.field(name).type != self._schema.field(name).type:
                             raise InputError(f"{file}: is no table of results, its column {name} is missing or another: remove it")
                     for batch in opened.iter_batches(columns=columns):
                         yield from map(self._with_texts, batch.to_pylist())
-            except (OSError, error_type) as error:
+            except (OSError, pa.ArrowException) as error:
                 reason = str(error).split("\n")[0]
                 raise InputError(f"{file}: cannot be read ({reason}): remove it, its records are computed again") from None
 
@@ -138,11 +135,9 @@ class Results:
         return {**row, **{name: repr(row[name]).removesuffix(".0") for name in self._columns if isinstance(row.get(name), float)}}
 
     def _write(self, path: Path, rows: Sequence[Mapping[str, Any]], columns: Any = None) -> None:
-        import pyarrow as pa
-
-        library, _ = parquet()
+        pa = arrow()
         with replacing(path) as file:
-            library.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=columns or self._schema), file)
+            pa.parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema=columns or self._schema), file)
 
 
 def _is_numeric(texts: Sequence[str]) -> bool:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Studies: every record of a manifest identified, validated or diagnosed, on as many workers as there are, and continued after a stop.
 
-What a record's result depends on is in its mark (`record_jobs.mark`): a record whose mark is in the results already is not computed
-again. A record that fails is listed with its reason, and tried again the next time.
+A record whose mark (`record_jobs.mark`) is in the results already is not computed again; one that failed is tried again.
 """
 
 from __future__ import annotations
@@ -38,10 +37,9 @@ class Study:
 
     kind: str  # "identify", "validate" or "diagnose"
     folder: Path  # Folder of the study
-    # records, computed, kept: Number of records, of those computed now, and of those whose result was there
-    records: int
-    computed: int
-    kept: int
+    records: int  # Number of records
+    computed: int  # Of those computed now
+    kept: int  # Of those whose result was there
     failed: Mapping[str, str]  # Reasons by bag
     seconds: float  # Duration of this run
     verdicts: Mapping[str, int]  # Number of records by verdict; empty but for "diagnose"

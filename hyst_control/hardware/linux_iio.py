@@ -16,7 +16,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.parameters import Setting
 
 DEVICES = "/sys/bus/iio/devices"
@@ -130,10 +130,7 @@ def _device(devices: Path, wanted: str) -> Path:
         raise InputError(f"{devices}: has no device {wanted} (devices: {known}): load its driver, or give another one") from None
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(IioStage)
-
+main = executable(IioStage)
 
 if __name__ == "__main__":
     raise SystemExit(main())

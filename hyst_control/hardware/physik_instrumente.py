@@ -17,7 +17,7 @@ from typing import Any
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.parameters import Setting
 
 ERROR_CHECK_INTERVAL = 1.0
@@ -144,10 +144,7 @@ class PhysikInstrumenteStage(StageNode):
         self.controller.set_voltages(command.tolist())
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(PhysikInstrumenteStage)
-
+main = executable(PhysikInstrumenteStage)
 
 if __name__ == "__main__":
     raise SystemExit(main())

@@ -12,7 +12,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.hardware.stage_node import StageNode
 from hyst_control.model_file import Simulator, load_model
-from hyst_control.nodes.execution.run import main as run_main
+from hyst_control.nodes.execution.run import executable
 from hyst_control.nodes.signal_node.parameters import Setting
 
 
@@ -80,10 +80,7 @@ class SimulatedStage(StageNode):
         self.converter.hold(command)
 
 
-def main() -> int:
-    """Run the executable; its exit status."""
-    return run_main(SimulatedStage)
-
+main = executable(SimulatedStage)
 
 if __name__ == "__main__":
     raise SystemExit(main())

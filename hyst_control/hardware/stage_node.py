@@ -40,16 +40,9 @@ ROUNDING = 0.01
 class StageNode(ManagedNode):
     """Node in the place of the plant, with a stage behind it. Subclasses implement `read` and `write`.
 
-    At every tick, floor(CLOCK_MONOTONIC / period), it reads the sensor, publishes that as `measurement` of the tick, and writes the
-    newest command. The command that follows from a measurement is so written one tick after it, which identification finds as a
-    delay. What `write` gets is always finite, within `lower` and `upper`, and never further from what was written last than
-    `slew_limit` allows; without a trusted command for `timeout`, after `~/stop`, in every state but active and at the node's end it
-    goes to `safe_command` at `safe_rate`. Before the first command nothing is written.
-
-    All methods for the device run in a thread of their own, one after another. A `read` or `write` that raises is counted and logged;
-    the feedback goes to its safe value when measurements stay away. After `failures` in a row the node goes to `safe_command` itself,
-    as long as `write` works, disconnects, and waits to be configured again (`~/reset`); after a `ConnectionError` it does so at once.
-    With `failures` 0 it never does. While one does not return, the node says so and calls nothing else of the device.
+    At every tick it reads the sensor, publishes that as `measurement` of the tick, and writes the newest command. What `write` gets is
+    always finite, within `lower` and `upper`, and never further from what was written last than `slew_limit` allows. All methods for
+    the device run in a thread of their own, one after another. docs/hardware.md says what happens without a command and at a failure.
     """
 
     NAME = "stage"  # Name of the node, unless another one is given
@@ -152,9 +145,6 @@ class StageNode(ManagedNode):
     def arrived(self, source: Input, tick: int, stamp: int) -> None:
         self._latency.answered(tick, stamp)
 
-    def reset(self) -> None:
-        """Forget received commands; what is on the actuator stays where it is."""
-
     def wind_down(self) -> None:
         self._ending = True
 
@@ -204,7 +194,7 @@ class StageNode(ManagedNode):
 
     def _write(self, voltage: Array) -> None:
         self.write(voltage.copy())
-        self._actuator.watchdog.written(voltage)
+        self._actuator.written(voltage)
 
     def _leave(self) -> None:
         """Take the actuator to its safe command while `write` works, and disconnect: the only way to do so."""

@@ -62,7 +62,7 @@ class ControlLoop:
         self.reference, self.measurement, self.command = np.zeros(count), np.full(count, np.nan), np.zeros(count)
         self.fault = "none"
         self.ticks = self.missed = 0
-        self._played: tuple[Array, list[Array]] | None = None
+        self._played: tuple[Array, list[Array]] = np.empty((0, count)), []
         self._ending = False
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -105,12 +105,12 @@ class ControlLoop:
     @property
     def playing(self) -> bool:
         """True while rows are followed."""
-        return self._played is not None and len(self._played[1]) < len(self._played[0])
+        return len(self._played[1]) < len(self._played[0])
 
     @property
     def played(self) -> Annotated[Array, "N 3 A"]:
         """Reference, command and measurement of the rows that were followed."""
-        return np.array(self._played[1] if self._played else []).reshape(-1, 3, len(self.axes))
+        return np.array(self._played[1]).reshape(-1, 3, len(self.axes))
 
     def tick(self) -> None:
         """One tick: read, compute, write."""
@@ -120,7 +120,7 @@ class ControlLoop:
             measurement = np.asarray(self._driver.read(), dtype=float)
         except Exception:  # whatever a driver raises must not end the loop: it is a missing measurement
             failed = True
-        if self.playing and self._played is not None:
+        if self.playing:
             self.reference = self._played[0][len(self._played[1])]
         else:
             self.reference = self.reference + np.clip(self.target - self.reference, -self._step, self._step)
@@ -131,7 +131,7 @@ class ControlLoop:
             self._driver.write(command.copy())
         except Exception:
             failed = True
-        if self.playing and self._played is not None:
+        if self.playing:
             self._played[1].append(np.array([self.reference, command, measurement]))
         self.measurement, self.command = measurement, command
         self.fault = FAULTS[int(out[-1])] if not failed or out[-1] else DRIVER

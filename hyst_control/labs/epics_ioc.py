@@ -1,17 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""EPICS soft IOC around a control loop, by caproto: `python -m hyst_control.labs.epics_ioc PARAMETERS --driver MODULE:CLASS`.
-
-Process variables, of an axis x with the prefix STAGE:
-
-| name                            | meaning                                                        |
-|---------------------------------|----------------------------------------------------------------|
-| `STAGE:X:SETPOINT`              | position that the reference goes to                            |
-| `STAGE:X:REFERENCE`, `:READBACK`, `:COMMAND` | reference, measurement, command in V              |
-| `STAGE:ENABLE`                  | 1: run; 0: the command goes to its safe value; raising it ends a fault |
-| `STAGE:FAULT`                   | fault, `none` without                                          |
-| `STAGE:TICKS`, `STAGE:MISSED`   | ticks so far, and those that came too late                     |
-"""
+"""EPICS soft IOC around a control loop, by caproto; docs/labs.md lists its process variables."""
 
 from __future__ import annotations
 
@@ -99,7 +88,11 @@ def main(words: list[str] | None = None) -> int:
     os.environ.setdefault("EPICS_CAS_BEACON_ADDR_LIST", given.interface if given.interface != "0.0.0.0" else "255.255.255.255")
     os.environ.setdefault("EPICS_CAS_AUTO_BEACON_ADDR_LIST", "NO")
     try:
-        loop = served(given)
+        if given.driver:
+            driver = driver_of(given.driver)
+        else:
+            driver = SimulatedDriver(given.model, controller(given.parameters).program.sample_time)
+        loop = ControlLoop.from_file(given.parameters, driver, given.speed)
         variables = database(loop, given.prefix)
     except InputError as error:
         print(f"epics_ioc: {error}", file=sys.stderr)
@@ -112,15 +105,6 @@ def main(words: list[str] | None = None) -> int:
     finally:
         loop.stop()
     return 0
-
-
-def served(given: argparse.Namespace) -> ControlLoop:
-    """The loop that the arguments describe."""
-    if given.driver:
-        driver = driver_of(given.driver)
-    else:
-        driver = SimulatedDriver(given.model, controller(given.parameters).program.sample_time)
-    return ControlLoop.from_file(given.parameters, driver, given.speed)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -156,11 +155,8 @@ class DashboardNode(EndingNode):
             client = self.create_client(kind, f"{node}/{what}")
             words = f"{time.strftime('%H:%M:%S')} {what} {node.lstrip('/')}"
             answer = client.call_async(request)
-            answer.add_done_callback(lambda _, client=client: self.once(partial(self._forget, client)))
+            answer.add_done_callback(lambda _, client=client: self.once(partial(self.destroy_client, client)))
             self._pending.append((time.monotonic() + ANSWER_TIMEOUT, words, answer))
-
-    def _forget(self, client: Client) -> None:
-        self.destroy_client(client)
 
     def driving_nodes(self) -> list[str]:
         """Full names of the nodes that drive the actuator, the feedback first."""

@@ -14,7 +14,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -316,9 +315,8 @@ class Job:
         self.folder, self.reported = folder, False
         self._begun = time.monotonic()
         path = os.pathsep.join(filter(None, [str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH")]))
-        results = {"--model": model, "--json": folder / "gap.json", "--augmented": folder / "augmented.yaml"}
-        if find_spec("hyst_control.diagnose.report.page"):
-            results["--report"] = folder / "gap.html"
+        files = {"--json": "gap.json", "--augmented": "augmented.yaml", "--report": "gap.html"}
+        results = {"--model": model, **{option: folder / name for option, name in files.items()}}
         arguments = ["diagnose", str(folder / "record"), "--quiet", *(str(word) for pair in results.items() for word in pair)]
         if baseline:
             arguments += ["--baseline", *map(str, baseline)]

@@ -110,8 +110,6 @@ class PiFeedback(ManagedNode):
         self._ask(first, ahead, others[0] if others else None)
         if self.measurement is None:
             self._publish(first, *self.loop.open(ahead, fault))
-        elif count == 1:
-            self._publish(first, *self.loop.closed(others[0], others[1], ahead, fault))
         else:
             for row in range(count):
                 now = slice(row, row + 1)

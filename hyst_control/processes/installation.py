@@ -135,8 +135,7 @@ def discovery() -> Check:
         return Check(
             "discovery", Verdict.GOOD, f"domain {domain}, this computer alone: nothing is set, and the nodes take LOCALHOST"
         )
-    alone = reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
-    if alone:
+    if reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
         return Check("discovery", Verdict.GOOD, f"domain {domain}, this computer alone")
     return Check(
         "discovery",

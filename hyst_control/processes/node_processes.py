@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -42,10 +43,12 @@ class Processes:
             name, NODES[node].module, "--ros-args", "-r", f"__node:={name}", *self._remaps(), "--params-file", str(file)
         )
 
-    def compose(self, parameters: Mapping[str, Mapping[str, Any]], name: str = "pipeline") -> subprocess.Popen[bytes]:
+    def compose(self, parameters: Mapping[str, Mapping[str, Any]]) -> subprocess.Popen[bytes]:
         """Start several nodes as one process."""
-        file = self._write(name, {f"/**/{node}": own for node, own in parameters.items()})
-        return self.run(name, NODES["pipeline"].module, *parameters, "--ros-args", *self._remaps(), "--params-file", str(file))
+        file = self._write("pipeline", {f"/**/{node}": own for node, own in parameters.items()})
+        return self.run(
+            "pipeline", NODES["pipeline"].module, *parameters, "--ros-args", *self._remaps(), "--params-file", str(file)
+        )
 
     def run(self, name: str, module: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start a module as a process on the domain; its output goes to `name`.log."""
@@ -86,10 +89,8 @@ class Processes:
             self.check()
             if time.monotonic() > end:
                 raise TimeoutError(f"{', '.join(names)}: still running after {timeout:g} s; the logs are in {self.folder}")
-            try:
+            with suppress(subprocess.TimeoutExpired, StopIteration):
                 next(self.running[name] for name in names if self.running[name].poll() is None).wait(0.1)
-            except (subprocess.TimeoutExpired, StopIteration):
-                pass
         self.check()
 
     def check(self) -> None:
@@ -99,12 +100,12 @@ class Processes:
                 lines = self.log(name).read_text(errors="replace").strip().splitlines()
                 raise InputError(f"{name} ended with status {process.returncode}: {lines[-1] if lines else 'no output'}")
 
-    def stop(self, timeout: float = 10.0) -> dict[str, int]:
-        """Interrupt the running processes and wait for them."""
+    def stop(self) -> dict[str, int]:
+        """Interrupt the running processes and wait 10 s for them, then kill them."""
         for process in self.running.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-        end = time.monotonic() + timeout
+        end = time.monotonic() + 10.0
         for process in self.running.values():
             try:
                 process.wait(max(end - time.monotonic(), 0.01))

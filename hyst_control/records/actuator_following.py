@@ -30,8 +30,6 @@ def ticks_not_followed(
     said, voltages = applied
     newest = np.searchsorted(time, said + 0.5 * step) - 1
     said, voltages, newest = said[newest >= 0], voltages[newest >= 0], newest[newest >= 0]
-    if not len(said):
-        return []
     close = CLOSE * np.ptp(values, axis=0) if close is None else close
     differs = [(np.abs(voltages - values[np.maximum(newest - late, 0)]) > close).any(axis=1) for late in (0, 1)]
     ticks = np.rint(said[differs[0] & differs[1]] / step).astype(np.int64)
@@ -65,14 +63,13 @@ class FollowingWatch:
     def look(self, command: tuple[Integers, Array], applied: tuple[Integers, Array]) -> tuple[Mask, Array]:
         """Find the ticks at which the actuator does not follow its command, and its voltage at every tick."""
         ticks, commands = command
-        found = np.zeros(len(ticks), bool)
+        found: Mask = ticks < self._end
         if not len(ticks):
             return found, commands
         self._lower, self._upper = np.minimum(self._lower, commands.min(axis=0)), np.maximum(self._upper, commands.max(axis=0))
         time = np.append(self._time, self._step * ticks).astype(np.float64)
         values = np.concatenate([self._values, commands])
         self._time, self._values = time[-1:], values[-1:]
-        found |= ticks < self._end
         if len(applied[0]):
             said = (self._step * applied[0]).astype(np.float64)
             for stretch in ticks_not_followed((time, values), (said, applied[1]), self._step, CLOSE * (self._upper - self._lower)):

@@ -19,8 +19,6 @@ LONGEST_SEGMENT = 2**14
 
 SHORTEST_SEGMENT = 8
 
-COHERENT = 0.5  # Coherence from which a frequency's phase counts; between records `SURE` and `EXCITED`
-
 SURE, EXCITED = 0.8, 1e-3
 """Coherence, and power relative to the strongest frequency, from which a response is compared with another record's."""
 
@@ -88,7 +86,7 @@ class Spectra:
         made = np.einsum("fab,fab->fb", self.transfer.conj(), self.cross).real
         return np.asarray(np.clip(made / np.maximum(self.power, 1e-300), 0.0, 1.0), dtype=np.float64)
 
-    def path(self, index: int) -> tuple[Complex, Array]:
+    def _path(self, index: int) -> tuple[Complex, Array]:
         """Cross spectrum (F,) of command and measurement of an axis, without what other independent commands make, and its share."""
         own, power = self.auto[:, index, index].real, self.power[:, index]
         cross = self.cross[:, index, index].copy()
@@ -110,7 +108,7 @@ class Spectra:
         found = []
         for index in range(self.auto.shape[1]):
             own = self.auto[:, index, index].real
-            cross, made = self.path(index)
+            cross, made = self._path(index)
             sure = made > SURE
             for power in (own, self.power[:, index]):
                 sure &= power > EXCITED * power[1:].max(initial=0.0)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TypeVar
@@ -62,7 +62,7 @@ class EditableRecord(Record):
         """
         from scipy.signal import resample_poly
 
-        step, begin = self._clock()
+        step = self._clock()[0]
         ratio = Fraction(rate * step).limit_denominator(MAX_FACTOR) if 0 < rate * step <= MAX_FACTOR else Fraction(0)
         if not ratio or abs(ratio / (rate * step) - 1) > 1e-9:
             raise InputError(f"rate: must be a ratio of whole numbers up to {MAX_FACTOR} of {1 / step:g} Hz, got {rate!r} Hz")
@@ -74,7 +74,7 @@ class EditableRecord(Record):
                 return np.asarray(values[np.arange(-(-len(values) * up // down)) * down // up])
             return np.asarray(resample_poly(values, up, down, axis=0, padtype="line"))
 
-        done = self._changed(tuple(self.signals), resampled, begin, 1.0 / rate)
+        done = self._changed(self.signals, resampled, 1.0 / rate)
         done = replace(done, hold="zoh" if held else "foh", states_hold=True)
         return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
 
@@ -97,7 +97,7 @@ class EditableRecord(Record):
         """
         from scipy.signal import butter, sosfiltfilt
 
-        step, begin = self._clock()
+        step = self._clock()[0]
         ORDER.checked(order)
         corners = {"high_pass": high_pass, "low_pass": low_pass}
         given = {name: corner for name, corner in corners.items() if corner is not None}
@@ -109,7 +109,7 @@ class EditableRecord(Record):
         kind = "bandpass" if len(given) == 2 else "lowpass" if low_pass is not None else "highpass"
         sections = butter(order, np.squeeze(list(given.values())), kind, fs=1.0 / step, output="sos")
         try:
-            done = self._changed(tuple(self.signals), lambda _, values: sosfiltfilt(sections, values, axis=0), begin, step)
+            done = self._changed(self.signals, lambda _, values: sosfiltfilt(sections, values, axis=0))
         except ValueError:
             raise InputError(f"{self.source}: is too short for this filter: choose a lower order or a longer record") from None
         words = " and ".join(f"{name.replace('_', '-')} {corner:g} Hz" for name, corner in given.items())
@@ -134,8 +134,7 @@ class EditableRecord(Record):
 
         if kind not in ("linear", "constant"):
             raise InputError(f"kind: must be linear or constant, got {kind!r}")
-        step, begin = self._clock()
-        done = self._changed(tuple(topics), lambda _, values: detrend(values, axis=0, type=kind), begin, step)
+        done = self._changed(topics, lambda _, values: detrend(values, axis=0, type=kind))
         return done._noted(f"{kind} trend removed from {', '.join(topics)}")
 
     def remove_outliers(
@@ -161,7 +160,6 @@ class EditableRecord(Record):
         """
         if window < 3 or window % 2 == 0 or not threshold > 0:
             raise InputError(f"window, threshold: must be odd and >= 3, and > 0, got {window!r} and {threshold!r}")
-        step, begin = self._clock()
         found = 0
 
         def cleaned(_: str, values: Array) -> Array:
@@ -173,7 +171,7 @@ class EditableRecord(Record):
                 done[bad, axis] = np.interp(rows[bad], rows[~bad], values[~bad, axis])
             return done
 
-        done = self._changed(tuple(topics), cleaned, begin, step)
+        done = self._changed(topics, cleaned)
         return done._noted(f"{found} outliers removed from {', '.join(topics)} (beyond {threshold:g} standard deviations)")
 
     def merge(self: Edited, *others: Record) -> Edited:
@@ -189,7 +187,7 @@ class EditableRecord(Record):
         Record
             The common signals of all; commands use it with `--allow-gaps`, `identify` with `allow_gaps=True`.
         """
-        step, _ = self._clock()
+        step = self._clock()[0]
         topics = [topic for topic in self.signals if all(topic in other.signals for other in others)]
         signals = {topic: self.signals[topic] for topic in topics}
         for other in others:
@@ -217,15 +215,16 @@ class EditableRecord(Record):
         topics = list(self.signals)
         return self.common_step(topics), max(float(self.signal(topic).time[0]) for topic in topics)
 
-    def _changed(self: Edited, topics: tuple[str, ...], change: Callable[[str, Array], Array], begin: float, step: float) -> Edited:
-        """Change signals on the ticks that all signals share; a record with gaps is refused."""
+    def _changed(self: Edited, topics: Collection[str], change: Callable[[str, Array], Array], step: float | None = None) -> Edited:
+        """Change signals on the ticks that all signals share, to another step where one is given; a record with gaps is refused."""
+        own, begin = self._clock()
         for topic in topics:
             self.signal(topic)
         [data] = self.aligned(list(self.signals))
         signals = {}
         for topic, signal in self.signals.items():
             values = np.asarray(change(topic, data.signal(topic).values) if topic in topics else data.signal(topic).values)
-            time = begin + np.arange(len(values)) * step
+            time = begin + np.arange(len(values)) * (step or own)
             signals[topic] = Signal(time.astype(np.float64), np.ascontiguousarray(values), signal.axes, signal.unit)
         return replace(self, signals=signals)
 

@@ -22,12 +22,12 @@ class ExtremeRows:
         if bin_ticks < 1:
             raise ValueError(f"bin_ticks: must be ≥ 1, got {bin_ticks}")
         self.bin_ticks = bin_ticks
-        self._ticks: Integers = np.zeros(0, np.int64)  # of the bin that is not complete yet
-        self._rows: Array = np.zeros((0, 0))
+        self.reset()
 
     def reset(self) -> None:
         """Forget the rows of the bin that is not complete."""
-        self._ticks, self._rows = np.zeros(0, np.int64), np.zeros((0, 0))
+        self._ticks: Integers = np.zeros(0, np.int64)
+        self._rows: Array = np.zeros((0, 0))
 
     def add(self, ticks: Integers, rows: Annotated[Array, "N C"]) -> tuple[Integers, Array]:
         """Take in rows; return those kept of the bins that are complete."""

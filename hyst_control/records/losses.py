@@ -6,17 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.record import Record, Signal, commonest_step
 from hyst_control.records.stream.foreign_rows import admissible
+from hyst_control.records.stream.row_store import blocks
 
 CLOCKS = {"layout": "control clock", "receive": "time of reception"}  # Clocks by the timing of a signal
 BETWEEN = 1.5  # Steps between two times of reception from which on a row is missing between them
-BLOCK = 1 << 20  # Rows that are looked at together
 
 
 @dataclass(frozen=True)
@@ -40,59 +40,48 @@ class TopicAccount:
         return bool(self.rows) and not self.missing and not self.invalid
 
 
-class _Gaps(NamedTuple):
-    """Gaps of a topic; the fields are those of its account."""
-
-    step: float
-    missing: int
-    longest: int
-    irregular: float
-
-
 def losses(records: Sequence[Record]) -> tuple[list[dict[str, Any]], list[str]]:
     """Rows sent, received and missed by record and topic, for a report, and a sentence on each topic that misses any."""
     rows, notes = [], []
     for record in records:
         for topic, signal in sorted(record.signals.items()):
-            gaps, received = _gaps(topic, signal), len(signal.time)
-            sent = received + gaps.missing
-            rows.append({"record": record.source, "topic": topic, "sent": sent, "received": received, "missed": gaps.missing})
-            if gaps.missing:
-                notes.append(
-                    f"{record.source}: {topic}: {gaps.missing} of {sent} rows are missing, at most {gaps.longest} in a row"
-                )
+            received = len(signal.time)
+            _, missing, longest, _ = _gaps(topic, signal)
+            sent = received + missing
+            rows.append({"record": record.source, "topic": topic, "sent": sent, "received": received, "missed": missing})
+            if missing:
+                notes.append(f"{record.source}: {topic}: {missing} of {sent} rows are missing, at most {longest} in a row")
     return rows, notes
 
 
 def account(record: Record) -> list[TopicAccount]:
     """Account of every topic of a record, in the order of their names."""
-    return [_of_topic(topic, signal) for topic, signal in sorted(record.signals.items())]
+    found = []
+    for topic, signal in sorted(record.signals.items()):
+        time = signal.time
+        invalid = sum(int(np.count_nonzero(~admissible(signal.values[part]))) for part in blocks(len(time)))
+        first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
+        step, missing, longest, irregular = _gaps(topic, signal)
+        clock = CLOCKS[signal.timing]
+        found.append(TopicAccount(topic, clock, len(time), step, first, last, missing, longest, irregular, invalid))
+    return found
 
 
-def _of_topic(topic: str, signal: Signal) -> TopicAccount:
-    time, values, gaps = signal.time, signal.values, _gaps(topic, signal)
-    invalid = sum(int(np.count_nonzero(~admissible(values[begin : begin + BLOCK]))) for begin in range(0, len(time), BLOCK))
-    first, last = (float(time[0]), float(time[-1])) if len(time) else (np.nan, np.nan)
-    return TopicAccount(
-        topic, CLOCKS[signal.timing], len(time), gaps.step, first, last, gaps.missing, gaps.longest, gaps.irregular, invalid
-    )
-
-
-def _gaps(topic: str, signal: Signal) -> _Gaps:
-    """Gaps between the rows of a topic, counted block by block, as a record may be longer than the memory."""
+def _gaps(topic: str, signal: Signal) -> tuple[float, int, int, float]:
+    """Step, missing, longest and irregular of a topic's account, block by block, as a record may be longer than the memory."""
     time = signal.time
     if len(time) < 2:
-        return _Gaps(np.nan, 0, 0, 0.0)
+        return np.nan, 0, 0, 0.0
     step = commonest_step(time)
     if topic == APPLIED or not step > 0.0:  # published only while the actuator does not follow the command
-        return _Gaps(step, 0, 0, 0.0)
+        return step, 0, 0, 0.0
     missing = longest = 0
     irregular = 0.0
-    for begin in range(0, len(time) - 1, BLOCK):
-        steps = np.diff(time[begin : begin + BLOCK + 1]) / step
+    for part in blocks(len(time) - 1):
+        steps = np.diff(time[part.start : part.stop + 1]) / step
         gaps = np.maximum(np.rint(steps) - 1.0, 0.0)
         if signal.timing != "layout":
             gaps[steps <= BETWEEN] = 0.0
         missing, longest = missing + int(gaps.sum()), max(longest, int(gaps.max()))
         irregular = max(irregular, float(np.abs(steps - 1.0 - gaps).max()))
-    return _Gaps(step, missing, longest, irregular)
+    return step, missing, longest, irregular

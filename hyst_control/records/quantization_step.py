@@ -74,9 +74,8 @@ def _repeated(command: Array, values: Array) -> Mask:
     again = np.ones(len(values), dtype=bool)
     again[first] = False
     moving = (coarse != moves[:, 1]) & (np.arange(len(values)) > 1)
-    _, counts = np.unique(known.ravel()[moving], return_counts=True)
-    repetitions = len(known.ravel()[moving]) - len(counts)
-    if not repetitions or np.count_nonzero(again & moving) < REPEATED * repetitions:
-        again[:] = False
     found: Mask = again & moving
+    repetitions = np.count_nonzero(moving) - len(np.unique(known.ravel()[moving]))
+    if not repetitions or np.count_nonzero(found) < REPEATED * repetitions:
+        found[:] = False
     return found

@@ -17,7 +17,7 @@ from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.records.actuator_following import APPLIED, ticks_not_followed
 from hyst_control.records.stream.foreign_rows import admissible
-from hyst_control.records.stream.row_store import all_finite, blocks, empty_rows
+from hyst_control.records.stream.row_store import all_finite, blocks, empty_rows, spread_parts
 
 Cut = TypeVar("Cut", bound="Record")
 AXES = ("x", "y", "z", "u", "v", "w")
@@ -62,11 +62,8 @@ def increasing(values: Array | Integers, equal: bool = False) -> bool:
 
 def commonest_step(time: Array, steps: int = STEPS_LOOKED_AT) -> float:
     """Median step of two or more sample times, s; of very many, that of stretches spread evenly over them."""
-    if len(time) <= steps + 1:
-        return float(np.median(np.diff(time)))
-    size = steps // 64
-    begins = np.linspace(0, len(time) - size - 1, 64).astype(int)
-    return float(np.median(np.concatenate([np.diff(time[begin : begin + size + 1]) for begin in begins])))
+    parts = spread_parts(len(time) - 1, steps, 64)
+    return float(np.median(np.concatenate([np.diff(time[part.start : part.stop + 1]) for part in parts])))
 
 
 @dataclass(frozen=True)
@@ -106,6 +103,10 @@ def regular_times(count: int, step: float, first: int = 0) -> Array:
     for part in blocks(count):
         time[part] = np.arange(first + part.start, first + part.stop) * step
     return time
+
+
+FOLLOWS = "amid a motion: behind the commands before the cut"
+"""How a part of a record begins."""
 
 
 @dataclass(frozen=True)
@@ -232,15 +233,29 @@ class Record:
         if begin is None and end is None:
             return self
         first, last = -np.inf if begin is None else begin, np.inf if end is None else end
-        parts, start = {}, self.start
+        parts, cut = {}, False
         for topic, signal in self.signals.items():
             rows = (signal.time >= first) & (signal.time <= last)
-            if start != "auto" and len(rows) and not rows[0]:
-                start = "unknown"
+            cut |= len(rows) > 0 and not rows[0]
             parts[topic] = replace(signal, time=signal.time[rows], values=signal.values[rows])
         if not any(len(part.time) for part in parts.values()):
-            raise InputError(f"{self.source}: has no samples from {first:g} to {last:g} s: choose other times")
-        return replace(self, signals=parts, start=start)
+            known = [signal.time for signal in self.signals.values() if len(signal.time)]
+            there = f": it lasts from {min(t[0] for t in known):.6g} to {max(t[-1] for t in known):.6g} s" if known else ""
+            raise InputError(f"{self.source}: has no samples from {first:g} to {last:g} s{there}")
+        return replace(self, signals=parts, start=self._start_at(first) if cut else self.start)
+
+    def _start_at(self, first: float) -> str | Beginning:
+        """State of the part that begins at a time, s: behind the commands before it, where these have no gap."""
+        earlier = self.start.memory if isinstance(self.start, Beginning) else np.zeros((0, 1))
+        signal = self.signals.get("command")
+        if signal is not None and earlier is not None and self.start != "unknown" and len(signal.time) > 1:
+            rows = signal.time < first
+            before = replace(signal, time=signal.time[rows], values=signal.values[rows])
+            if np.isfinite(before.values).all() and before.consecutive_ticks(commonest_step(signal.time)) is not None:
+                memory = np.concatenate([earlier.reshape(-1, len(signal.axes)), before.values])
+                if len(memory):
+                    return Beginning(FOLLOWS, memory, 0)
+        return "auto" if self.start == "auto" else "unknown"
 
     def shifted(self, seconds: float) -> Record:
         """The record with its measurement taken later by some seconds, in whole samples; a note tells by how many."""

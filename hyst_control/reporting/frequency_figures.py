@@ -33,7 +33,7 @@ class Response:
     coherence: Annotated[Array, "F"] | None = None  # Of a measured one
 
 
-def measured_responses(record: Record, name: str | None = None) -> list[Response]:
+def measured_responses(record: Record) -> list[Response]:
     """Frequency response of every axis by averaged spectra, with the coherence, of the longest stretch without a gap."""
     part = max(record.aligned(allow_gaps=True), key=lambda each: len(each.time))
     command, measurement = part.command, part.measurement
@@ -54,7 +54,7 @@ def measured_responses(record: Record, name: str | None = None) -> list[Response
         alone = np.abs(cross) ** 2 / np.maximum(own * spectra.power[:, index], 1e-300)
         values = np.where(spectra.independent, spectra.transfer[:, index, index], cross / np.maximum(own, 1e-300))
         coherence = np.where(spectra.independent, spectra.coherence[:, index], alone)
-        label = f"{name or 'measured'} {axis}" if len(part.axes) > 1 else name or "measured"
+        label = f"measured {axis}" if len(part.axes) > 1 else "measured"
         found.append(Response(label, frequency[known], values[known], coherence[known]))
     return found
 

@@ -1,10 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained HTML page: a verdict first, where it comes from, then figures and tables; no network needed.
-
-Figures are stored as data and drawn by the page itself, in its light or dark colors. The plotting library is stored compressed, which
-brings a page from five megabytes to two.
-"""
+"""One self-contained HTML page: a verdict first, where it comes from, then figures and tables that it draws without a network."""
 
 from __future__ import annotations
 
@@ -80,7 +76,7 @@ def figure_markup(figure: Drawn, height: int = 420, min_width: int = 0) -> Marku
 
 @cache
 def library() -> Callable[[], str]:
-    """The plotting library, compressed (gzip, base64) beside what is done until it is called for."""
+    """The plotting library, compressed (gzip, base64: two megabytes instead of five) beside what is done until it is called for."""
     return in_thread(_compressed_library)
 
 

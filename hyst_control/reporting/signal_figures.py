@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Drawings of recorded signals: over time, one over another, and as spectra; as a picture or as a zoomable page.
-
-A drawing is described once, as `Panel`s of `Line`s, and drawn by matplotlib for pictures or by Plotly for pages.
-"""
+"""Drawings of recorded signals, as `Panel`s of `Line`s: over time, one over another, and as spectra; as a picture or as a zoomable page."""
 
 from __future__ import annotations
 
@@ -45,7 +42,6 @@ class Line:
     """One curve."""
 
     name: str  # What it shows
-    # x, y: Points (N,)
     x: Annotated[Array, "N"]
     y: Annotated[Array, "N"]
     dots: bool = False  # Drawn as dots
@@ -57,8 +53,7 @@ class Line:
 class Panel:
     """One pair of axes with its curves."""
 
-    # x_title, y_title: Titles of the axes, with units
-    x_title: str
+    x_title: str  # Of an axis, with its unit
     y_title: str
     lines: tuple[Line, ...]  # The curves
     logarithmic: str = ""  # Axes with a logarithmic scale: "x" or "xy"

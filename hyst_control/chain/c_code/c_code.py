@@ -54,15 +54,12 @@ class CCode:
     # Body of the function that comes to rest at a constant input; "" where that is `step`. `SELF_step(s, in, out)` calls `step`
     settle: str = ""
     sizes: Mapping[str, int] = field(default_factory=dict)  # Integer constants by name
-    # constants, state: Members by name
     constants: Mapping[str, Member] = field(default_factory=dict)
     state: Mapping[str, Member] = field(default_factory=dict)
     # Functions that the bodies call, those called first in front; the same text is written once for all filters
     functions: tuple[str, ...] = ()
     parts: tuple[CCode, ...] = ()  # Filters inside, called as `PART0_step(&s->part0, in, out)`
-    # inputs, outputs: Length of `in` and `out`; 0: one value per axis
-    inputs: int = 0
-    outputs: int = 0
+    outputs: int = 0  # Length of `out`; 0: one value per axis
     wide: bool = False  # Whether `number` is double also where `real` is float
 
 

@@ -225,12 +225,7 @@ class InverseMultiplicativeFilter(Filter):
 @register
 @dataclass(frozen=True)
 class InverseMultiplicative(Stage):
-    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]; see the module.
-
-    The model's parameters, in its units; lower, upper V; gain V per output unit (default 1 / greatest slope); iterations steps
-    per sample, 0 for the exact solution. Raises `InputError` where the output does not rise with the command, or the gain
-    cannot converge.
-    """
+    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]; see the module."""
 
     name: ClassVar[str] = "inverse_multiplicative"
     ROLES: ClassVar[Role] = Role.HAS_COMPENSATOR

@@ -42,7 +42,6 @@ from hyst_control.chain.stage import (
     depth,
     frozen,
     per_axis,
-    per_axis_scalar,
     per_axis_scalars,
     register,
 )
@@ -152,21 +151,14 @@ def scaled_branches(
 class MadelungFilter(Filter):
     """Streaming Madelung hysteresis, or its inverse, one stack per axis."""
 
-    def __init__(
-        self,
-        curves: list[tuple[Curve, Curve]],
-        input_offset: Array,
-        input_scale: Array,
-        output_scale: Array,
-        inverse: bool,
-        hold: str,
-    ) -> None:
-        self.hold = hold
-        self.inverse = inverse
+    def __init__(self, stage: Madelung, sampling: Sampling) -> None:
+        curves, names = stage.curves(sampling.axes), ("input_offset", "input_scale", "output_scale")
+        input_offset, input_scale, output_scale = per_axis_scalars(stage, sampling.axes, *names)
+        self.hold, self.inverse = sampling.hold, stage.inverse
         self.input_offset = input_offset
         self.rest = -input_offset / input_scale  # of 0 V, normalized
-        self.to_inside = 1.0 / (output_scale if inverse else input_scale)
-        self.to_outside = input_scale if inverse else output_scale
+        self.to_inside = 1.0 / (output_scale if self.inverse else input_scale)
+        self.to_outside = input_scale if self.inverse else output_scale
         self.rising = [(up.breaks, up.coefficients) for up, _ in curves]
         falling = [mirrored(down) for _, down in curves]
         self.falling = [(curve.breaks, curve.coefficients) for curve in falling]
@@ -317,13 +309,7 @@ def end_slope(curve: Curve, x: float) -> float:
 @register
 @dataclass(frozen=True)
 class Madelung(Stage):
-    """Rate-independent hysteresis from the major loop's curves (MHL paper §2.1); see the module.
-
-    ascending, descending: coefficients p_n … p_1 of polynomials in the normalized input u / input_scale, or, with `knots`
-    (increasing from 0 to 1), the values of monotone piecewise cubics there. input_scale V; output_scale measurement unit.
-    ascending(1) = descending(1). With `inverse` the stage runs from output to input. The curves run from input_offset, V, where the
-    output is 0, to input_offset + input_scale.
-    """
+    """Rate-independent hysteresis from the major loop's curves (MHL paper §2.1), where ascending(1) = descending(1); see the module."""
 
     name: ClassVar[str] = "madelung"
     ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
@@ -421,12 +407,4 @@ class Madelung(Stage):
         return CCode("mean curve", C["MEAN"], constants=constants, functions=(MAXIMUM, MINIMUM, EVALUATE))
 
     def filter(self, sampling: Sampling) -> MadelungFilter:
-        axes = sampling.axes
-        return MadelungFilter(
-            self.curves(axes),
-            per_axis_scalar(self.input_offset, axes, "input_offset"),
-            per_axis_scalar(self.input_scale, axes, "input_scale"),
-            per_axis_scalar(self.output_scale, axes, "output_scale"),
-            self.inverse,
-            sampling.hold,
-        )
+        return MadelungFilter(self, sampling)

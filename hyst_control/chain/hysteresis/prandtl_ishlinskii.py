@@ -224,10 +224,7 @@ class OperatorModel(Stage):
 @register
 @dataclass(frozen=True)
 class PrandtlIshlinskii(OperatorModel):
-    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3).
-
-    thresholds V, increasing; weights output unit / V; w0 output unit / V.
-    """
+    """Classical Prandtl-Ishlinskii model, y = w0 u + sum_i w_i H_i[u] (HAMPI paper Eq. 2, 3)."""
 
     name: ClassVar[str] = "prandtl_ishlinskii"
     equation: ClassVar[str] = (
@@ -248,8 +245,6 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
 
     w_r = -m1 du/dt while the command rises and +m2 du/dt while it falls; w_a = k u + b. Under `zoh` du/dt is the backward
     difference of the held command, under `foh` the slope of the segment that ends at the sample.
-
-    thresholds V; weights, b output unit / V; w0 output unit / V; m1, m2 output unit s / V²; k output unit / V².
     """
 
     name: ClassVar[str] = "modified_prandtl_ishlinskii"
@@ -270,9 +265,7 @@ class ModifiedPrandtlIshlinskii(OperatorModel):
         return Parallel(((self._with_share(1.0 + width),), (self._mean(len(width))._with_share(-width),)))
 
     def with_rate_part(self, factor: Array) -> ModifiedPrandtlIshlinskii | None:
-        if not any(np.any(values) for values in per_axis_scalars(self, len(factor), "m1", "m2")):
-            return None
-        return replace(self, **{name: scaled(getattr(self, name), factor, 0, name) for name in ("m1", "m2")})
+        return self.with_rate_parts(factor, factor)
 
     def with_rate_parts(self, rising: Array, falling: Array) -> ModifiedPrandtlIshlinskii | None:
         if not any(np.any(values) for values in per_axis_scalars(self, len(rising), "m1", "m2")):

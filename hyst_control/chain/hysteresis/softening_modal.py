@@ -139,7 +139,6 @@ class Numbers(NamedTuple):
     # exponent, amplitude: (K,) of the softening force; V
     exponent: Annotated[Array, "K"]
     amplitude: float
-    # decay, frequency, decay_change, frequency_change: (M,), as of the stage
     decay: Annotated[Array, "M"]
     frequency: Annotated[Array, "M"]
     decay_change: Annotated[Array, "M"]

@@ -136,10 +136,7 @@ class LinearFilter(Filter):
         )
 
     def _cancellation(self) -> float:
-        """Ratio of the sum of the absolute parts of the output at rest to that output, the largest of all systems.
-
-        Systems whose output at rest is 0 but for rounding are left out.
-        """
+        """Largest ratio of the sum of the absolute parts of an output at rest to that output, where it is not 0 but for rounding."""
         parts = (np.abs(self.c) @ np.abs(self.rest) + np.abs(self.d).sum(axis=1)).max(axis=(1, 2))
         whole = np.abs(self.static_gain).max(axis=(1, 2))
         return float((parts / np.where(whole > NOTHING_LEFT * parts, whole, np.inf)).max())

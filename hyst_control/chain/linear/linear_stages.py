@@ -331,8 +331,7 @@ class StateSpace(LinearStage):
 class RateCorrection(LinearStage):
     """Ψ = (k1 dv/dt + b1) / (k2 s + b2), the lag driven by the command's rate (MHL paper Eq. 4).
 
-    k1 output unit s / V, b1 output unit, k2 s, b2 dimensionless. Realized as the high-pass k1 s / (k2 s + b2) of the command
-    plus the constant b1 / b2, so no difference quotient is taken.
+    Realized as the high-pass k1 s / (k2 s + b2) of the command plus the constant b1 / b2, so no difference quotient is taken.
     """
 
     name: ClassVar[str] = "rate_correction"
@@ -365,10 +364,7 @@ class RateCorrection(LinearStage):
 @register
 @dataclass(frozen=True)
 class CrossCoupling(LinearStage):
-    """y_i = M_ii u_i + L_i(s) sum over j != i of M_ij u_j; `matrix` M is dimensionless, L_i a first-order low-pass.
-
-    corner: that of L_i in Hz, one for every axis' output or a list with one for each. Without it the coupling is static.
-    """
+    """y_i = M_ii u_i + L_i(s) sum over j != i of M_ij u_j; M is `matrix`, L_i a first-order low-pass, or 1 without a `corner`."""
 
     name: ClassVar[str] = "cross_coupling"
     equation: ClassVar[str] = (

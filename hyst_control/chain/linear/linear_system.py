@@ -30,12 +30,8 @@ class LinearSystem:
 
     def then(self, following: LinearSystem) -> LinearSystem:
         """Series of this system and the one `following` it."""
-        n, m = len(self.A), len(following.A)
-        own, driven = (
-            np.concatenate([self.A, np.zeros((n, m))], axis=1),
-            np.concatenate([following.B @ self.C, following.A], axis=1),
-        )
-        a = np.concatenate([own, driven])
+        upper = np.hstack([self.A, np.zeros((len(self.A), len(following.A)))])
+        a = np.vstack([upper, np.hstack([following.B @ self.C, following.A])])
         b = np.vstack([self.B, following.B @ self.D])
         c = np.hstack([following.D @ self.C, following.C])
         # The bias is constant, so what follows passes it on with its static gain.
@@ -96,7 +92,7 @@ def stacked(systems: list[LinearSystem]) -> LinearSystem:
 @remembered
 def transfer_function_system(num: Array, den: Array) -> LinearSystem:
     """Controllable canonical form of num(s)/den(s), descending powers, in a time scale that keeps its entries near one."""
-    num, den = _leading(num), _leading(den)
+    num, den = (np.trim_zeros(np.atleast_1d(each), "f") for each in (num, den))
     if not len(num):
         num = np.zeros(1)
     order = len(den) - 1
@@ -116,10 +112,3 @@ def transfer_function_system(num: Array, den: Array) -> LinearSystem:
     b[:1] = 1.0
     c = (num[1:] - num[0] * den[1:]).reshape(1, order)
     return LinearSystem(a * w, b * w, c, np.array([[num[0]]]), np.zeros(1)).balanced()
-
-
-def _leading(polynomial: Array) -> Array:
-    """Coefficients from the first that is not 0."""
-    coefficients = np.atleast_1d(polynomial)
-    found = np.flatnonzero(coefficients)
-    return coefficients[found[0] if len(found) else len(coefficients) :]

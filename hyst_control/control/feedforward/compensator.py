@@ -1,15 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Feedforward compensators built from a model: chains of stages from the reference to the command.
-
-| kind          | command                                                                                                  |
-|---------------|----------------------------------------------------------------------------------------------------------|
-| `none`        | reference through the model's mean static gain, no dynamics, no hysteresis                                |
-| `hapi`        | inverse dynamics, then the inverse of the classical part of the Prandtl-Ishlinskii model                  |
-| `hampi`       | inverse dynamics, then the inverse multiplicative structure with dynamic weights (HAMPI paper §4)         |
-| `mhl`         | H_S^-1 and the rate correction behind its filter N(s), in parallel (MHL paper Eq. 6, 7 and §4.4)           |
-| `mhl_static`  | H_S^-1 alone, the traditional compensator (MHL paper Eq. 9)                                               |
-| `mhl_inverse` | inverse dynamics, then the inverse of the whole rate-dependent part: past the paper                       |
+"""Feedforward compensators built from a model: chains of stages from the reference to the command (docs/control.md has the kinds).
 
 A compensator runs with hold `foh`: command[k] from reference[<= k]. One with inverse dynamics looks `preview` ticks ahead; the
 caller shifts its output by as many rows. Without preview it is the same filter, and its output is late by
@@ -129,14 +120,14 @@ def build_compensator(
     rate_filter: Sequence[float] | None = FROM_MODEL,
     smoothing: int = 0,
 ) -> Compensator:
-    """Build the compensator of a model; the module's table describes the kinds.
+    """Build the compensator of a model.
 
     Parameters
     ----------
     model
         Model of the plant.
     kind
-        One of `KINDS`.
+        One of `KINDS`, as docs/control.md describes them.
     sample_time
         Sample time, s; the model's by default.
     inverse
@@ -186,7 +177,7 @@ def _proportional(model: Model, design: Design) -> Compensator:
 
 
 def _mhl(model: Model, design: Design) -> Compensator:
-    """The MHL paper's compensators."""
+    """The MHL paper's compensators: Eq. 6, 7 and §4.4, or Eq. 9 alone."""
     if not design.smoothing or design.kind != "mhl":
         rate_filter = model_rate_filter(model) if tuple(design.rate_filter or ()) == FROM_MODEL else design.rate_filter
         return _without_preview(_mhl_stages(model, design, rate_filter), model, design)
@@ -239,20 +230,16 @@ def _without_preview(stages: Sequence[Stage], model: Model, design: Design) -> C
 
 
 def _inverse_chain(model: Model, design: Design) -> Compensator:
-    """Inverse dynamics, then the inverse of the hysteresis."""
-    before, core, after = split(model)
+    """Inverse dynamics, then the inverse of the hysteresis (HAMPI paper §4, and past the MHL paper)."""
+    before, _, after = split(model)
     # A DAC holds the command; behind dynamics the signal is smooth.
     held = Sampling(design.sample_time, len(model.axes), "zoh")
     entering = held.with_hold("foh" if any(isinstance(stage, LinearStage) for stage in before) else "zoh")
     # What looks ahead anyway for a reference without kinks restores the gain at the zeros that cannot be inverted.
     behind, ahead = dynamics_inverse(after, entering, design.inverse, design.discretisation, restored=design.smoothing > 0)
     front, further = dynamics_inverse(before, held, design.inverse, design.discretisation)
-    # The hysteresis sees the drive through the static gain of what stands before it.
-    drive = np.sort(at_rest(before, design.limits), axis=0)
-    valid = model.valid.get("command")
-    needed = drive if valid is None else np.sort(at_rest(before, drive_limits(model, None)), axis=0)
-    inverted_core = core_inverse(core, after, design.kind, entering, drive, needed[1], design.iterations)
-    stages = [*behind, *inverted_core, *front, design.rating]
+    hysteresis = core_inverse(model, design.limits, design.kind, entering, design.iterations)
+    stages = [*behind, *hysteresis, *front, design.rating]
     ahead += further
     if design.inverse != "none" and not any(isinstance(stage, (LinearStage, Delay)) for stage in (*before, *after)):
         ahead = 1  # Without dynamics the sample still comes one tick after its command.
@@ -345,13 +332,10 @@ def dynamics_inverse(
     """Inverse of linear stages, gains and offsets, and the ticks that it looks ahead."""
     axes = sampling.axes
     linear = [stage for stage in side if isinstance(stage, (LinearStage, Delay))]
-    static = [stage for stage in side if isinstance(stage, (Gain, Offset))]
-    if not side:
-        return [], 0
     # Offsets are carried to the output of the side; gains and the static gain of the dynamics commute with the dynamics.
     bias = at_rest(side, np.zeros((1, axes)))[0]
     gain = np.prod(
-        [per_axis_scalar(stage.gain, axes, "gain") for stage in static if isinstance(stage, Gain)] or [np.ones(axes)], axis=0
+        [per_axis_scalar(stage.gain, axes, "gain") for stage in side if isinstance(stage, Gain)] or [np.ones(axes)], axis=0
     )
     stages: list[Stage] = [Offset((-bias).tolist())] if np.any(bias != 0.0) else []
     if np.any(gain == 0.0):
@@ -367,13 +351,9 @@ def dynamics_inverse(
     return [*stages, inverted.stage], inverted.preview
 
 
-def core_inverse(
-    core: Stage | None, after: list[Stage], kind: str, sampling: Sampling, drive: Array, needed: Array, iterations: int | None
-) -> list[Stage]:
-    """Inverse of the hysteresis of a model; no stages where there is none.
-
-    drive: limits of its input, V, which must be invertible up to `needed`; after: linear stages that follow it in the model.
-    """
+def core_inverse(model: Model, limits: Array, kind: str, sampling: Sampling, iterations: int | None) -> list[Stage]:
+    """Inverse of the hysteresis of a model for a drive within limits (2, A), V; no stages where there is none."""
+    before, core, after = split(model)
     if kind == "mhl_inverse":
         hysteresis, correction = rate_dependent_parts(core)
         return whole_inverse(hysteresis, correction, after, sampling, 6 if iterations is None else iterations)
@@ -388,7 +368,10 @@ def core_inverse(
     own = {item.name: getattr(core, item.name) for item in fields(core)}
     if kind == "hapi":
         own = {name: value for name, value in own.items() if name not in ("m1", "m2", "k", "b")}
-    lower, upper = invertible_range(core.__class__(**own), drive, needed)
+    # The hysteresis sees the drive through the static gain of what stands before it.
+    valid = limits if model.valid.get("command") is None else drive_limits(model, None)
+    drive, needed = (np.sort(at_rest(before, each), axis=0) for each in (limits, valid))
+    lower, upper = invertible_range(core.__class__(**own), drive, needed[1])
     return [
         InverseMultiplicative(**own, lower=lower.tolist(), upper=upper.tolist(), iterations=4 if iterations is None else iterations)
     ]

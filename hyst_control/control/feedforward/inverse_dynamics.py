@@ -49,11 +49,6 @@ class DiscreteSystem:
     poles: Complex
     gain: float
 
-    @property
-    def relative_degree(self) -> int:
-        """Samples that pass before the output answers."""
-        return len(self.poles) - len(self.zeros)
-
     def response(self, z: Complex) -> Complex:
         """Frequency response at points z of the complex plane."""
         z = np.asarray(z, dtype=complex)[..., None]
@@ -74,7 +69,6 @@ def invert_dynamics(
     sampling: Sampling,
     method: str = "zpetc",
     discretisation: str = "zoh",
-    ringing_limit: float = RINGING_LIMIT,
     restored: bool = False,
 ) -> InverseDynamics:
     """Invert a run of linear stages and delays, from the held input to the sample of the output.
@@ -87,11 +81,8 @@ def invert_dynamics(
         raise InputError(f"inverse: {method!r} is not one of {', '.join(METHODS)}")
     if discretisation not in DISCRETISATIONS:
         raise InputError(f"discretisation: {discretisation!r} is not one of {', '.join(DISCRETISATIONS)}")
-    if discretisation == "zoh":
-        plants = sampled_systems(run, sampling)
-    else:
-        plants = tustin_systems(run, sampling)
-    inverses = [invert_system(plant, method, ringing_limit, restored) for plant in plants]
+    plants = sampled_systems(run, sampling) if discretisation == "zoh" else tustin_systems(run, sampling)
+    inverses = [invert_system(plant, method, restored) for plant in plants]
     preview = max(ahead for _, ahead in inverses)
     # Axes that look less far ahead are delayed to the longest, so that one preview holds for all.
     systems = tuple(
@@ -101,9 +92,7 @@ def invert_dynamics(
     return InverseDynamics(discrete_stage(systems, sampling.sample_time), preview, systems)
 
 
-def invert_system(
-    plant: DiscreteSystem, method: str, ringing_limit: float = RINGING_LIMIT, restored: bool = False
-) -> tuple[DiscreteSystem, int]:
+def invert_system(plant: DiscreteSystem, method: str, restored: bool = False) -> tuple[DiscreteSystem, int]:
     """Invert one system; see the module.
 
     The gain of zpetc is H = |B_u|² / B_u(1)². `restored` looks `nu` samples further ahead and multiplies it by 2 - H, where H is nowhere
@@ -114,11 +103,11 @@ def invert_system(
         worst = plant.poles[np.argmax(np.abs(plant.poles))]
         raise InputError(f"dynamics: not stable, a pole at |z| = {abs(worst):.6g}: no feedforward inverts that; correct the model")
     size = np.abs(plant.zeros)
-    uninvertible = (size >= 1.0 - 1e-9) | ((plant.zeros.real < 0.0) & (size > ringing_limit))
+    uninvertible = (size >= 1.0 - 1e-9) | ((plant.zeros.real < 0.0) & (size > RINGING_LIMIT))
     kept, left = plant.zeros[~uninvertible], plant.zeros[uninvertible]
     if np.any(np.abs(left - 1.0) < 1e-9):
         raise InputError("dynamics: no static gain (a zero at s = 0): no constant command holds a position; correct the model")
-    preview = plant.relative_degree + len(left)
+    preview = len(plant.poles) - len(plant.zeros) + len(left)
     # Zeros on the circle, or inside it but ringing, have no stable all-pass counterpart: zmetc takes zpetc's factor for them.
     outside = np.abs(left) > 1.0 + 1e-6
     zeros, poles, gain = plant.poles, kept, 1.0 / plant.gain
@@ -194,11 +183,9 @@ def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> Sta
 
 
 def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace:
-    """1 - ((1 - cos w) / 2)^order at w radians per sample, without phase, delayed by `order` samples: the same for every axis.
+    """`flat_weights` without phase, delayed by `order` samples, the same for every axis.
 
-    1 at rest with 2 order - 1 derivatives 0, and 0 at half the sampling rate. It takes off a reference what jumps and kinks ask
-    for near half the sampling rate, where a sampled model knows least; to 1 / 20 of the sampling rate its gain is within 1e-3 of 1
-    from order 2.
+    It takes off a reference what jumps and kinks ask for near half the sampling rate, where a sampled model knows least.
     """
     return weighted_sum(flat_weights(order), axes, sample_time)
 
@@ -267,8 +254,6 @@ def _state_space(system: DiscreteSystem) -> tuple[Array, Array, Array, Array]:
     if len(padding):
         # zpk2sos reads missing zeros as zeros at the origin, which is a sample's advance: delay by a state each instead.
         inner = DiscreteSystem(system.zeros, system.poles[: len(system.zeros)], system.gain)
-        if np.any(system.poles[len(system.zeros) :] != 0.0):
-            raise ValueError("poles without a zero must stand last and be at the origin")
         parts = [_state_space(inner), *[(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))] * len(padding)]
     else:
         from scipy.signal import zpk2sos  # here, not above: it takes longer to import than all that a node needs

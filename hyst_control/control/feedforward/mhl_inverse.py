@@ -101,10 +101,10 @@ def composite(
 def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None, sampling: Sampling) -> StateSpace:
     """(k1 s + b1) / (k2 s + b2) times N(s), discretized by Tustin's rule for all axes."""
     values = per_axis_scalars(correction, sampling.axes, "k1", "b1", "k2", "b2")
-    poles_of_filter = np.roots([float(value) for value in rate_filter]) if rate_filter is not None else np.zeros(0)
+    denominator = [1.0] if rate_filter is None else [float(value) for value in rate_filter]
+    poles_of_filter, scale = np.roots(denominator), denominator[-1] / denominator[0]
     found = []
     for k1, b1, k2, b2 in zip(*values, strict=True):
-        scale = float(rate_filter[-1]) / float(rate_filter[0]) if rate_filter is not None else 1.0
         from scipy.signal import bilinear_zpk  # here, not above: it takes longer to import than all that a node needs
 
         zeros, poles, gain = bilinear_zpk([-b1 / k1], [-b2 / k2, *poles_of_filter], scale * k1 / k2, 1.0 / sampling.sample_time)

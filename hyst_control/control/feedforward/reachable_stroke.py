@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
-from hyst_control.chain.chain import at_rest
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.rate_dependent_prandtl_ishlinskii import RateDependentPrandtlIshlinskii
 from hyst_control.chain.stage import SLOW
@@ -67,12 +66,9 @@ def quasi_static_command(
         hysteresis, correction = rate_dependent_parts(core)
         stages = [*stages, *constant_removed(correction, axes), inverted(hysteresis)]
     else:
-        drive = np.sort(at_rest(before, bounds), axis=0)
-        needed = drive_limits(model, None) if model.valid.get("command") is not None else bounds
-        needed = np.sort(at_rest(before, needed), axis=0)[1]
         # At rest a rate-dependent model is its classical part, k u + b of the modified one stay.
         kind = "hapi" if isinstance(core, RateDependentPrandtlIshlinskii) else "hampi"
-        stages = [*stages, *core_inverse(core, after, kind, sampling, drive, needed, 0)]
+        stages = [*stages, *core_inverse(model, bounds, kind, sampling, 0)]
     front, _ = dynamics_inverse(before, sampling, "none", "zoh")
     stages += front
     if not stages:

@@ -27,8 +27,10 @@ from numpy.typing import ArrayLike
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedforward.compensator import drive_limits, mean_line
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
-from hyst_control.model_file import Model, Simulator
+from hyst_control.control.linearization import linearized, sampled_response
+from hyst_control.model_file import Model, simulate
+
+ITERATIONS = 100
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,7 @@ def lifted_inverse(
     *,
     sample_time: float | None = None,
     limits: tuple[ArrayLike, ArrayLike] | None = None,
-    iterations: int = 100,
     damping: float = 1e-4,
-    start: Array | None = None,
 ) -> LiftedInverse:
     """Command that makes the model, settled at the first command, follow a reference from its first to its last sample."""
     reference = np.ascontiguousarray(reference, dtype=float)
@@ -59,22 +59,18 @@ def lifted_inverse(
         )
     sample_time = float(sample_time or model.sample_time)
     bounds = drive_limits(model, limits)
-    plant = Simulator(model, sample_time)
     learn = _learning_filter(model, len(reference), sample_time, damping)
-    if start is None:
-        slope, offset = mean_line(model, *bounds)
-        start = (reference - offset) / slope
-    command = np.clip(start, *bounds)
-    measurement = _run(plant, command)
+    slope, offset = mean_line(model, *bounds)
+    command = np.clip((reference - offset) / slope, *bounds)
+    measurement = simulate(model, command, sample_time, "zoh")
     errors = [_rms(reference - measurement)]
     bandwidth, failures = 10.0 / (len(reference) * sample_time), 0
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         trial = np.clip(command + learn(reference - measurement, bandwidth), *bounds)
-        answer = _run(plant, trial)
+        answer = simulate(model, trial, sample_time, "zoh")
         error = _rms(reference - answer)
-        improved = error < errors[-1]
         settled = error > 0.9 * errors[-1]
-        if improved:
+        if error < errors[-1]:
             command, measurement, failures = trial, answer, 0
             errors.append(error)
         else:
@@ -89,12 +85,11 @@ def lifted_inverse(
 def _learning_filter(model: Model, rows: int, sample_time: float, damping: float) -> Callable[[Array, float], Array]:
     """A function from an error (rows, A) to the command that the linearized model answers with it, in the least-squares sense."""
     axes = len(model.axes)
-    mean, _ = hysteresis_slopes(model)
     # Twice the length: the circular convolution of the transform must not wrap the end of the record into its start.
     length = 2 * rows
     z = np.exp(2j * np.pi * np.arange(length // 2 + 1) / length)
     frequency = np.arange(length // 2 + 1) / (length * sample_time)
-    response = sampled_response(linearized(model, mean), axes, sample_time, z)
+    response = sampled_response(linearized(model), axes, sample_time, z)
     adjoint = response.conj().transpose(0, 2, 1)
     weight = damping * np.abs(response).max() ** 2
     gain = np.linalg.solve(adjoint @ response + weight * np.eye(axes), adjoint)
@@ -107,11 +102,6 @@ def _learning_filter(model: Model, rows: int, sample_time: float, damping: float
         return np.fft.irfft(share[:, None] * np.einsum("fij,fj->fi", gain, spectrum), length, axis=0)[:rows]
 
     return learn
-
-
-def _run(plant: Simulator, command: Array) -> Array:
-    first = plant.reset(command[0])
-    return np.concatenate([first[None], plant.step(command)[:-1]])
 
 
 def _rms(error: Array) -> float:

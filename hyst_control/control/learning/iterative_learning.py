@@ -14,15 +14,7 @@ better: from then on the line learns by the secant through them,
     u <- u + share (u_2 - u_1) / (e_1 - e_2) e
 
 (Kim and Zou's modeling-free step). Where an error has grown, the line goes back to its best feedforward first, and halves
-its share if it had been measured anew before.
-What differs between the measured periods is noise; learning stops
-
-- at the noise floor: the repeating error is no more than `NOISE` times what is left of the noise in its mean,
-- when the error grows: by `GROWTH` over the least one so far, in `PATIENCE` trials in a row,
-- when nothing is gained: no `GAIN` of it in `PATIENCE` trials in a row,
-- after `trials` trials,
-
-and the best feedforward that was measured is kept.
+its share if it had been measured anew before. What differs between the measured periods is noise.
 """
 
 from __future__ import annotations
@@ -37,6 +29,8 @@ from hyst_control.control.learning.learning_filter import LearningFilter
 from hyst_control.control.learning.learning_loop import ENDLESS, Learner
 
 NOISE, GROWTH, GAIN, PATIENCE = 2.0, 1.1, 0.05, 3
+"""Learning stops at `NOISE` times the noise that is left in the mean error, and when an error is `GROWTH` over the least one, or less than
+`GAIN` below it, in `PATIENCE` trials in a row."""
 MAX_ROWS = 20_000_000  # Samples of a trial, and of all trials together: their signals are kept
 SIGNIFICANT = 4.0  # Standard deviations of its noise beyond which a line's error tells something
 SLOW = 0.5  # Share of a line's error that a trial may leave before the line is measured anew

@@ -27,13 +27,14 @@ import numpy as np
 
 from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.base.errors import InputError
-from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, sampled_response
+from hyst_control.control.linearization import first_mode, linearized, sampled_response
 from hyst_control.control.tuning import spread_responses
 from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
 
 AMPLIFICATION = 5.0
 """Voltage for a unit of error, relative to that at rest, beyond which nothing is learned: what little moves there is noise."""
+GAIN_SPREAD = 0.1  # Relative spread of the plant's gain that is allowed for
 MIN_RESONANT = 0.5  # Damping ratio from which a pair of poles is no resonance
 CONTRACTION = 0.9
 """Greatest share of an error that a trial may leave, of any plant that is allowed for; the robustness filter ends where it is more."""
@@ -78,41 +79,29 @@ def model_filter(
     period: int,
     *,
     sample_time: float | None = None,
-    gain_spread: float = 0.1,
     mode_spread: float = 0.0,
     model_error: float = 0.15,
-    peak_sensitivity: float = 2.0,
 ) -> LearningFilter:
     """The filter from a model's sampled response at its mean slope."""
-    # gain_spread, mode_spread, model_error:: relative spread of the plant's gain and first resonance, and the response's own error,
-    # for which every trial must gain. Where the plant is beyond them a trial may lose, and the lines that did are then measured
-    # anew by the learner; so a resonance that moves is allowed for only where that is asked. It is one below half the sample rate
-    # and lightly damped
+    # mode_spread, model_error: relative spread of the first resonance, and the response's own error, for which every trial must gain.
+    # Where the plant is beyond them a trial may lose, and the lines that did are then measured anew by the learner; so a resonance
+    # that moves is allowed for only where that is asked. It is one below half the sample rate and lightly damped
     sample_time = float(sample_time or model.sample_time)
     axes, z = len(model.axes), lines_of(_checked(period))
-    mean, _ = hysteresis_slopes(model)
-    stages = linearized(model, mean)
+    stages = linearized(model)
     response = sampled_response(stages, axes, sample_time, z)
     mode = first_mode(stages, axes)
     if mode is None or abs(mode) * sample_time > np.pi or -mode.real > MIN_RESONANT * abs(mode):
         mode_spread = 0.0  # poles that belong to a delay or a filter do not move as a resonance does
-    cases = spread_responses(model, sample_time, 0, gain_spread, mode_spread, z)
+    cases = spread_responses(model, sample_time, 0, GAIN_SPREAD, mode_spread, z)
     ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))
     error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)
     inverse: Complex = np.asarray(np.linalg.inv(response), dtype=np.complex128)
     error[amplified(inverse)] = np.inf
-    return LearningFilter(period, inverse, robustness(error, peak_sensitivity))
+    return LearningFilter(period, inverse, robustness(error))
 
 
-def measured_filter(
-    command: Annotated[Array, "M A"],
-    measurement: Array,
-    period: int,
-    sample_time: float,
-    *,
-    gain_spread: float = 0.1,
-    peak_sensitivity: float = 2.0,
-) -> LearningFilter:
+def measured_filter(command: Annotated[Array, "M A"], measurement: Array, period: int, sample_time: float) -> LearningFilter:
     """The filter from a record in which the command moves in all frequencies of interest (a sweep, noise, a multisine).
 
     Each axis by itself: the response by local polynomials, its error the radius of its 95 % confidence. That holds the scatter which
@@ -135,7 +124,7 @@ def measured_filter(
         error = np.maximum(error, np.interp(lines, found.frequency, radius / np.abs(gain), right=np.inf))
     error[0] = error[1]
     error[amplified(inverse)] = np.inf
-    return LearningFilter(period, inverse, robustness(gain_spread + error * (1.0 + gain_spread), peak_sensitivity))
+    return LearningFilter(period, inverse, robustness(GAIN_SPREAD + error * (1.0 + GAIN_SPREAD)))
 
 
 def amplified(inverse: Complex) -> Mask:
@@ -144,7 +133,7 @@ def amplified(inverse: Complex) -> Mask:
     return np.asarray(size > AMPLIFICATION * size[0])
 
 
-def robustness(error: Array, peak_sensitivity: float) -> Array:
+def robustness(error: Array, peak_sensitivity: float = 2.0) -> Array:
     """Q (F,) for a response whose relative error is up to `error` (F,), in a loop with |S| up to `peak_sensitivity`.
 
     1 up to two thirds of the first line where a trial might leave more than `CONTRACTION`, 0 from there on, a cosine in between.

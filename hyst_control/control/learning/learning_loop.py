@@ -63,7 +63,6 @@ def run_learning_loop(
     reference: Array, compensator: Compensator | None, controller: RunningPI, plant: Plant, learner: Learner
 ) -> dict[str, Array]:
     """Signals by topic, each (N, A), of N ticks of the closed loop from rest at 0 V; `learned` is within `feedforward`."""
-    # controller, plant, learner:: what closes the loop, is moved, and learns. The learner goes on from what it knows
     ahead = feedforward_rows(reference, compensator) if compensator else np.zeros_like(reference)
     rest = np.zeros(reference.shape[1])
     controller.reset(rest)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -67,9 +68,9 @@ def learn_from_records(records: Sequence[Record], description: IterativeLearning
     return learner, high - low
 
 
-def trial_table(learner: RunningIterativeLearning, span: float, subject: str, source: str = "learn") -> Table:
+def trial_table(learner: RunningIterativeLearning, span: float, subject: str) -> Table:
     """Table of trials: error, its repeating part and the noise in that part; the reason why learning ended is a note."""
-    table = Table(source)
+    table = Table("learn")
     for index, trial in enumerate(learner.history):
         for quantity, value in (("nrmse", trial.error), ("nrmse_repeating", trial.repeating), ("nrmse_noise", trial.noise)):
             table.add("learning from trial to trial", f"trial {index}", subject, quantity, "%", 100.0 * value / span)
@@ -107,8 +108,6 @@ def feedback_error_table(
 def best_compensator(model: Model, sample_time: float, limits: tuple[float, float]) -> tuple[str, Compensator]:
     """Kind and compensator that suit a model best: the first of `KINDS` that can be built."""
     for kind in KINDS[:-1]:
-        try:
+        with suppress(InputError):
             return kind, build_compensator(model, kind, sample_time=sample_time, limits=limits)
-        except InputError:
-            continue
     return KINDS[-1], build_compensator(model, KINDS[-1], sample_time=sample_time, limits=limits)

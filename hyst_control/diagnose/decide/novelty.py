@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signs of an effect outside the catalogue, and the novelty score that they add up to. Pure functions of the evidence.
 
-A sign is a number of which 1 is the threshold that a rule was set with. Rules of several conditions count as their weakest one, and
-nothing is truncated, so that explanations short of every threshold are in order as well. The verdict is `unknown` where the clearest sign
-exceeds `novelty_threshold`, a conformal threshold: of the single effects that it was calibrated on, at most 4 % exceed it.
+A sign is a number of which 1 is the threshold that a rule was set with; of several conditions it is the weakest one. The verdict is
+`unknown` where the clearest sign exceeds `novelty_threshold`: of the single effects that it was calibrated on, at most 4 % do.
 """
 
 from __future__ import annotations
@@ -68,21 +67,15 @@ def changes(evidence: Evidence, chosen: int, thresholds: Thresholds) -> list[tup
 
 
 def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[tuple[DistortionEvidence, float]]:
-    """Distortion tests of a hypothesis, each with its sign.
-
-    What is left must exceed what the model leaves on baseline records, which has a shape of its own; where the fits know its spectrum,
-    that is in the statistic, whose own chance is then the threshold: the null of the search is that of many more effects.
-    """
+    """Distortion tests of a hypothesis, each with its sign."""
     residual, due = residual_of(evidence, index), evidence.stated
+    # What is left must exceed what the model leaves on baseline records, unless the fits know its spectrum: then the statistic has that.
     beyond = np.inf if evidence.whitened else (residual.energy - due) / (_excess(evidence, thresholds) * due)
     nats = thresholds.distortion_whitened if evidence.whitened else evidence.null + thresholds.margin
     found = []
     for test in residual.distortions:
         sign = min(
-            beyond,
-            test.statistic / nats,
-            abs(test.change) / thresholds.distortion_change,
-            test.share / thresholds.distortion_share,
+            beyond, test.statistic / nats, abs(test.change) / thresholds.distortion_change, test.share / thresholds.distortion_share
         )
         if sign > 0.0:
             found.append((test, float(sign)))
@@ -91,10 +84,8 @@ def _constancy(evidence: Evidence, index: int, thresholds: Thresholds) -> list[t
 
 def remainder(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the `chosen` explanation of the `evidence` leaves, 0 where that is under the floor in `thresholds`."""
-    after, due = residual_of(evidence, chosen).energy, evidence.stated
-    if not after - due > _noticed(evidence, thresholds):
-        return 0.0
-    return _share_left(evidence, chosen, thresholds)
+    beyond = residual_of(evidence, chosen).energy - evidence.stated
+    return _share_left(evidence, chosen, thresholds) if beyond > _noticed(evidence, thresholds) else 0.0
 
 
 def leaves_more(evidence: Evidence, one: HypothesisEvidence, thresholds: Thresholds) -> bool:
@@ -108,11 +99,8 @@ def _noticed(evidence: Evidence, thresholds: Thresholds) -> float:
 
 
 def _excess(evidence: Evidence, thresholds: Thresholds) -> float:
-    """Smallest significant excess, relative to the expected energy.
-
-    The noise is a median over n spectral lines, whose relative standard error is 1 / (ln 2 sqrt(n)). With Hann's window two thirds of the
-    lines are independent.
-    """
+    """Smallest significant excess, relative to the expected energy."""
+    # The standard error of a median over n spectral lines, of which two thirds are independent under Hann's window.
     by_chance = thresholds.noise_deviations * np.sqrt(1.5 / max(evidence.noise_bins, 1.0)) / np.log(2.0)
     return float(max(thresholds.min_excess, by_chance))
 
@@ -136,10 +124,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
 
 
 def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
-    """True where so many effects at once are less likely than one outside the catalogue.
-
-    They are not where few of them explain nearly all: the others are then details beside them.
-    """
+    """True where so many effects at once are less likely than one outside the catalogue, and few of them do not explain nearly all."""
     names = set(evidence.hypotheses[chosen].names)
     if evidence.hypotheses[chosen].together <= thresholds.max_effects:
         return False
@@ -158,6 +143,6 @@ def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
     # What does not follow the command varies from run to run, and no effect would explain it. Where baseline records show how much that
     # is, many times as much is something new all the same.
     left, follows = after - due, residual_of(evidence, chosen).predictable
-    usual = thresholds.run_to_run * evidence.stated if evidence.stated > 1.0 or evidence.whitened else np.inf
+    usual = thresholds.run_to_run * due if due > 1.0 or evidence.whitened else np.inf
     new = follows * left + max((1.0 - follows) * left - usual, 0.0)
-    return float(np.clip(new / max(before - evidence.stated, 1e-12), 0.0, 1.0))
+    return float(np.clip(new / max(before - due, 1e-12), 0.0, 1.0))

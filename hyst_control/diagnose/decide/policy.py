@@ -26,11 +26,7 @@ from hyst_control.diagnose.decide import novelty
 from hyst_control.diagnose.decide.novelty import leaves_more, remainder, unexplained
 from hyst_control.diagnose.decide.record_findings import findings, flicker_found, outweighs, residual_of, share_of_outliers
 from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found, without_vibration
-from hyst_control.diagnose.evidence import (
-    CompanionEvidence,
-    Evidence,
-    HypothesisEvidence,
-)
+from hyst_control.diagnose.evidence import CompanionEvidence, Evidence, HypothesisEvidence
 from hyst_control.diagnose.verdict import Decision, JointDecision, Reason, Verdict
 
 PARAMETERS = ("parameters",)  # Key of the coefficients alone in `Decision.probability`
@@ -54,7 +50,9 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
     claims = _claims(evidence, thresholds)
     noise = flicker_found(evidence, _first(claims), thresholds)
     outweighed = noise is not None and outweighs(noise, evidence, _first(claims))
-    shaken = None if noise is not None else _narrowband_vibration_index(evidence, _first(claims), thresholds)
+    shaken = None
+    if noise is None:
+        shaken = vibration_found(evidence, _first(claims), remainder(evidence, _first(claims), thresholds), thresholds)
     if outweighed or shaken == 0:
         claims = _claims(evidence, thresholds, with_effects=False)
     chosen = _first(claims)
@@ -67,7 +65,7 @@ def decide(evidence: Evidence, thresholds: Thresholds) -> Decision:
         evidence = without_vibration(evidence, thresholds)
     left = 0.0 if outweighed else remainder(evidence, chosen, thresholds)
     unaccounted = max([left, *(share_of_outliers(evidence, one) for one in outliers)])
-    companions = tuple(one for one in residual_of(evidence, chosen).companions if _unusual(one, evidence, thresholds))
+    companions = tuple(one for one in residual_of(evidence, chosen).companions if is_unusual(one, evidence, thresholds))
 
     signs = novelty.signs(evidence, chosen, outweighed, outliers, thresholds)
     # Fits count with rounding, held samples and white noise. Only noise that they take for white moves coefficients.
@@ -132,11 +130,8 @@ def practical_floor(
     noise: Annotated[Array, "A"],
     thresholds: Thresholds,
 ) -> float:
-    """Rms, in units of the noise, that an effect must take off to be worth naming.
-
-    A model's stated noise that exceeds the measured one says how far the model itself was off when it was identified. The
-    rounding of a converter follows the signal: a share of it is no effect.
-    """
+    """Rms, in units of the noise, that an effect must take off to be worth naming."""
+    # Noise stated beyond the measured one is how far the model was off; rounding follows the signal: a share of it is no effect.
     size = thresholds.practical_size * spans / noise
     excess = np.sqrt(np.maximum((stated / noise) ** 2 - 1.0, 0.0))
     rounded = steps / np.sqrt(12.0) / noise
@@ -177,11 +172,6 @@ def _claims(evidence: Evidence, thresholds: Thresholds, with_effects: bool = Tru
     )
 
 
-def _narrowband_vibration_index(evidence: Evidence, first: int, thresholds: Thresholds) -> int | None:
-    """Index of the hypothesis whose residual shows a vibration without a waveform."""
-    return vibration_found(evidence, first, remainder(evidence, first, thresholds), thresholds)
-
-
 def _first(claims: Sequence[int]) -> int:
     """The best claim, or "no effect" where there is none."""
     return claims[0] if claims else 0
@@ -218,11 +208,7 @@ def _has_own_error(evidence: Evidence) -> bool:
 
 
 def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away.
-
-    A rate part, loops or a gain scaled by one factor moves several coefficients together, or one of them far away. By score: where
-    one wrong parameter costs less than the numbers of an effect that does the same, it is the parameter.
-    """
+    """True where one known effect does, with coefficients within their tolerances, what coefficients alone do many tolerances away."""
     one = evidence.hypotheses[index]
     # Beside baseline records the coefficients are those of these records, and what has changed is an effect if a known one does it.
     if not one.coefficients_alone or (one.farthest < thresholds.many_tolerances and not evidence.whitened):
@@ -242,12 +228,8 @@ def _is_known_effect(index: int, claims: Sequence[int], evidence: Evidence, thre
 
 
 def _adds_too_little(index: int, evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off.
-
-    So a part that was dropped, as it does not hold, takes its combinations with it. Beside a great effect what its stage and the
-    physics differ by is many times the noise. But the share does not count where the coefficients had to leave their tolerance for a
-    part, and need not for the combination.
-    """
+    """True where a combination exceeds one of its parts by less than a claim needs, or by less than a share of all that it takes off."""
+    # A part that was dropped, as it does not hold, so takes its combinations with it.
     one = evidence.hypotheses[index]
     if len(one.names) < 2:
         return False
@@ -255,19 +237,15 @@ def _adds_too_little(index: int, evidence: Evidence, thresholds: Thresholds) -> 
     if not parts:
         return False
     best = min(parts, key=lambda part: part.misfit)
-    better = best.misfit - one.misfit
-    relieved = strained(best.strain, evidence.coefficients, thresholds) and not strained(
-        one.strain, evidence.coefficients, thresholds
-    )
-    small = better <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    small = best.misfit - one.misfit <= thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
+    # The share does not count where the coefficients had to leave their tolerance for a part, and need not for the combination.
+    best_strained, one_strained = (strained(each.strain, evidence.coefficients, thresholds) for each in (best, one))
+    relieved = best_strained and not one_strained
     return not exceeds(best, one, evidence, thresholds) or (small and not relieved)
 
 
 def _has_plainer_one(index: int, claims: Sequence[int], evidence: Evidence, thresholds: Thresholds) -> bool:
-    """True where a simpler effect leaves hardly more than noise, though a hypothesis with another one fits a very little better.
-
-    A stage may differ from the physics by as much. Where neither of the two is sure, both are reported.
-    """
+    """True where a simpler effect leaves hardly more than noise, though a hypothesis with another one fits a very little better."""
     one = evidence.hypotheses[index]
     plainer = [{plain, *one.names} - {name} for name, plain in evidence.plainer if name in one.names]
     most = one.misfit + thresholds.added_share * (evidence.hypotheses[0].misfit - one.misfit)
@@ -275,14 +253,9 @@ def _has_plainer_one(index: int, claims: Sequence[int], evidence: Evidence, thre
         set(other.names) in plainer
         and not leaves_more(evidence, other, thresholds)
         and other.misfit <= most
-        and _is_sure_beside(one, other, thresholds)
+        and 1.0 / (1.0 + np.exp(min(thresholds.sharpness * (other.score - one.score), 0.0))) >= thresholds.sure_probability
         for other in (evidence.hypotheses[i] for i in claims)
     )
-
-
-def _is_sure_beside(one: HypothesisEvidence, other: HypothesisEvidence, thresholds: Thresholds) -> bool:
-    odds = np.exp(min(thresholds.sharpness * (other.score - one.score), 0.0))
-    return bool(1.0 / (1.0 + odds) >= thresholds.sure_probability)
 
 
 def _probabilities(evidence: Evidence, claims: Sequence[int], thresholds: Thresholds) -> dict[tuple[str, ...], float]:
@@ -314,7 +287,7 @@ def _listed(
     return tuple(index for name, index in best.items() if probability[name] >= least and name not in same)
 
 
-def _unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
+def is_unusual(companion: CompanionEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
     """True where zero or drift of a session exceed chance, the practical size, and what baseline records show."""
     if np.isnan(companion.usual):
         return False  # nothing says what is usual

@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings in a record itself, beside what simulations explain: repeated samples, value grids, noise, single samples far off.
-
-Pure functions of the evidence, as the rest of the policy.
-"""
+"""Findings in a record itself: repeated samples, value grids, noise, single samples far off. Pure functions of the evidence."""
 
 from __future__ import annotations
 

@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""A vibration without a waveform among the findings: which residual shows it, and what is left beside it.
-
-Pure functions of the evidence, as the rest of the policy.
-"""
+"""A vibration without a waveform among the findings: which residual shows it, and what is left beside it, by the evidence alone."""
 
 from __future__ import annotations
 

@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hyst_control.diagnose.configuration import Configuration
+from hyst_control.diagnose.decide.policy import is_unusual
 from hyst_control.diagnose.decide.record_findings import findings
 from hyst_control.diagnose.decide.vibration_finding import vibration, vibration_found
-from hyst_control.diagnose.evidence import CompanionEvidence, Evidence
+from hyst_control.diagnose.evidence import Evidence
 from hyst_control.diagnose.likelihood.conditional import conditioned
 from hyst_control.diagnose.likelihood.decide import Judgement, judge
 from hyst_control.diagnose.likelihood.fits import Fits, fits_of
@@ -19,25 +20,10 @@ from hyst_control.diagnose.likelihood.structure import structure
 from hyst_control.diagnose.model_error.baseline import Baseline, with_discrepancy
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.collect import collect, companions, residual_evidence
-from hyst_control.diagnose.run.prepare import Prepared, clean_rows, prepare
-from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, search
-from hyst_control.diagnose.search.fit import Linearized
+from hyst_control.diagnose.run.prepare import Prepared, prepare
+from hyst_control.diagnose.search.beam_search import Found, search
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
-
-
-@dataclass(frozen=True)
-class Judged:
-    """Diagnosis of one problem."""
-
-    problem: Problem
-    linearized: Linearized
-    found: Found
-    hypotheses: tuple[FittedHypothesis, ...]
-    evidence: Evidence
-    decision: Decision
-    baseline: Baseline | None
-    structure: Mapping[str, float]  # Of a gap that no effect explains: probability of "yes" by question
 
 
 def by_likelihood(
@@ -47,24 +33,22 @@ def by_likelihood(
     without: Sequence[str],
     progress: Callable[[str], None],
     configuration: Configuration,
-    priors: Priors = PRIORS,
-) -> Judged:
-    """Diagnose one problem by one likelihood of all hypotheses."""
-    baseline = _with_spectrum(problem, baseline, configuration)
+) -> tuple[Found, Evidence, Decision, Baseline | None, Mapping[str, float]]:
+    """Diagnose one problem by one likelihood of all hypotheses; last, of an unknown gap, the probability of "yes" by question."""
+    priors, baseline = PRIORS, _with_spectrum(problem, baseline, configuration)
     prepared = prepare(problem, baseline, without, configuration, progress)
     found, fits, weighed = searched(prepared, sensor_side, progress, configuration, priors)
     if FLICKER in prepared.without:
         weighed = tuple(one for one in weighed if not one.flicker)
-    weighed = _changed(weighed, found, baseline, priors)
+    weighed = _changed(weighed, found, prepared.clean, priors)
     judged = judge(weighed, fits, prepared.floor, priors.level)
-    collected = collect(found, 0.0, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
-    evidence = _with_scores(collected.evidence, weighed)
-    decision, evidence = _decision(judged, evidence, collected.hypotheses, prepared, baseline, found, configuration)
+    evidence = _with_scores(collect(found, 0.0, prepared, configuration), weighed)
+    decision, evidence = _decision(judged, evidence, prepared, baseline, found, configuration)
     asked: Mapping[str, float] = {}
     if decision.verdict is Verdict.UNKNOWN:
         effects = [one for one in weighed if one.kind is Kind.EFFECTS and not one.flicker]
         asked = structure(fits, effects[0] if effects else None, priors)
-    return Judged(found.linearized.problem, found.linearized, found, collected.hypotheses, evidence, decision, baseline, asked)
+    return found, evidence, decision, baseline, asked
 
 
 def searched(
@@ -85,14 +69,12 @@ def searched(
     return found, fits, weighed
 
 
-def _changed(weighed: tuple[Weighed, ...], found: Found, baseline: Baseline | None, priors: Priors) -> tuple[Weighed, ...]:
+def _changed(weighed: tuple[Weighed, ...], found: Found, clean: CleanRecords | None, priors: Priors) -> tuple[Weighed, ...]:
     """The hypotheses without effects that baseline records of other commands ask for as well: what was there before is no change."""
-    rows = None if baseline is None else clean_rows(baseline, found.linearized.problem)
-    if rows is None:
+    if clean is None:
         return weighed
-    every, clean = (found.none, *found.singles, *found.combinations, found.parameters), CleanRecords(rows)
     while (best := next((one for one in weighed if one.kind is not Kind.PARAMETERS), None)) and best.hypothesis.names:
-        known = clean.show(every[best.hypothesis.index], priors.followed)
+        known = clean.show(found.hypotheses[best.hypothesis.index], priors.followed)
         if not known:
             break
         weighed = tuple(one for one in weighed if not known.intersection(one.names))
@@ -125,13 +107,7 @@ def _with_scores(evidence: Evidence, weighed: Sequence[Weighed]) -> Evidence:
 
 
 def _decision(
-    judged: Judgement,
-    evidence: Evidence,
-    hypotheses: Sequence[FittedHypothesis],
-    prepared: Prepared,
-    baseline: Baseline | None,
-    found: Found,
-    configuration: Configuration,
+    judged: Judgement, evidence: Evidence, prepared: Prepared, baseline: Baseline | None, found: Found, configuration: Configuration
 ) -> tuple[Decision, Evidence]:
     """The judgement with what checks of the record find, in the form of reports."""
     fitted = [one for one in judged.named if one.hypothesis.index]
@@ -140,11 +116,11 @@ def _decision(
         {
             index: residual_evidence(
                 found.linearized.problem,
-                hypotheses[index],
+                found.hypotheses[index],
                 prepared.findings,
                 prepared.checks,
                 configuration,
-                companions(found.linearized, hypotheses[index], baseline.usual_zero, 1.0) if baseline else (),
+                companions(found.linearized, found.hypotheses[index], baseline.usual_zero, 1.0) if baseline else (),
             )
             for index in {0, chosen}
         }
@@ -162,7 +138,7 @@ def _decision(
         assert hump is not None and hump.hump is not None
         shown = (*shown, vibration(hump.hump, evidence.noise[0]))
         verdict, reasons, listed, chosen = Verdict.EFFECT, set(), (chosen,) if shaken else (), shaken
-    unusual = tuple(one for one in left.companions if _is_unusual(one, evidence, configuration))
+    unusual = tuple(one for one in left.companions if is_unusual(one, evidence, configuration.policy))
     if verdict is Verdict.NO_GAP and (shown or unusual):
         verdict, reasons = Verdict.EFFECT, set()
     if outliers and verdict is not Verdict.UNKNOWN:
@@ -185,11 +161,3 @@ def _decision(
         other,
     )
     return decision, evidence
-
-
-def _is_unusual(one: CompanionEvidence, evidence: Evidence, configuration: Configuration) -> bool:
-    """True where zero or drift of a session exceed chance, the practical size, and what is usual between sessions."""
-    if one.usual != one.usual:
-        return False  # nothing says what is usual
-    least = max(configuration.policy.companion_deviations * one.deviation, one.usual)
-    return one.rms > evidence.floor * evidence.noise[one.axis] and abs(one.value) > least

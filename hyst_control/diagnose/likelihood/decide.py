@@ -1,11 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the weights of the hypotheses to a verdict.
-
-- `no_gap`: "nothing", and what is too small to matter, have together the largest probability;
-- `unknown`: something else is more probable than all that is known together;
-- otherwise the smallest set of explanations of a given probability: one is named, several are ambiguous.
-"""
+"""From the weights of the hypotheses to a verdict: no gap, something else, or the smallest set of explanations of a given probability."""
 
 from __future__ import annotations
 
@@ -14,12 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hyst_control.diagnose.decide.policy import PARAMETERS
 from hyst_control.diagnose.likelihood.fits import Fits
 from hyst_control.diagnose.likelihood.hypotheses import FLICKER, Kind, Weighed
 from hyst_control.diagnose.verdict import Reason, Verdict
-
-Key = tuple[str, ...]
-PARAMETERS: Key = ("parameters",)  # Key of the coefficients alone, as the old core has it
 
 
 @dataclass(frozen=True)
@@ -29,7 +22,7 @@ class Judgement:
     verdict: Verdict
     reasons: tuple[Reason, ...]
     named: tuple[Weighed, ...]  # Explanations that are listed, the most probable first; of an unknown gap the nearest one
-    probability: dict[Key, float]  # By the names of an explanation
+    probability: dict[tuple[str, ...], float]  # By the names of an explanation
     nothing: float  # Probability of no gap that matters
     something_else: float  # Probability of something else
 
@@ -40,7 +33,7 @@ def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float) ->
     other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE and _matters(one, fits, floor))
     known = [one for one in weighed if one.kind in (Kind.EFFECTS, Kind.PARAMETERS) and _matters(one, fits, floor)]
     total = sum(one.probability for one in known)
-    probability = {_key(one): one.probability for one in known}
+    probability = {PARAMETERS if one.kind is Kind.PARAMETERS else one.names: one.probability for one in known}
 
     def judgement(verdict: Verdict, reason: Reason, named: Sequence[Weighed]) -> Judgement:
         return Judgement(verdict, (reason,), tuple(named), probability, nothing, other)
@@ -58,10 +51,6 @@ def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float) ->
         return judgement(Verdict.PARAMETERS, Reason.COEFFICIENTS_BEYOND_TOLERANCE, named)
     noise = named[0].names == (FLICKER,)
     return judgement(Verdict.EFFECT, Reason.NOISE_EXPLAINS_MORE if noise else Reason.ONE_EXPLANATION, named)
-
-
-def _key(one: Weighed) -> Key:
-    return PARAMETERS if one.kind is Kind.PARAMETERS else one.names
 
 
 def _matters(one: Weighed, fits: Fits, floor: float) -> bool:

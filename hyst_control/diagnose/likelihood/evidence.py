@@ -70,11 +70,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class LogEvidence:
-    """Log marginal likelihood of a hypothesis, the fit it is taken at, and its curvature there."""
+    """Log marginal likelihood of a hypothesis, and the fit it is taken at."""
 
     value: float
     fit: Fit
-    curvature: Array  # (N, N)
     variance: Array  # (B,)
     freedom: Array  # (B,) degrees of freedom of the variance
 
@@ -104,7 +103,7 @@ def log_evidence(fit: Fit, octaves: Octaves, variance: Array, freedom: Array) ->
             break
     curvature = _exact(fit, octaves, variance, freedom, curved(fit)[0])
     occam = -0.5 * _log_determinant(curvature) + NORMALIZATION * np.count_nonzero(fit.heavy)
-    return LogEvidence(best + occam, fit, curvature, variance, freedom)
+    return LogEvidence(best + occam, fit, variance, freedom)
 
 
 def _exact(fit: Fit, octaves: Octaves, variance: Array, freedom: Array, rough: Array) -> Array:

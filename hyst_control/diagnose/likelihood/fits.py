@@ -59,7 +59,7 @@ def fits_of(found: Found, kept: int, freedom: float) -> Fits:
     linearized = found.linearized
     problem = linearized.problem
     octaves = octaves_of(problem, freedom)
-    every = (found.none, *found.singles, *found.combinations, found.parameters)
+    every = found.hypotheses
     chosen = [0, len(every) - 1]
     begin = 1
     for some in (found.singles, found.combinations):

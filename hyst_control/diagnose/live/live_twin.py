@@ -182,10 +182,8 @@ class GapAlarm:
 
 
 def _gram(slopes: Array) -> Array:
-    """Products of the slopes (N, A, K) summed over the rows, (A, K, K).
-
-    Not by a matrix product: at this size that wakes the threads of the linear algebra, which then take turns with the loop.
-    """
+    """Products of the slopes (N, A, K) summed over the rows, (A, K, K)."""
+    # No matrix product: at this size that wakes the threads of the linear algebra, which then take turns with the loop.
     return np.stack([np.einsum("nk,nl->kl", axis, axis) for axis in np.moveaxis(slopes, 1, 0)])
 
 

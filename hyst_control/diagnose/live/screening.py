@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Screening of records: proves that a diagnosis would find no gap, without trying any effect.
 
-An effect is named only where it takes off more than the practical floor of a gap that is larger than what the model leaves on clean
-records, or relieves coefficients that had to leave their tolerance (`policy`). Where the coefficients alone leave no more than that, and
-their strain is less than the margin of a claim, no effect can do either, whatever the simulated null and the search would give: what
-remains are the checks of the record, the zero of its session and 1/f noise, which need no search. All bounds are those of a search that
-turns out as well as it could (weight of a sample 1, and a null threshold of 0 unless the real one is needed, which records of equal
-command and model share), so that of a record that passes the whole diagnosis says "no_gap".
+Where the coefficients alone leave no more than the practical floor, or what the model leaves on clean records, and are strained by
+less than the margin of a claim, no effect can be named, however well a search turns out. What remains are the checks of the record,
+the zero of its session and 1/f noise.
 """
 
 from __future__ import annotations
@@ -105,8 +102,8 @@ def _is_clear(prepared: Prepared, beside: Baseline | None, sensor_side: bool, co
     left = residual_evidence(prepared.problem, none, prepared.findings, prepared.checks, configuration, zero)
 
     def passes(null: float) -> bool:
-        collected = collect(found, null, prepared.floor, prepared.stated, prepared.record, prepared.checks, configuration)
-        evidence = collected.evidence.with_residuals(dict.fromkeys(range(len(collected.hypotheses)), left))
+        evidence = collect(found, null, prepared, configuration)
+        evidence = evidence.with_residuals(dict.fromkeys(range(len(found.hypotheses)), left))
         return decide(evidence, policy).verdict is Verdict.NO_GAP
 
     # The null is asked for only where it matters, as of 1/f noise: it is the dearest part.

@@ -1,18 +1,14 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Baseline of a diagnosis: baseline records, on which a model's residual is its model discrepancy and not a gap.
+"""Baseline of a diagnosis: records of the healthy plant, on which a model's residual is its model discrepancy and not a gap.
 
-A baseline record is one that was measured when the plant was known to be healthy. If one has the same command as the new record, up to a
-time shift, the model's error on it is carried over sample by sample:
+If one has the same command as the new record, up to a time shift, the model's error on it is carried over sample by sample:
 
     predicted new record = E_out( y_clean + [ M_E(u_new) - M(u_clean) ] ) + zero(t)
 
 E_out are the sensor's effects, which act on the plant's whole output; M is the model, and M_E the model with the effects of the
-drive. The error of the model's coefficients cancels in the difference. Without a model, the baseline record alone is the prediction, and
-only effects behind the mechanics can be found.
-
-If no baseline record has the same command, the model's error is predicted from the features of the command that the records, or the
-discrepancy in the model file, taught; where these predict nothing, its size and its correlation are known.
+drive. Without a model, the baseline record alone is the prediction, and only effects behind the mechanics can be found. If no baseline
+record has the same command, the error is predicted from features of the command, or its size and its correlation alone are known.
 """
 
 from __future__ import annotations
@@ -24,7 +20,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.memoryless import Gain
@@ -41,8 +37,8 @@ from hyst_control.diagnose.model_error.same_command import Match, matching, peri
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
-from hyst_control.diagnose.problem.per_record_stages import CarriedError, LearnedError, SessionZero
-from hyst_control.diagnose.problem.problem import Piece, Problem, check_units
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, SessionZero
+from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
 from hyst_control.identify.model_error.stated_spectrum import StatedSpectrum, spectrum_on_new_records
@@ -93,7 +89,7 @@ def error_on(records: Sequence[Record], model: Model) -> Annotated[Array, "A"]:
     """Measure what a model leaves on baseline records, their zeros and drifts included."""
     found = []
     for record in records:
-        check_units(model, record.signal("measurement").unit, record.source)
+        check_unit(model, record, "measurement")
         for stretch in record.aligned(allow_gaps=True):
             command, measurement = stretch.command, stretch.measurement
             if command.shape[1] != len(model.axes) or measurement.shape[1] != len(model.axes):
@@ -117,15 +113,9 @@ def with_baseline(problem: Problem, clean: Problem, settings: BaselineSettings) 
         return _carried(problem, clean, matches, spans, settings)
     # A record that begins anywhere fills the memory first: what the model leaves there is no error of it.
     known = _from_wiped_memory(clean, problem)
-    errors = [
-        (piece.measurement - simulated_rows(clean, i, piece))[_first_counted(piece) :] for i, piece in enumerate(clean.pieces)
-    ]
-    left = [
-        rows[_first_counted(later) - _first_counted(piece) :]
-        for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)
-    ]
-    stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time)
-    stated |= session_zeros(errors)
+    errors = [(piece.measurement - simulated_rows(clean, i, piece))[piece.first :] for i, piece in enumerate(clean.pieces)]
+    left = [rows[later.first - piece.first :] for rows, later, piece in zip(errors, known.pieces, clean.pieces, strict=True)]
+    stated = discrepancy_of([piece.command for piece in clean.pieces], left, clean.sample_time) | session_zeros(errors)
     return replace(_beside_own_error(problem, stated, clean, settings, left, errors), error_rows=known)
 
 
@@ -147,11 +137,9 @@ def _beside_own_error(
     errors: Sequence[Array] = (),
     everything: Sequence[Array] = (),
 ) -> Baseline:
-    """Make the baseline of a model whose model discrepancy is known from other commands, in the form that a model file has it.
-
-    errors: those of the baseline records, each (N, A), from which its spectrum is read; a model file states none. everything: the same
-    with the rows before, in which the time before the record shows.
-    """
+    """Make the baseline of a model whose model discrepancy is known from other commands, in the form that a model file has it."""
+    # errors: those of the baseline records, each (N, A), from which its spectrum is read; a model file states none. everything: the
+    # same with the rows before, in which the time before the record shows
     error = np.asarray(stated["rms"], dtype=float)
     zeros = stated.get("zero")
     mean = np.asarray(stated.get("zero_mean", np.zeros((len(error), len(SHAPES)))), dtype=float)
@@ -159,18 +147,18 @@ def _beside_own_error(
     # Without a stated correlation that of a sine at the slowest excited frequency is assumed.
     seconds = float(stated.get("correlation", 1.0 / (np.pi * lowest_frequency(problem))))
     learned = [LearnedDiscrepancy.from_document(one) for one in stated.get("learned", ()) if one is not None]
-    predicted = _memory(problem, settings)
+    predicted = initial_memory(problem, settings.memory_share)
     rest = settings.unseen * error
-    if len(learned) == len(error) == 1:  # axes that the model mixes have no features of their own
-        predicted = (*predicted, *predicted_error(problem, learned[0]))
-        rest, seconds = settings.unseen * np.array([learned[0].rest]), learned[0].correlation
+    known = learned[0] if len(learned) == len(error) == 1 else None  # axes that the model mixes have no features of their own
+    if known is not None:
+        predicted = (*predicted, *predicted_error(problem, known))
+        rest, seconds = settings.unseen * np.array([known.rest]), known.correlation
     spans = np.max([np.ptp(piece.measurement, axis=0) for piece in problem.pieces], axis=0)
     noise = np.broadcast_to(np.atleast_1d(np.asarray(problem.model.noise.get("sigma", 0.0), dtype=float)), error.shape)
     model = problem.model.with_stages((*problem.model.chain.stages, *predicted, _zero(problem, spans, mean, settings)))
     excess = np.sqrt(np.maximum(error**2 - noise**2, 0.0))
     usual = np.fmin(usual, np.array(settings.usual_share) * spans[:, None])
     length = max(seconds / problem.sample_time, 1.0)
-    known = learned[0] if len(learned) == len(error) == 1 else None
     spectrum = None
     floor = settings.other_command * excess
     if clean is not None:
@@ -180,17 +168,10 @@ def _beside_own_error(
                 rows - without_zero(learned_mean(known, piece, len(rows), clean.sample_time))[0]
                 for rows, piece in zip(left, clean.pieces, strict=True)
             ]
-        spectrum = own_error_spectrum(left, everything, clean, max(len(piece.counted(piece.command)) for piece in problem.pieces))
+        spectrum = own_error_spectrum(left, everything, clean, max(problem.counts))
         spectrum = on_new_ground(spectrum, problem, clean, error, settings)
         floor = np.zeros_like(excess)
-    beside = replace(
-        problem,
-        model=model,
-        beside_error=True,
-        own_error=rest,
-        own_correlation=length,
-        own_spectrum=spectrum,
-    )
+    beside = replace(problem, model=model, beside_error=True, own_error=rest, own_correlation=length, own_spectrum=spectrum)
     return Baseline(beside, False, error, usual, floor, clean, excess, known)
 
 
@@ -216,7 +197,7 @@ def _carried(
     noises: list[Array] = []
     unlike: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
-        filled = [max(_first_counted(piece), _first_counted(match.clean) - match.shift) for match in found]
+        filled = [max(piece.first, match.clean.first - match.shift) for match in found]
         begin, end = max(*(match.begin for match in found), *filled), min(match.end for match in found)
         # Rows of a warm-up do not count, but they wipe the memory out all the same.
         wiped = max(
@@ -227,7 +208,7 @@ def _carried(
         kept &= ~_fills_memory(piece.command, begin, end, wiped, settings)
         begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
-        pieces.append(replace(piece, keep=None if whole else kept if piece.keep is None else kept & piece.keep))
+        pieces.append(replace(piece, keep=None if whole else kept & piece.mask))
         errors, clean_errors = [], []
         for match in found:
             matched = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
@@ -243,9 +224,10 @@ def _carried(
         noises.append(left)
         if apart := max(_apart(piece.command, match, settings) for match in found):
             unlike.append(min(settings.error_slope * apart, 1.0) * without_zero(quiet[kept])[0])
-        differences += [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
+        apart_by = [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
+        differences += apart_by
+        run_to_run += [rows / np.sqrt(2.0) for rows in apart_by]
         zeros.append(usual_zero(np.array([without_zero((error - series[-1])[begin:end])[1] for error in errors])))
-        run_to_run += [without_zero((error - errors[0])[kept])[0] / np.sqrt(2.0) for error in errors[1:]]
         if len(errors) == 1:
             clean_piece, shift = found[0].clean, found[0].shift
             rows = repeating_rows(clean_piece.command, begin + shift, end + shift, settings)
@@ -258,8 +240,8 @@ def _carried(
     both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
     alone = repeatability / both
     noise = np.hypot(alone, np.max(noises, axis=0)) if differences else alone
-    longest = max(len(piece.counted(piece.command)) for piece in pieces)
-    memory = _memory(replace(problem, pieces=tuple(pieces)), settings)
+    kept_rows = replace(problem, pieces=tuple(pieces))
+    memory = initial_memory(kept_rows, settings.memory_share)
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
     floor, motions = settings.same_floor * repeatability, []
@@ -268,7 +250,7 @@ def _carried(
         floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
     own_error = alone if differences else floor
     spectra = [
-        ErrorSpectrum.of(errors, problem.sample_time, longest, lowest_frequency(problem), factor)
+        ErrorSpectrum.of(errors, problem.sample_time, max(kept_rows.counts), lowest_frequency(problem), factor)
         for errors, factor in ((run_to_run, both**2), (unlike, 1.0))
         if errors
     ]
@@ -285,8 +267,7 @@ def _carried(
         own_correlation=max((correlation_length(rows) for rows in differences or motions), default=1.0),
         own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,
     )
-    own = np.concatenate([without_zero(rows)[0] for rows in series])
-    error = np.sqrt(np.mean(own**2, axis=0))
+    error = np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0))
     return Baseline(beside, True, repeatability, usual, floor, clean, error)
 
 
@@ -298,57 +279,33 @@ def _apart(command: Array, match: Match, settings: BaselineSettings) -> float:
     return float(np.sqrt(np.mean((own - other) ** 2) / np.mean((own - own.mean(axis=0)) ** 2)))
 
 
-def _fills_memory(
-    command: Array, begin: int, end: int, wiped: int, settings: BaselineSettings
-) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Rows (N,) from begin on that are left out, because what they hold of the time before the record differs from record to record.
-
-    wiped: row from which nothing is left of it.
-    """
-    rows = np.arange(len(command))
+def _fills_memory(command: Array, begin: int, end: int, wiped: int, settings: BaselineSettings) -> Mask:
+    """Rows (N,) that are left out for what they hold of the time before the record, of which nothing is left from row `wiped` on."""
     most = settings.memory_rows * len(command)
     if wiped - begin <= most:
-        return np.asarray(rows < wiped)
-    if command.shape[1] > 1:
-        return np.zeros(len(command), dtype=bool)
-    new_ground = np.zeros(len(command), dtype=bool)
-    new_ground[begin:end] = is_new_ground(command[begin:end, 0])
-    return new_ground if np.count_nonzero(new_ground) <= most else np.zeros(len(command), dtype=bool)
-
-
-def _first_counted(piece: Piece) -> int:
-    """First row of a record that counts."""
-    return 0 if piece.keep is None else int(np.argmax(piece.keep))
+        return np.asarray(np.arange(len(command)) < wiped)
+    nothing, new_ground = np.zeros((2, len(command)), dtype=bool)
+    if command.shape[1] == 1:
+        new_ground[begin:end] = is_new_ground(command[begin:end, 0])
+    return new_ground if np.count_nonzero(new_ground) <= most else nothing
 
 
 def _from_wiped_memory(clean: Problem, problem: Problem) -> Problem:
-    """The baseline records from the row on at which their command has wiped out the time before, where new records count from there too.
-
-    Until then a record shows the unknown memory of the time before it, which may be many times the model discrepancy. A new record
-    that fills its memory while it counts has that error too, and a clean one without a whole loop behind that row is kept as it is.
-    """
-    if any(wiped_out(piece.command) > _first_counted(piece) for piece in problem.pieces):
+    """The baseline records from the row on at which their command has wiped out the time before, where new records count from there too."""
+    # Until then a record shows a memory that may be many times the model discrepancy: a new one that fills it while it counts does too.
+    if any(wiped_out(piece.command) > piece.first for piece in problem.pieces):
         return clean
     pieces = []
     for piece in clean.pieces:
         known = wiped_out(piece.command)
-        if known > _first_counted(piece) and has_whole_loop(piece.command, known):
-            later = np.arange(len(piece.command)) >= known
-            piece = replace(piece, keep=later if piece.keep is None else later & piece.keep)
+        if known > piece.first and has_whole_loop(piece.command, known):
+            piece = replace(piece, keep=piece.mask & (np.arange(len(piece.command)) >= known))
         pieces.append(piece)
     return replace(clean, pieces=tuple(pieces))
 
 
-def _memory(problem: Problem, settings: BaselineSettings) -> tuple[LearnedError, ...]:
-    found = initial_memory(problem, settings.memory_share)
-    return () if found is None else (found,)
-
-
 def _zero(problem: Problem, spans: Array, mean: Array, settings: BaselineSettings) -> SessionZero:
-    """Zero of every record, free about the baseline sessions' mean (A, 3), or about 0 where that is nearer: its zero may be taken off.
-
-    It is as free as it lies off: a sensor's zero is arbitrary, and says nothing of an effect.
-    """
+    """Zero of every record, free by as much as it lies off, about the baseline sessions' mean (A, 3), or about 0 where that is nearer."""
     durations = np.array([len(piece.command) for piece in problem.pieces]) * problem.sample_time
     gaps = [piece.measurement - simulated_rows(problem, i, piece) for i, piece in enumerate(problem.pieces)]
     zeros = np.array([without_zero(rows)[1] for rows in gaps])

@@ -49,11 +49,7 @@ def gain_over_time(baseline: Baseline, linearized: Linearized, none: Solution) -
     assert isinstance(error, PeriodicError) and isinstance(settling, LearnedError) and settling.basis is not None
     simulated, left, columns = (
         np.split(values, problem.edges)
-        for values in (
-            linearized.measured - none.residual,
-            none.residual + linearized.columns @ none.z,
-            linearized.columns,
-        )
+        for values in (linearized.measured - none.residual, none.residual + linearized.columns @ none.z, linearized.columns)
     )
     parts = []
     for index, (piece, directions) in enumerate(zip(problem.pieces, settling.basis.directions, strict=True)):
@@ -77,9 +73,8 @@ def _settling(problem: Problem, error: PeriodicError) -> ErrorBasis:
     features = CommandFeatures.of([piece.command[:, 0] for piece in problem.pieces], problem.sample_time)
     for index, piece in enumerate(problem.pieces):
         rows = features.rows(np.ascontiguousarray(piece.command[:, 0]), problem.sample_time)
-        counted = slice(None) if piece.keep is None else piece.keep
         settling = np.zeros_like(rows)
-        settling[counted] = size / np.maximum(np.std(rows, axis=0), 1e-9) * error.between(index, rows[counted])
+        settling[piece.mask] = size / np.maximum(np.std(rows, axis=0), 1e-9) * error.between(index, piece.counted(rows))
         found.append(settling)
     _, sizes, directions = np.linalg.svd(np.concatenate(found), full_matrices=False)
     worth = np.count_nonzero(sizes > MIN_DIRECTION * problem.sigma[0] * np.sqrt(sum(map(len, found))))

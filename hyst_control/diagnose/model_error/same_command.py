@@ -55,10 +55,7 @@ def _shift(command: Array, other: Array, least: int) -> int:
 
 
 def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSettings) -> Problem:
-    """Put the command of a baseline record in the place of one whose roughness the plant did not receive, where both are the same.
-
-    What smoothing leaves of a roughness is slow, as an effect is; a baseline record of the same command has none of it.
-    """
+    """Put the command of a baseline record in the place of one whose roughness the plant did not receive, where both are the same."""
     pieces = []
     for piece in problem.pieces:
         if piece.recorded is not None:
@@ -75,11 +72,8 @@ def as_clean_command(problem: Problem, clean: Problem, settings: BaselineSetting
 
 
 def repeating_rows(command: Annotated[Array, "N A"], begin: int, end: int, settings: BaselineSettings) -> slice:
-    """Rows of a baseline record that tell what its periods differ by.
-
-    Where the rows that count hold a single period, the one before them in the warm-up is taken along. Memory and simulation may still
-    settle there, by which the periods then differ more than sessions do.
-    """
+    """Rows of a baseline record that tell what its periods differ by."""
+    # A single period is taken with the one before it in the warm-up, in which memory and simulation may still settle.
     if period_of(command[begin:end], settings.same_command) is None:
         period = period_of(command[:end], settings.same_command)
         if period is not None and period <= min(begin, end - begin):
@@ -104,15 +98,11 @@ def period_differences(
 
 
 def _whole_periods(command: Array, error: Array, before: int, settings: BaselineSettings) -> Array:
-    """The error's whole periods (n, P, A); none if the command (N, A) is not periodic.
-
-    Where the rows before are no whole period, of three periods and more the first is left out: what is left of the memory fills in it.
-    Behind them it is as good as the others, and few periods tell little of what sessions differ by.
-    """
+    """The error's whole periods (n, P, A); none if the command (N, A) is not periodic."""
     period = period_of(command, settings.same_command)
     if period is None:
         return np.empty((0, 0, error.shape[1]))
-    if len(command) >= 3 * period and before < period:
+    if len(command) >= 3 * period and before < period:  # what is left of the memory fills in the first one
         error = error[period:]
     count = len(error) // period
     return error[: count * period].reshape(count, period, -1)

@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Initial memory of a session: what a hysteresis still has of the time before the record.
 
-A record begins anywhere in the loops, and what the machine did before is not in it. A play operator begun at one end of its play and
-one begun at the other differ until the command wipes that out: by the wiping-out property of hysteresis (Mayergoyz, Mathematical
-Models of Hysteresis, 1991), at the latest when it has met both its extremes. These differences, for operators of several widths, nearly
-span what an unknown initial memory adds. They are free in every hypothesis where baseline records are at hand, as the session's zero is.
-Beside a baseline record of the same command, which tells everything else to the noise, the rows before are left out if they are few, and
-otherwise those in which the command goes beyond all that it has met: only there does the memory change, and between them it is a constant.
+Two play operators begun at either end of their play differ until the command has met both its extremes, by the wiping-out property of
+hysteresis (Mayergoyz, Mathematical Models of Hysteresis, 1991). Such differences nearly span what an unknown memory adds. They are free in
+every hypothesis beside baseline records; beside one of the same command the rows are left out in which that memory changes.
 """
 
 from __future__ import annotations
@@ -29,10 +26,10 @@ SETTLES = 0.01  # Share of a record's rows for which what a change of the memory
 LEAST = 1e-3  # Least size at the rows that count, in the largest one of all rows, of a direction that is kept
 
 
-def initial_memory(problem: Problem, share: float) -> LearnedError | None:
-    """Make the stage that adds what an unknown initial memory does."""
+def initial_memory(problem: Problem, share: float) -> tuple[LearnedError, ...]:
+    """Make the stage that adds what an unknown initial memory does, if that is anything."""
     if len(problem.model.axes) > 1:
-        return None
+        return ()
     directions = []
     for index, piece in enumerate(problem.pieces):
         command = np.ascontiguousarray(piece.command[:, 0])
@@ -44,9 +41,7 @@ def initial_memory(problem: Problem, share: float) -> LearnedError | None:
     counted = np.concatenate([piece.counted(own) for piece, own in zip(problem.pieces, directions, strict=True)])
     largest = max(float(np.max(np.abs(own), initial=0.0)) for own in directions)
     kept = np.flatnonzero(np.max(np.abs(counted), axis=0, initial=0.0) > LEAST * largest)
-    if not len(kept):
-        return None
-    return LearnedError(np.zeros(len(kept)), ErrorBasis(tuple(own[:, kept] for own in directions)))
+    return (LearnedError(np.zeros(len(kept)), ErrorBasis(tuple(own[:, kept] for own in directions))),) if len(kept) else ()
 
 
 def wiped_out(command: Annotated[Array, "N A"]) -> int:
@@ -65,11 +60,7 @@ def has_whole_loop(command: Annotated[Array, "N A"], first: int) -> bool:
 
 
 def is_new_ground(command: Annotated[Array, "N"]) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind.
-
-    Of a hysteresis without rate dependence two different memories of the time before give outputs whose difference changes in these rows
-    alone: what lies within the extremes met so far is the record's own doing (wiping-out property).
-    """
+    """Find the rows in which a command goes beyond all that it has met since its beginning, and those shortly behind."""
     highest, lowest = np.maximum.accumulate(command), np.minimum.accumulate(command)
     beyond = np.concatenate([[True], (np.diff(highest) > 0.0) | (np.diff(lowest) < 0.0)])
     last = np.maximum.accumulate(np.where(beyond, np.arange(len(command)), 0))

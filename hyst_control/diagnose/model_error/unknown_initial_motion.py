@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of the dynamics that goes on from before a record, such as the ringing of a mode in a part cut out of a longer run.
 
-A model's simulation begins at rest. Where the nominal dynamics ringing freely explain most of what differs, beside the session's zero
-and drift, the record begins amid a motion, and the states of the dynamics are free in every hypothesis. Beside baseline records, which may
-begin so as well, the motion is taken off all of them before.
+Where the nominal dynamics ringing freely explain most of what differs, their states are free in every hypothesis. Beside baseline records,
+which may begin amid a motion as well, it is taken off all of them before.
 """
 
 from __future__ import annotations
@@ -64,9 +63,8 @@ def _errors(problem: Problem) -> list[Array]:
 
 def _states(dynamics: LinearFilter, piece: Piece, error: Array) -> Array | None:
     """States (n, A) with which a record begins; None where it begins at rest."""
-    known = slice(_first(piece), _first(piece) + ROWS)
-    counted = slice(None) if piece.keep is None else piece.keep[known]
-    early = free_motion(dynamics, len(piece.command[known]))[:, counted]
+    known = piece.mask[piece.first : piece.first + ROWS]
+    early = free_motion(dynamics, len(known))[:, known]
     rows, coupled = error[: early.shape[1]], len(dynamics.a) == 1
     if not np.isfinite(rows).all() or not moves_already(early, rows, coupled):
         return None
@@ -76,12 +74,8 @@ def _states(dynamics: LinearFilter, piece: Piece, error: Array) -> Array | None:
 def _motion(dynamics: LinearFilter, piece: Piece) -> Array:
     """Free motion (n, N, A) from the first row that counts on."""
     motion = np.zeros((dynamics.a.shape[1], *piece.measurement.shape))
-    motion[:, _first(piece) :] = free_motion(dynamics, len(piece.command) - _first(piece))
+    motion[:, piece.first :] = free_motion(dynamics, len(piece.command) - piece.first)
     return motion
-
-
-def _first(piece: Piece) -> int:
-    return 0 if piece.keep is None else int(np.argmax(piece.keep))
 
 
 def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:

@@ -82,10 +82,7 @@ def flicker(
 
 
 def _at_harmonics(k: NDArray[np.int_], command: Array) -> Mask:
-    """True for bins (K,) of the window's lines at the harmonics of a command that repeats: the model discrepancy is there.
-
-    Where it repeats too seldom for bins in between, none is.
-    """
+    """True for bins (K,) of the window's lines at the harmonics of a command that repeats often enough for bins in between."""
     period = period_of(command[:, None])
     apart = len(command) / period if period is not None else 0.0
     if apart < MIN_APART:

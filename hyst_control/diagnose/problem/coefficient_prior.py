@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scatter of a nominal model: which of its coefficients are uncertain, by how much, and the model for other values of them.
 
-A nominal model whose coefficients are 1 % off looks like every effect at once; so they become nuisance parameters z with prior N(0, 1).
-Where the model file has `uncertainty`, values = nominal + factor · z, as the identification found them to scatter together, dynamics in
-frequencies, dampings and gains (`chain.coordinates`). Else each coefficient that its `tolerance` names scatters by itself: value =
-nominal · (1 + tolerance · z). What a name stands for (one number per axis, a list, all axes together) and whether it scatters at all is
-declared by the stage (`chain.parameter`).
+Uncertain coefficients are nuisance parameters z with prior N(0, 1). Where the model file has `uncertainty`, values = nominal +
+factor · z, in frequencies, dampings and gains (`chain.coordinates`). Else each coefficient that its `tolerance` names scatters by
+itself: value = nominal · (1 + tolerance · z), as its stage declares it (`chain.parameter`).
 """
 
 from __future__ import annotations
@@ -69,7 +67,7 @@ class Scatter:
 
     def size(self, coefficient: Coefficient) -> float:
         """Size of a session effect whose nuisance value is 1."""
-        return coefficient.tolerance * _find(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
+        return coefficient.tolerance * stage_at(self.model.chain.stages, coefficient.path).companion_size(coefficient.index)
 
     def at(self, z: Array) -> tuple[Stage, ...]:
         """The stages for nuisance values z (K,)."""
@@ -91,7 +89,7 @@ class Scatter:
         changes: dict[tuple[int, ...], dict[str, Array]] = {}
         for coefficient, value in zip(self.coefficients, z, strict=True):
             if value and coefficient.path:
-                stage = _find(stages, coefficient.path)
+                stage = stage_at(stages, coefficient.path)
                 changed = changes.setdefault(coefficient.path, {})
                 if coefficient.field not in changed:
                     changed[coefficient.field] = np.array(getattr(stage, coefficient.field), dtype=float)
@@ -170,11 +168,7 @@ def _columns(joint: Joint) -> tuple[Coefficient, ...]:
 
 
 def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
-    """Limit every tolerance to a physical size: what moves the output by as much as the model discrepancy, and `LARGEST` at most.
-
-    A fit of correlated coefficients leaves each by itself hardly determined, and its tolerance may be many times its value. Drawn
-    independently, such coefficients make models that no baseline record allows: on baseline records the model is wrong by its own error.
-    """
+    """Limit every tolerance to a physical size: what moves the output by as much as the model discrepancy, and `LARGEST` at most."""
     # problem: records, and the model discrepancy; without it, or where the coefficients scatter together, as a fit has found it,
     # the scatter is returned unchanged
     if problem.own_error is None or scatter.joint is not None:
@@ -196,11 +190,7 @@ def within_own_error(scatter: Scatter, problem: Problem) -> Scatter:
 
 
 def pinned(scatter: Scatter, moves: Annotated[Array, "M K"]) -> Scatter:
-    """Narrow coefficients that scatter together to what baseline records allow.
-
-    What a coefficient moves on a baseline record by more than the model discrepancy there, it cannot have moved in the new one either.
-    The nominal values stay: how far a model is off on baseline records is its own error.
-    """
+    """Narrow coefficients that scatter together to what baseline records allow."""
     # moves: of the coefficients on the baseline records, in units of that discrepancy
     if scatter.joint is None:
         return scatter
@@ -272,6 +262,7 @@ def _coefficients(stage: Stage, path: tuple[int, ...], tolerance: Mapping[str, f
     return found
 
 
-def _find(stages: Sequence[Stage], path: tuple[int, ...]) -> Stage:
+def stage_at(stages: Sequence[Stage], path: tuple[int, ...]) -> Stage:
+    """The stage that a coefficient's path leads to."""
     stage = stages[path[0]]
-    return stage if len(path) == 1 else _find(stage.inner_chains[path[1]], path[2:])
+    return stage if len(path) == 1 else stage_at(stage.inner_chains[path[1]], path[2:])

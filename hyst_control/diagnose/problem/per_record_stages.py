@@ -4,10 +4,8 @@
 
     measurement = sensor effects( model with its effects(command) + error(t) ) + zero(t)
 
-The sensor's zero and the piezo's remanence differ between sessions, and creep continues during each. The zero is therefore fitted
-together with every hypothesis. The model's error on a baseline record of the same command is known sample by sample; the diagnosis
-adds it to the simulation, so that it is not mistaken for a gap. Where only records of other commands are clean, what they taught
-predicts the error, with weights that are free within their posterior.
+The sensor's zero and the piezo's remanence differ between sessions, and are fitted together with every hypothesis. The error is known
+sample by sample from a baseline record of the same command, or predicted with weights that are free within their posterior.
 """
 
 from __future__ import annotations
@@ -77,6 +75,14 @@ class SessionZero(TimedStage):
         return shifted
 
 
+def digest_of(series: Sequence[Array]) -> str:
+    """SHA-256 of the series of all records."""
+    digest = sha256()
+    for rows in series:
+        digest.update(np.ascontiguousarray(rows).tobytes())
+    return digest.hexdigest()
+
+
 class CarriedError(Stage):
     """Known series that is added to each record: the model's error on a baseline record of the same command.
 
@@ -97,10 +103,7 @@ class CarriedError(Stage):
 
     def parameters(self) -> dict[str, Any]:
         """Return a digest of the series, by which caches tell them apart."""
-        digest = sha256()
-        for rows in self.series:
-            digest.update(np.ascontiguousarray(rows).tobytes())
-        return {"sha256": digest.hexdigest()}
+        return {"sha256": digest_of(self.series)}
 
     def for_record(self, index: int | None) -> Stage:
         return CarriedError((np.zeros((1, self.series[0].shape[1])),)) if index is None else CarriedError(self.series, index)
@@ -145,10 +148,7 @@ class ErrorBasis:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of all series."""
-        digest = sha256()
-        for rows in self.directions:
-            digest.update(np.ascontiguousarray(rows).tobytes())
-        return digest.hexdigest()
+        return digest_of(self.directions)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model discrepancy beside a periodic command: it comes back with every period, so that what periods differ by is not of its making.
 
-A model that errs does so in the same way whenever the command comes back. Of a record of whole periods, the mean over the periods is as
-uncertain as the stated discrepancy makes it, and the rest is noise. A gain that drifts is in the rest, however large the discrepancy is.
+The mean over the periods is as uncertain as the stated discrepancy makes it, and the rest is noise, or a gain that drifts.
 """
 
 from __future__ import annotations

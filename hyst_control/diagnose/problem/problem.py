@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.fft import dct
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling, Stage
 from hyst_control.chain.linear.linear_stages import LinearStage
@@ -42,7 +42,7 @@ class Piece:
 
     command: Array
     measurement: Array
-    keep: np.ndarray[tuple[int, ...], np.dtype[np.bool_]] | None = None
+    keep: Mask | None = None
     others: Array | None = None
     foreseen: bool = False
     driven_beside: Array | None = None
@@ -51,6 +51,22 @@ class Piece:
     def counted(self, values: Array) -> Array:
         """Select the rows that count."""
         return values if self.keep is None else values[self.keep]
+
+    @property
+    def mask(self) -> Mask:
+        """True for rows (N,) that count."""
+        return np.ones(len(self.command), dtype=bool) if self.keep is None else self.keep
+
+    @property
+    def first(self) -> int:
+        """First row that counts."""
+        return int(np.argmax(self.mask))
+
+    @property
+    def driving(self) -> Array:
+        """Commands of all axes of the plant in the rows that count."""
+        every = self.command if self.driven_beside is None else np.hstack([self.command, self.driven_beside])
+        return self.counted(every)
 
 
 @dataclass(frozen=True)
@@ -74,6 +90,10 @@ class Problem:
     """By axis, the roughness of a recorded command that the plant did not receive and `Piece.command` is without."""
     steps: tuple[float, ...] = ()
     """By axis, the step of the measurement's lattice, measurement unit; 0: none. Empty: not looked for."""
+
+    def on(self, command: Array, others: Array | None) -> Problem:
+        """The problem on the command (N, A) of a run to come, of which the other axes measure (N, B)."""
+        return replace(self, pieces=(Piece(command, np.zeros_like(command), None, others, foreseen=True),))
 
     @property
     def weight(self) -> float:
@@ -109,21 +129,24 @@ class Problem:
     def simulate(self, stages: Sequence[Stage]) -> Array:
         """Simulated measurement of all rows that count, (M,), in units of the noise. Raises `InputError` like the stages do."""
         sampling = Sampling(self.sample_time, len(self.model.axes), self.hold)
+        outputs = []
         with np.errstate(all="ignore"):  # a fit may try a chain that is unstable, and turns back
-            return self.whitened(
-                np.concatenate([self._piece(stages, sampling, index, piece) for index, piece in enumerate(self.pieces)])
-            )
+            for index, piece in enumerate(self.pieces):
+                record = None if piece.foreseen else index
+                first, output = self._links[index].run(tuple(stage.for_record(record) for stage in stages), sampling)
+                if self.hold == "zoh":
+                    output = np.concatenate([first[None], output[:-1]])
+                outputs.append(output)
+            return self._flat(outputs)
 
-    def _piece(self, stages: Sequence[Stage], sampling: Sampling, index: int, piece: Piece) -> Array:
-        record = None if piece.foreseen else index
-        first, output = self._links[index].run(tuple(stage.for_record(record) for stage in stages), sampling)
-        if self.hold == "zoh":
-            output = np.concatenate([first[None], output[:-1]])
-        return (piece.counted(output) / self.sigma).reshape(-1)
+    def _flat(self, rows: Sequence[Array]) -> Array:
+        """The rows (N, A) of every record that count, measurement unit, as a flat vector."""
+        counted = [(piece.counted(one) / self.sigma).reshape(-1) for piece, one in zip(self.pieces, rows, strict=True)]
+        return self.whitened(np.concatenate(counted))
 
     def measured(self) -> Array:
         """The measurement in the same form."""
-        return self.whitened(np.concatenate([(piece.counted(piece.measurement) / self.sigma).reshape(-1) for piece in self.pieces]))
+        return self._flat([piece.measurement for piece in self.pieces])
 
     def nats(self, flat: Array) -> float:
         """Half the squares of a residual (M,), those of the model discrepancy's bins by as much as they are independent."""
@@ -139,25 +162,19 @@ class Problem:
         """A flat vector as rows (M, A) in the measurement's unit."""
         return self.in_noise(flat).reshape(-1, len(self.model.axes)) * self.sigma
 
-    def whitened(self, flat: Array) -> Array:
+    def whitened(self, flat: Array, inverse: bool = False) -> Array:
         """Make the model discrepancy and the noise of a flat vector (M,) in units of the noise white, where its spectrum is known."""
         if self.own_spectrum is None or not np.isfinite(flat).all():
             return flat
-        return self._filtered(flat)
-
-    def in_noise(self, flat: Array) -> Array:
-        """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
-        if self.own_spectrum is None or not np.isfinite(flat).all():
-            return flat
-        return self._filtered(flat, inverse=True)
-
-    def _filtered(self, flat: Array, inverse: bool = False) -> Array:
         parts = self.by_piece(flat)
         if isinstance(self.own_spectrum, ErrorSpectrum):
             gains = [1.0 / gain for gain in self._gains] if inverse else self._gains
             return np.concatenate([filtered(one, gain).reshape(-1) for one, gain in zip(parts, gains, strict=True)])
-        assert self.own_spectrum is not None
         return np.concatenate([self.own_spectrum.whitened(i, one, inverse).reshape(-1) for i, one in enumerate(parts)])
+
+    def in_noise(self, flat: Array) -> Array:
+        """Take a flat vector (M,) back to units of the noise: the inverse of `whitened`."""
+        return self.whitened(flat, inverse=True)
 
     def by_piece(self, flat: Array) -> list[Array]:
         """Cut a flat vector (M,) into the rows (N, A) of each record."""
@@ -171,7 +188,7 @@ class Problem:
     @cached_property
     def counts(self) -> list[int]:
         """Rows that count, by piece."""
-        return [len(piece.command) if piece.keep is None else int(np.count_nonzero(piece.keep)) for piece in self.pieces]
+        return [int(np.count_nonzero(piece.mask)) for piece in self.pieces]
 
     @cached_property
     def edges(self) -> Array:
@@ -200,8 +217,10 @@ class Problem:
             lowest_frequency([piece.command for piece in self.pieces], self.sample_time),
             self.beside_error,
             shared_modes(poles),
-            min(_first(piece, np.ones(len(piece.command), dtype=bool)) for piece in self.pieces) * self.sample_time,
-            min(_first(piece, np.any(piece.command != piece.command[0], axis=1)) for piece in self.pieces) * self.sample_time,
+            min(piece.first for piece in self.pieces) * self.sample_time,
+            # The first sample at which the command has moved; 0 where there is none.
+            min(int(np.argmax(piece.mask & np.any(piece.command != piece.command[0], axis=1))) for piece in self.pieces)
+            * self.sample_time,
             self._modelled,
             poles,
         )
@@ -215,11 +234,6 @@ class Problem:
             return None
         low, high = float(output.min()), float(output.max())
         return (low, high) if np.isfinite(low) and np.isfinite(high) and low < high else None
-
-
-def _first(piece: Piece, where: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> int:
-    """First sample of a record that counts and at which something holds; 0 where there is none."""
-    return int(np.argmax(where if piece.keep is None else where & piece.keep))
 
 
 def shared_poles(model: Model) -> tuple[complex, ...]:
@@ -297,19 +311,10 @@ def split(problem: Problem) -> list[Problem]:
     return found
 
 
-def check_units(model: Model, unit: str, source: str) -> None:
-    """Check that a record's measurement has the model's unit; an unknown unit passes."""
-    if unit not in ("unknown", model.units["measurement"]):
+def check_unit(model: Model, record: Record, signal: str) -> None:
+    """Check that a record's command or measurement has the model's unit; an unknown unit passes."""
+    unit = record.signal(signal).unit
+    if unit not in ("unknown", model.units[signal]):
         raise InputError(
-            f"{source}: measurement is in {unit}, the model's in {model.units['measurement']}: give the model of this plant"
+            f"{record.source}: {signal} is in {unit}, the model's in {model.units[signal]}: give the model of this plant"
         )
-
-
-def check_command(model: Model, record: Record) -> None:
-    """Check that the command of a record is one of its measurement, in the model's unit."""
-    unit = record.signal("command").unit
-    if unit not in ("unknown", model.units["command"]):
-        raise InputError(
-            f"{record.source}: command is in {unit}, the model's in {model.units['command']}: give the model of this plant"
-        )
-    record.check_axes()

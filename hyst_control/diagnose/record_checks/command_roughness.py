@@ -36,10 +36,8 @@ def roughness_evidence(problem: Problem, axis: int) -> tuple[RoughnessEvidence |
     smooth = tuple(smoothed(column) for column in columns)
     rough = [column - one for column, one in zip(columns, smooth, strict=True)]
     every = np.concatenate(rough)
-    energy = float(np.mean(every**2))
+    energy, size = float(np.mean(every**2)), np.abs(every)
     lagged = [sum(float(one[lag:] @ one[:-lag]) for one in rough) / len(every) / energy for lag in (1, 2, 3)]
-    size = np.abs(every)
-    tail = float(np.quantile(size, 0.95) / max(float(np.median(size)), 1e-300))
     bare = replace(problem, own_spectrum=None)
     stages = bare.model.chain.stages
     nominal = bare.simulate(stages)
@@ -48,21 +46,14 @@ def roughness_evidence(problem: Problem, axis: int) -> tuple[RoughnessEvidence |
     moved = float(np.sqrt(np.mean(response**2)))
     if not (np.isfinite(moved) and moved > 0.0):
         return None, ()
-    coefficient, deviation, bands, echo = _regressed(bare, residual, response)
-    rms = float(np.sqrt(energy))
-    share = energy / max(float(np.mean(np.concatenate([np.square(one - one.mean()) for one in smooth]))), 1e-300)
-    moved_axes = np.sqrt(np.mean(response**2, axis=0))
     evidence = RoughnessEvidence(
         len(every),
-        rms,
-        share,
+        float(np.sqrt(energy)),
+        energy / max(float(np.mean(np.concatenate([np.square(one - one.mean()) for one in smooth]))), 1e-300),
         max(abs(value) for value in lagged),
-        tail,
-        coefficient,
-        deviation,
-        bands,
-        echo,
-        float(moved_axes[axis]),
+        float(np.quantile(size, 0.95) / max(float(np.median(size)), 1e-300)),
+        *_regressed(bare, residual, response),
+        float(np.sqrt(np.mean(response**2, axis=0))[axis]),
     )
     return evidence, smooth
 
@@ -82,24 +73,20 @@ def as_recorded(problem: Problem) -> Problem:
     """Take the commands as they were recorded."""
     if all(piece.recorded is None for piece in problem.pieces):
         return problem
-    return replace(
-        problem,
-        pieces=tuple(
-            piece if piece.recorded is None else replace(piece, command=piece.recorded, recorded=None) for piece in problem.pieces
-        ),
-    )
+    recorded = [
+        piece if piece.recorded is None else replace(piece, command=piece.recorded, recorded=None) for piece in problem.pieces
+    ]
+    return replace(problem, pieces=tuple(recorded))
 
 
 def _regressed(problem: Problem, residual: Array, response: Array) -> tuple[float, float, tuple[tuple[float, float], ...], float]:
-    """Coefficient of the residual on the response with its deviation, the same by band, and the largest echo of the response.
-
-    The records are weighted by the spectrum of what would be left if the plant had not received the roughness.
-    """
-    counts = [len(piece.counted(piece.command)) for piece in problem.pieces]
-    begin = sum(counts[: int(np.argmax(counts))])
-    rows = slice(begin, begin + max(counts))
-    window = np.hanning(max(counts) - 1)[:, None]
-    seen, driven = (np.fft.rfft(np.diff(one[rows], axis=0) * window, axis=0)[1:] for one in (residual, response))
+    """Coefficient of the residual on the response with its deviation, the same by band, and the largest echo of the response."""
+    longest = int(np.argmax(problem.counts))
+    window = np.hanning(problem.counts[longest] - 1)[:, None]
+    seen, driven = (
+        np.fft.rfft(np.diff(np.split(one, problem.edges)[longest], axis=0) * window, axis=0)[1:] for one in (residual, response)
+    )
+    # Weighted by the spectrum of what would be left if the plant had not received the roughness.
     reach = max(len(seen) // 50, 2)
     kernel = np.ones(2 * reach + 1) / (2 * reach + 1)
     left = np.stack(

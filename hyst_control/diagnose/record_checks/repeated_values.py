@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of a measurement that stand still while the plant moves: repeated samples, stretches on one value, passages through a level.
-
-Counting alone tells them, no fit: held samples stand on a value each, a sensor that does not follow about a level on that level.
-"""
+"""Values of a measurement that stand still while the plant moves: repeated samples, stretches on one value, passages through a level."""
 
 from __future__ import annotations
 
@@ -51,25 +48,19 @@ def repeated_samples(
 
 
 def _chance(values: Array, window: int) -> float:
-    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs.
-
-    A stretch without a step does not tell how fast the signal moves: many of them are held samples. The stretches around do.
-    """
+    """Share of neighbors that coincide by chance in numbers that are rounded to the smallest step that occurs."""
     steps = np.abs(np.diff(values))
     if not steps.any():
         return 1.0
     around = np.sqrt(np.convolve(steps**2, np.ones(window) / window, "same"))
+    # A stretch without a step does not tell how fast the signal moves, as many of them are held samples; those around do.
     told = np.flatnonzero(np.convolve(steps > 0.0, np.ones(window), "same") > 0.5)
     around = np.interp(np.arange(len(steps)), told, around[told])
     return float(np.mean(np.minimum(steps[steps > 0].min() / np.maximum(around, 1e-300), 1.0)))
 
 
 def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
-    """Count stretches that stand on one and the same value while the command moves.
-
-    Samples that are held at random stand on a value each; a sensor that does not follow about some level, or has reached its end,
-    comes back to the same value again and again. No noise does.
-    """
+    """Count stretches that stand on one and the same value while the command moves."""
     if step > 0 or sigma < 1e-12 * max((float(np.ptp(values)) for _, values in pieces), default=0.0):
         return 0
     stretches: Counter[float] = Counter()
@@ -88,12 +79,7 @@ def stuck_stretches(pieces: Sequence[tuple[Array, Array]], step: float, sigma: f
 
 
 def level_crossings(pieces: Sequence[tuple[Array, Array]], step: float, sigma: float) -> int:
-    """Count passages through one level on which the measurement stands but for its noise, while the simulation moves on.
-
-    A sensor that does not follow about some level lets go on the other side of it. Play and the end of a range let go on the side that the
-    measurement came from. Friction holds at any level, and what a low-pass takes off is missing at any level: what the next level
-    has is taken off.
-    """
+    """Count passages through one level on which the measurement stands but for its noise, while the simulation moves on."""
     reach = STANDS * sigma
     values = np.concatenate([measured for _, measured in pieces])
     lowest, span = float(values.min()), float(np.ptp(values))

@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a residual: in its spectrum over time, and over the command, where the value grid of a rounded command has one.
-
-They measure no effect, but suggest where the fits of one begin: the mains, a vibration, the step of a converter.
-"""
+"""Lines of a residual, in its spectrum over time and over the command: they suggest where the fits of an effect begin."""
 
 from __future__ import annotations
 
@@ -25,24 +22,17 @@ from hyst_control.effects.effect import Effect, Line, RecordCheck
 def lines(
     problem: Problem, unexplained: Annotated[Array, "M"], settings: CheckSettings = CONFIGURATION.checks
 ) -> dict[str, list[float]]:
-    """Frequencies at which the residual's spectrum has a narrow line.
-
-    A line of the command's of any axis is none, since the axes couple; nor a harmonic of a command that is nearly one sine: any
-    nonlinearity has those.
-    """
+    """Frequencies at which the residual's spectrum has a narrow line."""
     mains_effect, line_effect = effect_found_by(RecordCheck.MAINS_LINE), effect_found_by(RecordCheck.SPECTRAL_LINE)
     of_mains, others = [], []
     rows = problem.rows(unexplained)
-    commands = [piece.counted(piece.command) for piece in problem.pieces]
-    index = int(np.argmax([len(command) for command in commands]))
-    longest, piece = commands[index], problem.pieces[index]
-    begin, count = sum(len(command) for command in commands[:index]), len(longest)
-    driving = longest if piece.driven_beside is None else np.hstack([longest, piece.counted(piece.driven_beside)])
+    index = int(np.argmax(problem.counts))
+    piece, count = problem.pieces[index], problem.counts[index]
+    longest, longest_rows = piece.counted(piece.command), np.split(rows, problem.edges)[index]
     rate = 1.0 / problem.sample_time
+    spectra = periodogram(piece.driving, rate, linear=True)[1].T
     for axis in range(rows.shape[1]):
-        signal = rows[begin : begin + count, axis]
-        frequency, power = periodogram(signal, rate)
-        spectra = periodogram(driving, rate, linear=True)[1].T
+        frequency, power = periodogram(longest_rows[:, axis], rate)
         width = rate / count
         ratio = power / np.maximum(background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
@@ -75,9 +65,7 @@ def lines(
     lattice_effect = effect_found_by(RecordCheck.COMMAND_LATTICE)
     if lattice_effect is not None:
         steps = [
-            command_lattice(
-                longest[:, axis], rows[begin : begin + count, axis], _response(problem, axis, settings.lattice_response), settings
-            )
+            command_lattice(longest[:, axis], longest_rows[:, axis], _response(problem, axis, settings.lattice_response), settings)
             for axis in range(rows.shape[1])
         ]
         found[lattice_effect.name] = [step for of_axis in steps for step in of_axis]
@@ -179,16 +167,9 @@ def covers_command(
     orders: int | None = None,
     settings: CheckSettings = CONFIGURATION.checks,
 ) -> bool:
-    """True where a line that swells may be what follows a command of one frequency, whose amplitude may change.
-
-    Amplitude and phase that change over the record move a line by as much as `reach`. What any effect does to a sine that fades away is
-    such a line, at the command's frequency or at a harmonic.
-    """
-    piece = max(problem.pieces, key=lambda one: len(one.counted(one.command)))
-    driving = piece.counted(piece.command)
-    if piece.driven_beside is not None:
-        driving = np.hstack([driving, piece.counted(piece.driven_beside)])
-    frequency, spectra = periodogram(driving, 1.0 / problem.sample_time, linear=True)
+    """True where a line that swells may be what follows a command of one frequency, whose amplitude may change."""
+    piece = problem.pieces[int(np.argmax(problem.counts))]
+    frequency, spectra = periodogram(piece.driving, 1.0 / problem.sample_time, linear=True)
     for driven in spectra.T:
         peak = _peak(frequency, driven, int(np.argmax(driven)))
         if driven[np.abs(frequency - peak) <= reach].sum() < settings.harmonic_power * driven.sum():

@@ -1,9 +1,8 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that fit nothing: repeated samples, the value grid of a converter, excess noise, single samples that stand out.
+"""Checks that fit nothing, and come first: repeated samples, the value grid of a converter, excess noise, single samples that stand out.
 
-They find transport and noise effects nearly always, and come first: fitted candidates would absorb them. They measure; the policy
-says which of them found something.
+They measure; the policy says which of them found something.
 """
 
 from __future__ import annotations

@@ -118,19 +118,19 @@ def _waveforms(diagnosis: Diagnosis) -> list[Named]:
             shares(part.linearized, scored)[index] * float(none[part.axes].before.sum()) / whole
             for part, scored, index, _ in places
         )
-        unit = _rms_unit(diagnosis, chosen, none)
         others = tuple(
             sorted({other for part, _, _, _ in places for one in part.listed for other in one.names if name not in one.names})
         )
-        named.append(Named(name, axes, probability, values, others, unit[0], unit[1], value, ci90, fitted, share))
+        named.append(
+            Named(name, axes, probability, values, others, *_rms_unit(diagnosis, chosen, none), value, ci90, fitted, share)
+        )
     total = sum(effect.share for effect in named) or 1.0
     return [replace(effect, share=effect.share / total) for effect in named]
 
 
 def _companions(diagnosis: Diagnosis) -> list[Named]:
     """Zero and drift of the session where they are named: behind everything structural."""
-    unit = diagnosis.model.units["measurement"]
-    gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
+    unit, gap = diagnosis.model.units["measurement"], _gap_energy(diagnosis)
     return [
         Named(
             one.effect,
@@ -142,6 +142,11 @@ def _companions(diagnosis: Diagnosis) -> list[Named]:
         for part in diagnosis.parts
         for one in part.decision.companions
     ]
+
+
+def _gap_energy(diagnosis: Diagnosis) -> float:
+    """Mean square of the gap, summed over the axes."""
+    return sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
 
 
 def _axes_of(part: AxisDiagnosis, scored: FittedHypothesis, index: int) -> Axes:
@@ -267,7 +272,7 @@ def _without_waveform(diagnosis: Diagnosis) -> list[Named]:
             values = {parameter.name: (finding.value, finding.ci90, unit)}
             values |= {name: (value, interval, own_unit) for name, value, interval, own_unit in finding.further}
             named.setdefault(effect.name, []).append((part.axes[finding.axis], values, probability, own))
-    gap = sum(float(np.sum(np.mean(part.gap() ** 2, axis=0))) for part in diagnosis.parts)
+    gap = _gap_energy(diagnosis)
     found = []
     for name, rows in named.items():
         own = sum(energy for *_, energy in rows)

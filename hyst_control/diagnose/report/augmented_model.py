@@ -13,9 +13,8 @@ import numpy as np
 from hyst_control.base.errors import InputError
 from hyst_control.chain.stage import Stage
 from hyst_control.diagnose.record_checks.summary import effect_found_by
-from hyst_control.diagnose.run.collect import stated_noise
 from hyst_control.diagnose.run.diagnosis import Diagnosis
-from hyst_control.diagnose.search.candidate import Member
+from hyst_control.diagnose.run.prepare import stated_noise
 from hyst_control.effects import EFFECTS, insert
 from hyst_control.model_file import Model
 
@@ -35,9 +34,14 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
             nth = met.get(member.name, 0)
             met[member.name] = nth + 1
             places[member.name, nth] = member.place
-            found = member.values(solution.x[where]) | _phase(member, solution.x[where])
+            x = solution.x[where]
+            found = member.values(x)
+            if member.is_line:
+                found["phase"] = float(np.arctan2(x[member.line.swells], x[0]))  # of its sine and cosine
+            absent = {p.name: p.absent for p in member.effect.parameters(diagnosis.problem.surroundings)}
             for name, value in found.items():
-                slots = values.setdefault((member.name, nth), {}).setdefault(name, [_absent(diagnosis, member.name, name)] * count)
+                # A line's phase, or an entry of a matrix, is 0 on an axis that the effect is not on.
+                slots = values.setdefault((member.name, nth), {}).setdefault(name, [absent.get(name, 0.0)] * count)
                 for axis in axes:
                     slots[axis] = value
     for part in diagnosis.parts:
@@ -61,10 +65,7 @@ def augmented(diagnosis: Diagnosis) -> Model | None:
 
 
 def without_lines(model: Model) -> Model:
-    """Take the lines out of an augmented model, such as the mains or a vibration, to compare it with a record of another session.
-
-    Their phases are those of the record that was diagnosed; a session has phases of its own.
-    """
+    """Take the lines out of an augmented model, such as the mains or a vibration, to compare it with a record of another session."""
     lines = {name for name, effect in EFFECTS.items() if effect.line is not None}
     return model.with_stages([stage for stage in model.chain.stages if stage.name not in lines])
 
@@ -77,26 +78,12 @@ def _stage(diagnosis: Diagnosis, name: str, values: Mapping[str, list[float]]) -
         raise InputError(f"{name}: cannot be added to this model ({error})") from None
 
 
-def _absent(diagnosis: Diagnosis, effect: str, parameter: str) -> float:
-    """The value on an axis that the effect is not on."""
-    known = {p.name: p.absent for p in EFFECTS[effect].parameters(diagnosis.problem.surroundings)}
-    return known.get(parameter, 0.0)  # a line's phase, an entry of a matrix
-
-
-def _phase(member: Member, x: np.ndarray) -> dict[str, float]:
-    """Of a line, from its sine and cosine."""
-    return {"phase": float(np.arctan2(x[member.line.swells], x[0]))} if member.is_line else {}
-
-
 def _noise(diagnosis: Diagnosis) -> list[float] | float | None:
     """The noise with what was found beside what the model states."""
     stated = stated_noise(diagnosis.model)
-    more = False
-    for part in diagnosis.parts:
-        for finding in part.decision.findings:
-            if finding.check.is_noise:
-                axis = part.axes[finding.axis]
-                stated[axis], more = float(np.hypot(stated[axis], finding.rms)), True
+    more = [(part.axes[one.axis], one.rms) for part in diagnosis.parts for one in part.decision.findings if one.check.is_noise]
     if not more:
         return None
+    for axis, rms in more:
+        stated[axis] = float(np.hypot(stated[axis], rms))
     return float(stated[0]) if len(set(stated)) == 1 else [float(value) for value in stated]

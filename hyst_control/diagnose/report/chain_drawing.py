@@ -5,34 +5,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 from markupsafe import Markup
 
 from hyst_control.reporting.templates import render_markup
 
-BOXES = ("reference", "feedforward + feedback", "DAC", "amplifier", "hysteresis", "piezo", "mechanics", "sensor", "ADC + transport")
-BOX_OF = {
-    "reference": 0,
-    "feedforward": 1,
-    "feedback": 1,
-    "command sum": 1,
-    "dac": 2,
-    "drive": 3,
-    "hysteresis": 4,
-    "piezo": 5,
-    "mechanics": 6,
-    "motion": 6,
-    "sensor": 7,
-    "adc": 8,
-    "transport": 8,
+BOXES = {
+    "reference": ("reference",),
+    "feedforward + feedback": ("feedforward", "feedback", "command sum"),
+    "DAC": ("dac",),
+    "amplifier": ("drive",),
+    "hysteresis": ("hysteresis",),
+    "piezo": ("piezo",),
+    "mechanics": ("mechanics", "motion"),
+    "sensor": ("sensor",),
+    "ADC + transport": ("adc", "transport"),
 }
-"""Which box a place of `effects.effect.PLACES`, or a software block of the replay, belongs to."""
+"""Boxes, each with the places of `effects.effect.PLACES` and the software blocks of the replay that belong to it."""
+BOX_OF = {place: index for index, places in enumerate(BOXES.values()) for place in places}
 
 WIDTH, HEIGHT, TOP, GAP = 104, 62, 22, 14
 LETTERS = 13  # Most letters that fit on a line in a box
-
-
 MIN_SHARE = 0.005  # Share of the gap under which a box stays white
 
 
@@ -65,7 +60,7 @@ def chain_picture(document: Mapping[str, Any]) -> Markup:
 def _box(index: int, name: str, share: float, labels: Sequence[str]) -> dict[str, object]:
     """Values of a box: its place, its words and what stands beneath it."""
     left, middle = index * (WIDTH + GAP), TOP + HEIGHT / 2
-    words = _wrapped(name)
+    words = wrap(name, LETTERS)
     return {
         "left": left,
         "top": TOP,
@@ -79,14 +74,3 @@ def _box(index: int, name: str, share: float, labels: Sequence[str]) -> dict[str
         "words": [{"y": middle + 5 + 17 * (row - (len(words) - 1) / 2), "text": text} for row, text in enumerate(words)],
         "labels": [{"y": TOP + HEIGHT + 20 + 18 * row, "text": text} for row, text in enumerate(labels)],
     }
-
-
-def _wrapped(name: str) -> list[str]:
-    lines = [""]
-    for word in name.split():
-        joined = f"{lines[-1]} {word}".strip()
-        if len(joined) > LETTERS and lines[-1]:
-            lines.append(word)
-        else:
-            lines[-1] = joined
-    return lines

@@ -10,8 +10,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.chain.stage import Stage
-from hyst_control.diagnose.problem.coefficient_prior import Coefficient, Scatter
+from hyst_control.diagnose.problem.coefficient_prior import Coefficient, Scatter, stage_at
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.records.correlation import matching_length
@@ -68,7 +67,7 @@ def _of(scatter: Scatter, coefficient: Coefficient, index: int) -> tuple[float, 
     """Value before, its slope by every z (K,), and unit: of the number itself, or of that by which a column of the factor is called."""
     stages, slope = scatter.model.chain.stages, np.zeros(len(scatter.coefficients))
     if coefficient.path:
-        stage = _stage(stages, coefficient.path)
+        stage = stage_at(stages, coefficient.path)
         before = float(np.array(getattr(stage, coefficient.field))[coefficient.index])
         slope[index] = before * coefficient.tolerance
         return before, slope, ""
@@ -81,17 +80,8 @@ def _of(scatter: Scatter, coefficient: Coefficient, index: int) -> tuple[float, 
 
 
 def repetition(problem: Problem) -> float:
-    """Factor by which a record says less of an effect where the model discrepancy has a size and a correlation alone.
-
-    That error may follow the command as the effect does, and what comes again tells nothing new: of the samples as many count as are
-    independent of two signals of the command's autocorrelation. Where the spectrum of the error is known, its lines are in that.
-    """
+    """Factor by which a record says less of an effect where the model discrepancy has a size and a correlation alone."""
     if problem.own_spectrum is not None or not problem.weighs_own_error:
         return 1.0
     length = max(matching_length(piece.counted(piece.command)) for piece in problem.pieces)
     return max(length / problem.own_correlation, 1.0)
-
-
-def _stage(stages: tuple[Stage, ...], path: tuple[int, ...]) -> Stage:
-    stage = stages[path[0]]
-    return stage if len(path) == 1 else _stage(tuple(stage.inner_chains[path[1]]), path[2:])

@@ -14,7 +14,6 @@ import numpy as np
 from hyst_control.diagnose.decide.policy import join
 from hyst_control.diagnose.report.attribution import Attribution, Named
 from hyst_control.diagnose.report.block_replay import Block
-from hyst_control.diagnose.report.coefficient_changes import CoefficientChange
 from hyst_control.diagnose.report.gap_breakdown import SESSION, Rows, stages
 from hyst_control.diagnose.report.next_experiment import next_experiment
 from hyst_control.diagnose.run.diagnosis import Diagnosis
@@ -24,10 +23,9 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
-FAR_OFF = 5.0
+FAR_OFF = 5.0  # Tolerances beyond which a coefficient is told as the reason why an explanation is not believed
 SAID = {"kind": "simple curve", "none of these": "no simple curve"}
 """Words of the document, where a line of text has no room to explain them."""
-"""Tolerances beyond which a coefficient is told as the reason why an explanation is not believed."""
 DISTORTED_BY = {
     "time": "time",
     "level": "the level of the command",
@@ -41,10 +39,9 @@ def gap_report(
     diagnosis: Diagnosis,
     attribution: Attribution,
     split: Mapping[str, Rows],
-    blocks: Sequence[Block] = (),
-    augmented: str | None = None,
-    with_next: bool = True,
-    remainder: dict[str, Any] | None = None,
+    blocks: Sequence[Block],
+    augmented: str | None,
+    remainder: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """Make the report."""
     # split: the gap by kind, band, amplitude, axis and time, as `budget` has it
@@ -56,17 +53,24 @@ def gap_report(
             "verdict": joint.verdict.value,
             "reasons": [reason.value for reason in joint.reasons],
             "gap": _gap(diagnosis),
-            "where": {
-                "stage": stages(diagnosis, attribution, [block.name for block in blocks if not block.faithful]),
-                **split,
-            },
+            "where": {"stage": stages(diagnosis, attribution, [block.name for block in blocks if not block.faithful]), **split},
             "effects": [_effect(effect) for effect in attribution.effects],
-            "candidates": [{"name": name, "probability": _number(p)} for name, p in attribution.candidates],
-            "parameters": [_parameter(change) for change in attribution.parameters],
-            "next_experiment": next_experiment(diagnosis) if with_next else None,
+            "candidates": [{"name": name, "probability": p} for name, p in attribution.candidates],
+            "parameters": [
+                {
+                    "name": change.name,
+                    "z": change.deviations,
+                    "value": change.after,
+                    "ci90": [change.after - change.spread, change.after + change.spread],
+                    "nominal": change.before,
+                    "unit": change.unit,
+                }
+                for change in attribution.parameters
+            ],
+            "next_experiment": next_experiment(diagnosis),
             "augmented_model": augmented,
-            "unexplained_share": _number(joint.unexplained),
-            "novelty": _number(joint.novelty),
+            "unexplained_share": joint.unexplained,
+            "novelty": joint.novelty,
             "replay": [{"name": block.name, "faithful": block.faithful, "rms": block.rms, "text": block.text} for block in blocks],
             "notes": list(diagnosis.notes),
             "distortions": [
@@ -85,7 +89,7 @@ def gap_report(
         document |= _finite(_beside_clean_records(diagnosis))
     if any(part.structure for part in diagnosis.parts):
         document["structure"] = [
-            {"axis": [diagnosis.model.axes[i] for i in part.axes], "question": question, "probability": _number(probability)}
+            {"axis": [diagnosis.model.axes[i] for i in part.axes], "question": question, "probability": _finite(probability)}
             for part in diagnosis.parts
             for question, probability in part.structure.items()
         ]
@@ -131,11 +135,13 @@ def _beside_clean_records(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _finite(value: Any) -> Any:
     """The same document with null for what is no number."""
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
-    return _number(value) if isinstance(value, float) else value
+    return value
 
 
 def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -148,10 +154,10 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
         floors += list(np.asarray(part.problem.sigma) ** 2)
         relative += list(100.0 * np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(np.ptp(measured, axis=0), 1e-300))
     return {
-        "rms": _number(np.sqrt(np.mean(energies))),
-        "nrmse": _number(np.mean(relative)),
+        "rms": np.sqrt(np.mean(energies)),
+        "nrmse": np.mean(relative),
         "nrmse_unit": "% of range",
-        "floor_rms": _number(np.sqrt(np.mean(floors))),
+        "floor_rms": np.sqrt(np.mean(floors)),
         "unit": diagnosis.model.units["measurement"],
     }
 
@@ -159,28 +165,19 @@ def _gap(diagnosis: Diagnosis) -> dict[str, Any]:
 def _effect(effect: Named) -> dict[str, Any]:
     return {
         "name": effect.name,
-        "axis": list(effect.axes),
+        "axis": effect.axes,
         "place": EFFECTS[effect.name].place,
         "meaning": EFFECTS[effect.name].meaning,
-        "probability": _number(effect.probability),
-        "equivalent": list(effect.equivalent),
-        "parameters": {
-            name: {"value": _number(value), "ci90": [_number(low), _number(high)], "unit": unit}
-            for name, (value, (low, high), unit) in effect.values.items()
-        },
-        "rms_before": _number(effect.rms_before),
-        "rms_after": _number(effect.rms_after),
-        "shrink": _number(effect.shrink),
-        "shrink_ci90": None if effect.shrink_ci90 is None else [_number(value) for value in effect.shrink_ci90],
-        "shrink_reidentified": _number(effect.shrink_fitted),
-        "share": _number(effect.share),
+        "probability": effect.probability,
+        "equivalent": effect.equivalent,
+        "parameters": {name: {"value": value, "ci90": ci90, "unit": unit} for name, (value, ci90, unit) in effect.values.items()},
+        "rms_before": effect.rms_before,
+        "rms_after": effect.rms_after,
+        "shrink": effect.shrink,
+        "shrink_ci90": effect.shrink_ci90,
+        "shrink_reidentified": effect.shrink_fitted,
+        "share": effect.share,
     }
-
-
-def _parameter(change: CoefficientChange) -> dict[str, Any]:
-    low, high = change.after - change.spread, change.after + change.spread
-    values = {"value": change.after, "ci90": [low, high], "nominal": change.before, "unit": change.unit}
-    return {"name": change.name, "z": change.deviations, **values}
 
 
 def off_by(row: Mapping[str, Any]) -> str:
@@ -203,11 +200,6 @@ def plain(value: float, digits: int = 4) -> str:
     """Write a number to these digits, or to whole ones below a million."""
     whole = len(f"{abs(value):.0f}") if abs(value) < 1e6 else 0
     return f"{value:.{max(digits, whole)}g}"
-
-
-def _number(value: float | None) -> float | None:
-    """A JSON number; null where there is none."""
-    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def _reduction(report: Mapping[str, Any]) -> str:
@@ -250,41 +242,41 @@ def sentence(report: dict[str, Any]) -> str:
             return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
         return f"The gap of {size} is caused by the model's parameters: {worst or 're-identify the nominal model'}."
     if verdict == Verdict.UNKNOWN.value:
-        near = _nearest(report, names)
-        if report.get("distortions") and Reason.ENERGY_LEFT.value not in reasons:
-            worst = report["distortions"][0]
-            if worst["name"] in {effect["name"] for effect in report["effects"]}:
-                near = (
-                    f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
-                    f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
-                )
-            else:  # of the record itself, whatever is named
-                near = "; the measurement stands on one level while the command moves on"
-        elif names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
-            worst = far_off[0]
-            near = f"; {' and '.join(names)} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
-        elif names and Reason.AT_BOUND.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
-            near = f"; {' and '.join(names)} would, with a size at the end of its range"
-        elif names and Reason.TOO_MANY_EFFECTS.value in reasons and Reason.ENERGY_LEFT.value not in reasons:
-            near = f"; it would take {' and '.join(names)} at once, and an effect outside the catalogue is more likely"
-        return f"No known effect explains the gap of {size}{near}."
+        return f"No known effect explains the gap of {size}{_nearest(report, names, far_off)}."
     far = _reduction(report)
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
 
 
-def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
-    """Phrase on the explanation that comes nearest, by the reduction that its effects are listed with; empty where none is named."""
+def _nearest(report: dict[str, Any], names: Sequence[str], far_off: Sequence[Mapping[str, Any]]) -> str:
+    """Phrase on the explanation that comes nearest, and why it is none; empty where none is named."""
+    reasons, together = report.get("reasons", ()), " and ".join(names)
+    if Reason.ENERGY_LEFT.value not in reasons:
+        if report.get("distortions"):
+            worst = report["distortions"][0]
+            if worst["name"] not in {effect["name"] for effect in report["effects"]}:  # of the record itself, whatever is named
+                return "; the measurement stands on one level while the command moves on"
+            return (
+                f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
+                f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
+            )
+        if names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons:
+            worst = far_off[0]
+            return f"; {together} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
+        if names and Reason.AT_BOUND.value in reasons:
+            return f"; {together} would, with a size at the end of its range"
+        if names and Reason.TOO_MANY_EFFECTS.value in reasons:
+            return f"; it would take {together} at once, and an effect outside the catalogue is more likely"
     if not names:
         return ""
     reduction = max(
         (row["shrink_reidentified"] for row in report["effects"] if row.get("shrink_reidentified") is not None), default=None
     )
     if reduction is None:  # an effect without a waveform takes nothing off
-        return f"; the nearest, {' and '.join(names)}, leaves {100 * report['unexplained_share']:.0f} % of it"
+        return f"; the nearest, {together}, leaves {100 * report['unexplained_share']:.0f} % of it"
     far = f"explains {100 * reduction:.0f} % of what re-fitting the model leaves" if reduction > 0.0 else "explains nothing of it"
-    return f"; the nearest, {' and '.join(names)}, {far}"
+    return f"; the nearest, {together}, {far}"
 
 
 def _known_error(report: dict[str, Any]) -> str:
@@ -328,7 +320,7 @@ def in_words(report: dict[str, Any]) -> str:
             f"{name} {_short(row['value'])} {row['unit']}".rstrip() + f" [{_short(row['ci90'][0])} … {_short(row['ci90'][1])}]"
             for name, row in effect["parameters"].items()
         )
-        axes = f" on {', '.join(effect['axis'])}" if len(effect["axis"]) else ""
+        axes = f" on {', '.join(effect['axis'])}" if effect["axis"] else ""
         lines.append(f"  {effect['name']}{axes}: probability {effect['probability']:.2f}; {values}")
         if effect["shrink_reidentified"] is not None:
             low, high = effect["shrink_ci90"]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -98,19 +99,17 @@ def _shares_with_intervals(energies: Mapping[str, Array], seed: int, resamples: 
 
 
 def _added(parts: Sequence[Mapping[str, Array]], seed: int, settings: BudgetSettings) -> Rows:
-    total: dict[str, Array] = {}
+    total: dict[str, Array] = defaultdict(lambda: np.zeros(settings.blocks))
     for part in parts:
         for name, energy in part.items():
-            total[name] = total.get(name, np.zeros(settings.blocks)) + energy
+            total[name] += energy
     return _shares_with_intervals(total, seed, settings.resamples)
 
 
 def _blocks(energy: Array, count: int) -> Array:
     """Sums (count,) of an energy (M,) over equal stretches."""
     edges = np.linspace(0, len(energy), count + 1).astype(int)
-    sums = np.concatenate([[0.0], np.cumsum(energy)])
-    stretches: Array = sums[edges[1:]] - sums[edges[:-1]]
-    return stretches
+    return np.diff(np.concatenate([[0.0], np.cumsum(energy)])[edges])
 
 
 def _bands(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> dict[str, Array]:
@@ -120,11 +119,13 @@ def _bands(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
     for lower, upper in zip((0.0, *settings.bands), (*settings.bands, np.inf), strict=True):
         if lower >= nyquist:
             break
-        up_to = residual if upper >= 0.95 * nyquist else low_passed(residual, upper / nyquist)
-        name = f"{lower:g}-{upper:g} Hz" if upper < 0.95 * nyquist else f"above {lower:g} Hz"
-        found[name] = _blocks(((up_to - low) ** 2).sum(axis=1), settings.blocks)
+        last = upper >= 0.95 * nyquist
+        up_to = residual if last else low_passed(residual, upper / nyquist)
+        found[f"above {lower:g} Hz" if last else f"{lower:g}-{upper:g} Hz"] = _blocks(
+            ((up_to - low) ** 2).sum(axis=1), settings.blocks
+        )
         low = up_to
-        if upper >= 0.95 * nyquist:
+        if last:
             break
     return found
 
@@ -148,12 +149,8 @@ def _spans(part: AxisDiagnosis, residual: Array, settings: BudgetSettings) -> di
 
 
 def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array]:
-    """Energy that linear regressions take off one after the other, fitted on every other block and counted on the rest.
-
-    It describes the gap before anything is named, so what follows no such curve is not what the explanation leaves unexplained.
-    """
-    found: dict[str, Array] = {}
-    nothing = np.zeros(blocks)
+    """Energy that linear regressions take off one after the other, fitted on every other block and counted on the rest."""
+    found: dict[str, Array] = defaultdict(lambda: np.zeros(blocks))
     for axis in range(residual.shape[1]):
         left = residual[:, axis]
         whole, columns, solution = left, part.linearized.columns, part.chosen.solution
@@ -163,7 +160,7 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
                 energy = _blocks(left**2, blocks)
                 left = left - part.problem.rows(taken)[:, axis]
                 if name != SESSION or free.any():
-                    found[name] = found.get(name, nothing) + np.maximum(energy - _blocks(left**2, blocks), 0.0)
+                    found[name] += np.maximum(energy - _blocks(left**2, blocks), 0.0)
         target = left
         fold = (np.arange(len(left)) * blocks // len(left)) % 2
         known = np.zeros((len(left), 0))
@@ -179,11 +176,11 @@ def _kinds(part: AxisDiagnosis, residual: Array, blocks: int) -> dict[str, Array
                 weights = np.linalg.solve(design.T @ design + ridge, design.T @ target[~rows])
                 left[rows] = target[rows] - known[rows] / scale @ weights
             after = np.minimum(_blocks(left**2, blocks), before)
-            found[name] = found.get(name, nothing) + before - after
+            found[name] = found[name] + before - after
             before = after
         noise = np.minimum(np.full(blocks, part.problem.sigma[axis] ** 2 * len(left) / blocks), before)
-        found["noise"] = found.get("noise", nothing) + noise
-        found["none of these"] = found.get("none of these", nothing) + before - noise
+        found["noise"] += noise
+        found["none of these"] = found["none of these"] + before - noise
     return found
 
 

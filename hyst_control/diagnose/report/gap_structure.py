@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Structure of a gap that no known effect explains: even part, odd part, memory.
 
-The gap is regressed on functions of the command and of the simulated motion, each as it is and through the model: a nonlinearity at the
-input goes through the machine, one at the output does not. A question is a group of functions. Its answer is the reduction of the
-error on blocks that were not used for the fit, over that of a linear correction alone, with its scatter over the blocks.
+The gap is regressed on functions of the command and of the simulated motion, each as it is and through the model. A question is a group of
+functions, its answer the reduction of the error on held-out blocks over that of a linear correction alone.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def gap_structure(problem: Problem, axes: Sequence[int]) -> dict[str, float]:
     # problem: as it was recorded, with the rows that repeat the one before: an end stop holds the measurement as well
     piece = max(problem.pieces, key=lambda each: len(each.command))
     rows = min(len(piece.command), MAX_ROWS)
-    counted = np.arange(rows) if piece.keep is None else np.flatnonzero(piece.keep[:rows])
+    counted = np.flatnonzero(piece.mask[:rows])
     if len(counted) < 20 * BLOCKS:
         return {}
     command, measured = piece.command[:rows], piece.measurement[:rows]
@@ -56,8 +55,7 @@ def answers(found: Iterable[Regression]) -> dict[str, float]:
     regressions = list(found)
 
     def errors(*groups: str) -> Array:
-        total: Array = np.sum([one.errors(groups) for one in regressions], axis=0)
-        return total
+        return np.asarray(np.sum([one.errors(groups) for one in regressions], axis=0))
 
     base = float(errors("linear").mean())
 
@@ -143,8 +141,7 @@ def _lags(motion: Annotated[Array, "N"]) -> list[int]:
 def _within_one(values: Annotated[Array, "N"]) -> Annotated[Array, "N"]:
     """Distance from the mean, in units of the largest."""
     distance = values - values.mean()
-    scaled: Array = distance / max(float(np.abs(distance).max()), 1e-300)
-    return scaled
+    return np.asarray(distance / max(float(np.abs(distance).max()), 1e-300))
 
 
 def _play(values: Annotated[Array, "N"], half_width: float) -> Annotated[Array, "N"]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ def invalid_report(records: Sequence[Record], model: Model) -> tuple[tuple[dict[
     notes = [each.text() for each in remarks]
     if not found:
         return None, notes
-    words = ["The record is no measurement of its command, and is not diagnosed:", *_lines(found)]
+    words = ["The record is no measurement of its command, and is not diagnosed:", *(f"  {each.text()}" for each in found)]
     return (_document(trials, model, found), "\n".join(words)), notes
 
 
@@ -46,17 +47,13 @@ def trials_of(records: Sequence[Record], model: Model) -> list[Trial]:
     return trials
 
 
-def _lines(found: Sequence[Finding]) -> list[str]:
-    return [f"  {finding.text()}" for finding in found]
-
-
 def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -> dict[str, Any]:
     """Every field of a gap report; those that only a diagnosis fills are empty."""
-    simulated = [trial for trial in trials if trial.simulated is not None]
+    simulated = [(trial.measurement, trial.simulated) for trial in trials if trial.simulated is not None]
     gap: dict[str, Any] = {"rms": None, "nrmse": None}
     if simulated:
-        rows = np.concatenate([trial.measurement - trial.simulated for trial in simulated if trial.simulated is not None])
-        spans = np.ptp(np.concatenate([trial.measurement for trial in simulated]), axis=0)
+        rows = np.concatenate([measured - modeled for measured, modeled in simulated])
+        spans = np.ptp(np.concatenate([measured for measured, _ in simulated]), axis=0)
         energies = np.mean(rows**2, axis=0)
         gap["rms"] = float(np.sqrt(np.mean(energies)))
         gap["nrmse"] = float(np.mean(100.0 * np.sqrt(energies) / spans)) if np.all(spans > 0) else None
@@ -85,10 +82,8 @@ def _document(trials: Sequence[Trial], model: Model, found: Sequence[Finding]) -
     }
 
 
-def write_invalid_page(path: str, document: dict[str, Any], origins: Sequence[Origin] = ()) -> None:
+def write_invalid_page(path: Path, document: dict[str, Any], origins: Sequence[Origin]) -> None:
     """Write the report's page on records that are not diagnosed."""
-    from pathlib import Path
-
     from hyst_control.reporting.html_page import Page
 
     page = Page("Gap report", "The record is no measurement of its command, and is not diagnosed.", origins)
@@ -102,4 +97,4 @@ def write_invalid_page(path: str, document: dict[str, Any], origins: Sequence[Or
     )
     for line in document["notes"]:
         page.note(line)
-    page.write(Path(path))
+    page.write(path)

@@ -13,7 +13,6 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.configuration import CONFIGURATION, ExperimentSettings
-from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.search.beam_search import FittedHypothesis
 from hyst_control.diagnose.search.fit import Linearized
@@ -78,15 +77,13 @@ def next_experiment(diagnosis: Diagnosis) -> dict[str, Any] | None:
             best = distance, name, excitation
     if best is None:
         return None
-    separates = ["+".join(scored.names) or "parameters" for scored in rivals]
-    note = "" if best[0] >= settings.distance else _channel(rivals)
     return {
         "excitation": best[1],
-        "separates": separates,
+        "separates": ["+".join(scored.names) or "parameters" for scored in rivals],
         "expected_odds": float(np.exp(min(0.5 * best[0] ** 2, 300.0))),
         "distance": float(best[0]),
         "configuration": best[2],
-        "note": note,
+        "note": "" if best[0] >= settings.distance else _channel(rivals),
     }
 
 
@@ -99,19 +96,8 @@ def _channel(rivals: Sequence[FittedHypothesis]) -> str:
 def _distance(part: AxisDiagnosis, rivals: Sequence[FittedHypothesis], command: Array) -> float:
     """The smallest distance between two rivals' predictions, coefficients marginalized."""
     problem = part.problem
-    axes = list(part.axes)
     others = None if problem.pieces[0].others is None else np.zeros((len(command), problem.pieces[0].others.shape[1]))
-    fresh = Problem(
-        problem.model,
-        (Piece(np.ascontiguousarray(command[:, axes]), np.zeros((len(command), len(axes))), None, others, foreseen=True),),
-        problem.sample_time,
-        problem.hold,
-        problem.sigma,
-        problem.beside_error,
-        problem.own_error,
-        problem.own_correlation,
-        problem.own_spectrum,
-    )
+    fresh = problem.on(np.ascontiguousarray(command[:, list(part.axes)]), others)
     linearized = Linearized(fresh, replace(part.linearized.scatter))
     predictions = []
     for scored in rivals:

@@ -22,7 +22,7 @@ from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
 from hyst_control.diagnose.report.coefficient_changes import LIKELY, coefficient_changes
 from hyst_control.diagnose.report.document import plain, sentence, within
-from hyst_control.diagnose.report.rejected_hypotheses import Rejected, rejected
+from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.diagnose.verdict import Verdict
@@ -77,6 +77,11 @@ class Traces:
     augmented: Array | None
     band: Array
 
+    @property
+    def curves(self) -> dict[str, Array]:
+        """Simulated signals by name."""
+        return {"simulated": self.simulated} | ({} if self.augmented is None else {"augmented": self.augmented})
+
 
 def write_page(
     path: Path, document: Mapping[str, Any], diagnosis: Diagnosis, better: Model | None, origins: Sequence[Origin] = ()
@@ -99,7 +104,10 @@ def write_page(
         chain=chain_picture(document),
         effects=[_effect_row(effect) for effect in document["effects"]],
         meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
-        rivals=[_rival_row(row) for row in rejected(diagnosis, MAX_REJECTED)],
+        rivals=[
+            (row.name, row.axes, f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}", _percent(row.left), row.why)
+            for row in rejected(diagnosis, MAX_REJECTED)
+        ],
         augmented=better is not None,
         signals=signals,
         actions=actions(document),
@@ -171,11 +179,9 @@ def _band(part: AxisDiagnosis, index: int, rows: int) -> Array:
     own = np.zeros(axes) if problem.own_error is None else problem.own_error
     uncertain = 1.0 - linearized.scatter.companions if linearized.count else np.zeros(0)
     energy = (linearized.columns**2 @ uncertain).reshape(-1, axes) * problem.sigma**2 + problem.sigma**2 + own**2
-    counts = [np.ones(len(piece.command), bool) if piece.keep is None else piece.keep for piece in problem.pieces]
     band = np.full((rows, axes), np.nan)
-    if len(counts[index]) == rows:
-        begin = sum(int(np.count_nonzero(kept)) for kept in counts[:index])
-        band[counts[index]] = LIKELY * np.sqrt(energy[begin : begin + int(np.count_nonzero(counts[index]))])
+    if len(problem.pieces[index].command) == rows:
+        band[problem.pieces[index].mask] = LIKELY * np.sqrt(np.split(energy, problem.edges)[index])
     return band
 
 
@@ -198,14 +204,11 @@ def _signals(piece: Traces, axis: int, title: str, unit: str) -> Figure:
     figure.add("scatter", 2, x=x, y=-half, showlegend=False, **look)
     name = "noise, tolerance and model discrepancy, 90 %"
     figure.add("scatter", 2, x=x, y=half, name=name, fill="tonexty", fillcolor=BAND, **look)
-    lines = [("measured", piece.measured, MEASURED), ("simulated", piece.simulated, SIMULATED)]
-    if piece.augmented is not None:
-        lines.append(("augmented", piece.augmented, AUGMENTED))
-    for name, values, color in lines:
-        look = {"name": name, "legendgroup": name, "line": {"color": color, "width": 1.2}}
+    for name, values in {"measured": piece.measured, **piece.curves}.items():
+        look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), "width": 1.2}}
         figure.add("scatter", **_curve(piece.time, values[:, axis]), **look)
         if name != "measured":
-            look |= {"showlegend": False, "line": {"color": color, "width": 1.0}}
+            look |= {"showlegend": False, "line": {"color": PALETTE.color(name), "width": 1.0}}
             figure.add("scatter", 2, **_curve(piece.time, piece.measured[:, axis] - values[:, axis]), **look)
     figure.axes("y", 1, title=f"displacement [{unit}]")
     figure.axes("y", 2, title=f"residual [{unit}]")
@@ -263,17 +266,15 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> Figu
     axes = diagnosis.model.axes
     longest = max(pieces, key=lambda piece: len(piece.time))
     window = min(len(longest.time), max(len(longest.time) // 4, 256))
+    sigma = np.concatenate([part.problem.sigma for part in diagnosis.parts])
     for axis, name in enumerate(axes):
-        lines = [("simulated", longest.simulated, SIMULATED)]
-        if longest.augmented is not None:
-            lines.append(("augmented", longest.augmented, AUGMENTED))
         suffix = f", {name}" if len(axes) > 1 else ""
         dash = ("solid", "dot", "dashdot")[axis % 3]
-        for label, values, colour in lines:
+        for label, values in longest.curves.items():
             frequency, power = averaged_periodogram(longest.measured[:, axis] - values[:, axis], rate, window, centered=False)
-            line = {"color": colour, "width": 1.3, "dash": dash}
+            line = {"color": PALETTE.color(label), "width": 1.3, "dash": dash}
             figure.add("scatter", x=frequency[1:], y=np.sqrt(power[1:]), name=label + suffix, line=line)
-        floor = float(diagnosis.parts[_part(diagnosis, axis)].problem.sigma[_within(diagnosis, axis)]) * np.sqrt(2.0 / rate)
+        floor = float(sigma[axis]) * np.sqrt(2.0 / rate)
         line = {"color": MEASURED, "dash": "dash"}
         figure.add(
             "scatter", x=frequency[[1, -1]], y=np.array([floor, floor]), name="noise floor" + suffix, mode="lines", line=line
@@ -283,31 +284,22 @@ def _spectrum(pieces: Sequence[Traces], diagnosis: Diagnosis, unit: str) -> Figu
     return figure
 
 
-def _part(diagnosis: Diagnosis, axis: int) -> int:
-    return next(i for i, part in enumerate(diagnosis.parts) if axis in part.axes)
-
-
-def _within(diagnosis: Diagnosis, axis: int) -> int:
-    return diagnosis.parts[_part(diagnosis, axis)].axes.index(axis)
-
-
 def _loops(piece: Traces, diagnosis: Diagnosis, unit: str) -> Figure:
     """Slow loops of the first piece, and below what the curves differ from the measured one by, which the loops are too large to show."""
     axes = diagnosis.model.axes
     titles = [f"axis {name}" for name in axes] if len(axes) > 1 else []
     figure = Figure(2, len(axes), titles=titles, spacing=(None, 0.05), shared_x=True)
-    looks = [
-        ("measured", piece.measured, {"color": MEASURED, "width": 3.0}),
-        ("simulated", piece.simulated, {"color": SIMULATED, "width": 1.6, "dash": "dash"}),
-    ]
-    if piece.augmented is not None:
-        looks.append(("augmented", piece.augmented, {"color": AUGMENTED, "width": 1.6, "dash": "dot"}))
+    looks: dict[str, dict[str, Any]] = {
+        "measured": {"width": 3.0},
+        "simulated": {"width": 1.6, "dash": "dash"},
+        "augmented": {"width": 1.6, "dash": "dot"},
+    }
     for axis in range(len(axes)):
         chosen = slow_loops(piece.command[:, axis])
-        for name, values, line in looks:
+        for name, values in {"measured": piece.measured, **piece.curves}.items():
             x = _joined([piece.command[rows, axis] for rows in chosen])
             y = _joined([values[rows, axis] for rows in chosen])
-            look = {"name": name, "legendgroup": name, "line": line, "mode": "lines"}
+            look = {"name": name, "legendgroup": name, "line": {"color": PALETTE.color(name), **looks[name]}, "mode": "lines"}
             figure.add("scatter", 1, axis + 1, x=x, y=y, showlegend=axis == 0, **look)
             if name != "measured":
                 error = _joined([piece.measured[rows, axis] - values[rows, axis] for rows in chosen])
@@ -329,10 +321,8 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
     """Bars of shares: one group beside the other, axes only where there are several."""
     names = [name for name in WHERE if axes > 1 or name != "axis"]
     columns = 2
-    lines = -(-len(names) // columns)
-    counts = [
-        max((len(document["where"][name]) for name in names[i : i + columns]), default=1) for i in range(0, len(names), columns)
-    ]
+    counts = [max(len(document["where"][name]) for name in names[i : i + columns]) for i in range(0, len(names), columns)]
+    lines = len(counts)
     titles = [f"<b>{WHERE[name]}</b>" for name in names]
     figure = Figure(lines, columns, titles=titles, spacing=(0.2, 0.22 / lines), heights=counts)
     for index, name in enumerate(names):
@@ -352,16 +342,6 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
         )
     figure.axes("x", range=[0, 105], ticksuffix=" %", nticks=4)
     return figure_markup(figure, 120 * lines + 24 * sum(counts), 560)
-
-
-def _rival_row(row: Rejected) -> tuple[str, ...]:
-    return (
-        row.name,
-        row.axes,
-        f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}",
-        _percent(row.left),
-        row.why,
-    )
 
 
 def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predicted gap reduction on a command that has not been played yet.
 
-A record shows only those effects that its command excites, so the gap shrinks differently on another command. No measurement of that
-command exists; the fitted model, effects and coefficients together, takes its place. The gaps of the nominal and of the augmented
-model are computed against it. What the model leaves on baseline records, or what even the best explanation leaves, stays in both gaps: no
-effect removes it. So does a line, such as the mains or a vibration: a session has a phase of its own, which nobody knows beforehand, and
-a line of the augmented model would add its energy once more (`augmented_model.without_lines` takes it out for such a comparison).
+The fitted model, effects and coefficients together, takes the place of the measurement; the gaps of the nominal and of the augmented
+model are computed against it. What the model leaves on baseline records, or the best explanation leaves, stays in both gaps. So does
+a line, such as the mains: the next session has a phase of its own.
 """
 
 from __future__ import annotations
@@ -18,9 +16,9 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.run.collect import stated_noise
+from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
+from hyst_control.diagnose.run.prepare import stated_noise
 
 
 @dataclass(frozen=True)
@@ -45,26 +43,23 @@ def foresee(diagnosis: Diagnosis, command: Annotated[Array, "N A"]) -> Foreseen:
     count = len(diagnosis.model.axes)
     if command.ndim != 2 or command.shape[1] != count or len(command) < 2 or not np.isfinite(command).all():
         raise InputError(f"command: must be finite rows of {count} axes, got shape {command.shape}")
-    fitted = {part.axes: _simulated(part, _on(part, command, None), part.coefficients) for part in diagnosis.parts}
+    rows = {part.axes: np.ascontiguousarray(command[:, list(part.axes)]) for part in diagnosis.parts}
+    fitted = {part.axes: _simulated(part, part.problem.on(rows[part.axes], None), part.coefficients) for part in diagnosis.parts}
     whole = np.hstack([fitted[part.axes] for part in diagnosis.parts])
     before = after = 0.0
     for part in diagnosis.parts:
-        problem, z = _on(part, command, np.delete(whole, part.axes, axis=1)), part.coefficients
+        problem, z = part.problem.on(rows[part.axes], np.delete(whole, part.axes, axis=1)), part.coefficients
         true = _simulated(part, problem, z, True)
         nominal, augmented = (_simulated(part, problem, 0.0 * z, effects) for effects in (False, True))
         lines = _line_energy(part)
-        own = own_error_energy(part, problem.pieces[0].command)
+        own = own_error_energy(part, rows[part.axes])
         before += float(np.sum(np.mean((true - nominal) ** 2, axis=0))) + lines + own
         after += float(np.sum(np.mean((true - augmented) ** 2, axis=0))) + lines + own
     return Foreseen(float(np.sqrt(before / count)), float(np.sqrt(after / count)))
 
 
 def own_error_energy(part: AxisDiagnosis, command: Annotated[Array, "N A"]) -> float:
-    """Compute the energy that the model discrepancy adds to every gap on a command.
-
-    It is what the model leaves on baseline records: as learned on other commands, or carried over from the same one, or stated. Where
-    the best explanation leaves more than that, beyond the noise, it is this remainder.
-    """
+    """Compute the energy that the model discrepancy adds to every gap on a command."""
     problem = part.problem
     left = problem.rows(part.chosen.solution.residual)
     remainder = float(np.sum(np.maximum(np.mean(left**2, axis=0) - problem.sigma**2, 0.0)))
@@ -72,12 +67,6 @@ def own_error_energy(part: AxisDiagnosis, command: Annotated[Array, "N A"]) -> f
         stated = stated_noise(problem.model)
         return max(remainder, float(np.sum(np.maximum(stated**2 - problem.sigma**2, 0.0))))
     return max(remainder, part.baseline.error_energy(command, problem.sample_time))
-
-
-def _on(part: AxisDiagnosis, command: Array, others: Array | None) -> Problem:
-    """The problem of these axes on another command; others (N, B): what the other axes measure."""
-    rows = np.ascontiguousarray(command[:, list(part.axes)])
-    return replace(part.problem, pieces=(Piece(rows, np.zeros_like(rows), None, others, foreseen=True),))
 
 
 def _simulated(part: AxisDiagnosis, problem: Problem, z: Array, effects: bool = False) -> Array:

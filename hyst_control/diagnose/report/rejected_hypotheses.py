@@ -21,7 +21,6 @@ class Rejected:
 
     name: str  # Effects joined by "and", or "coefficients alone"
     axes: str  # Names of the axes of its problem
-    score: float  # Evidence over "no effect", nats
     behind: float  # Evidence that it lacks to the best explanation, nats
     left: float  # Share of the gap's energy that it leaves, noise included
     why: str  # Reason that counted against it, one line
@@ -55,7 +54,6 @@ def _of_axis(diagnosis: Diagnosis, part: AxisDiagnosis) -> list[Rejected]:
         Rejected(
             " and ".join(name.replace("_", " ") for name in one.names) or "coefficients alone",
             axes,
-            one.score,
             best.score - one.score,
             energy(index) / whole,
             _reason(one, best, evidence, thresholds),

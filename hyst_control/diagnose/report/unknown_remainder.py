@@ -71,16 +71,12 @@ def with_learned_residual(model: Model, remainder: Remainder) -> Model:
 def _as_given(diagnosis: Diagnosis, part: AxisDiagnosis) -> Array:
     """Residual (M, 1) of one axis with the effects of the best explanation and the coefficients as given."""
     model = diagnosis.model if len(diagnosis.model.axes) == 1 else axis_model(diagnosis.model, part.axes[0])
-    candidate, x = part.chosen.candidate, part.chosen.solution.x
-    if candidate is None:
-        simulated = part.problem.simulate(model.chain.stages)
-    else:
-        unknowns = candidate.unknowns()
-        simulated = part.problem.simulate(unknowns.stages(model.chain.stages, x))
-        if unknowns.extra is not None:
-            simulated = simulated + unknowns.extra(x)
+    stages, x = model.chain.stages, part.chosen.solution.x
+    unknowns = part.chosen.candidate.unknowns() if part.chosen.candidate else None
+    simulated = part.problem.simulate(unknowns.stages(stages, x) if unknowns else stages)
+    if unknowns and unknowns.extra is not None:
+        simulated = simulated + unknowns.extra(x)
     rows = part.problem.rows(part.problem.measured() - simulated)
     if part.baseline is None:
         return rows
-    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in part.problem.pieces)])
-    return np.concatenate([without_zero(rows[a:b])[0] for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    return np.concatenate([without_zero(one)[0] for one in np.split(rows, part.problem.edges)])

@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NoiseSettings
+from hyst_control.diagnose.configuration import Configuration
 from hyst_control.diagnose.evidence import (
     CompanionEvidence,
     DistortionEvidence,
@@ -20,63 +20,40 @@ from hyst_control.diagnose.evidence import (
     FlickerEvidence,
     HumpEvidence,
     HypothesisEvidence,
-    RecordEvidence,
     ResidualEvidence,
 )
 from hyst_control.diagnose.noise.flicker import flicker
 from hyst_control.diagnose.noise.narrowband import random_vibration
-from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.summary import outliers
+from hyst_control.diagnose.run.prepare import Prepared, known_error, white_noise
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found, strain, weighed
 from hyst_control.diagnose.search.fit import Linearized
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.validate.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
-from hyst_control.model_file import Model
 
 
-@dataclass(frozen=True)
-class Collected:
-    """Hypotheses of a search, in the order of the evidence on them."""
-
-    evidence: Evidence  # Without residuals
-    hypotheses: tuple[FittedHypothesis, ...]  # "No effect", single effects, combinations, coefficients alone
-
-
-def collect(
-    found: Found,
-    null: float,
-    floor: float,
-    stated: Annotated[Array, "A"],
-    record: Sequence[RecordEvidence],
-    checks: frozenset[RecordCheck],
-    configuration: Configuration = CONFIGURATION,
-) -> Collected:
-    """Collect the evidence of a search."""
+def collect(found: Found, null: float, prepared: Prepared, configuration: Configuration) -> Evidence:
+    """Collect the evidence of a search, without residuals."""
     problem = found.linearized.problem
-    hypotheses = (found.none, *found.singles, *found.combinations, found.parameters)
-    size = len(found.linearized.measured)
-    rows = size // len(problem.model.axes)
+    rows = len(found.linearized.measured) // len(problem.model.axes)
     lower, upper = configuration.noise.band
-    evidence = Evidence(
-        tuple(_hypothesis(found, scored, configuration.policy.many_tolerances) for scored in hypotheses),
+    return Evidence(
+        tuple(_hypothesis(found, scored, configuration.policy.many_tolerances) for scored in found.hypotheses),
         found.temper,
         found.linearized.count,
         null,
-        floor,
-        max(
-            stated_energy(known_error(problem, stated), problem.sigma),
-            1.0 + problem.own_energy,
-        ),
+        prepared.floor,
+        prepared.leaves,
         tuple(float(value) for value in problem.sigma),
-        tuple(float(value) for value in stated),
+        tuple(float(value) for value in prepared.stated),
         rows,
         0.5 * (upper - lower) * rows,
-        tuple(record),
-        checks,
+        prepared.record,
+        prepared.checks,
         problem.weight,
         problem.beside_error and problem.own_error is None,
         problem.own_spectrum is not None,
@@ -86,9 +63,8 @@ def collect(
         tuple(
             (name, plain) for name, rich in EFFECTS.items() if rich.static_elsewhere for plain in EFFECTS if EFFECTS[plain].static
         ),
-        _moved(found, stated),
+        _moved(found, prepared.stated),
     )
-    return Collected(evidence, hypotheses)
 
 
 def _moved(found: Found, stated: Annotated[Array, "A"]) -> float:
@@ -107,8 +83,8 @@ def residual_evidence(
     scored: FittedHypothesis,
     findings: Sequence[Finding],
     checks: frozenset[RecordCheck],
-    configuration: Configuration = CONFIGURATION,
-    beside: tuple[CompanionEvidence, ...] = (),
+    configuration: Configuration,
+    beside: tuple[CompanionEvidence, ...],
     distorted: tuple[DistortionEvidence, ...] = (),
 ) -> ResidualEvidence:
     """Measure what a hypothesis leaves."""
@@ -118,6 +94,8 @@ def residual_evidence(
             steps[finding.axis] = finding.value
     rows = problem.rows(scored.solution.residual)
     counted = [outliers(rows[:, axis], configuration.checks, steps[axis]) for axis in range(len(problem.model.axes))]
+    # A spectrum is looked at of one axis, and where no rows are missing in between.
+    seen = checks if len(problem.model.axes) == 1 and not any(map(_has_holes, problem.pieces)) else frozenset[RecordCheck]()
     return ResidualEvidence(
         float(np.mean(leftover(problem, scored, steps) ** 2)),
         tuple(
@@ -127,11 +105,11 @@ def residual_evidence(
         ),
         tuple(count for count, _ in counted),
         tuple(rms for _, rms in counted),
-        _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in checks else None,
+        _flicker(problem, scored, configuration) if RecordCheck.FALLING_SPECTRUM in seen else None,
         _predictable(problem, rows, configuration.baseline.blocks) if problem.beside_error else 1.0,
         beside,
         distorted,
-        _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in checks else None,
+        _hump(problem, scored, configuration) if RecordCheck.SPECTRAL_HUMP in seen else None,
     )
 
 
@@ -166,54 +144,8 @@ def companions(
 
 def _predictable(problem: Problem, rows: Array, blocks: int) -> float:
     """Share of the remainder (M, A) that follows the command."""
-    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
     commands = [piece.counted(piece.command) for piece in problem.pieces]
-    return predictable_share(commands, [rows[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)], blocks)
-
-
-def stated_noise(model: Model) -> Annotated[Array, "A"]:
-    """Noise that a model file states."""
-    stated = np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))
-    return np.broadcast_to(stated, (len(model.axes),)).copy()
-
-
-def known_error(problem: Problem, stated: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
-    """Choose what a model is known to leave beside the whitened error: its stated noise, or its model discrepancy."""
-    if problem.own_spectrum is not None:
-        return np.zeros_like(stated)  # fits have it in their weights
-    return stated if problem.own_error is None else np.maximum(stated, problem.own_error)
-
-
-def stated_energy(stated: Annotated[Array, "A"], noise: Annotated[Array, "A"]) -> float:
-    """Energy that a model itself says it leaves."""
-    return max(float(np.mean((stated / noise) ** 2)), 1.0)
-
-
-def white_noise(
-    problem: Problem, residuals: Annotated[Array, "M A"], axis: int, settings: NoiseSettings, rests: bool = True
-) -> float:
-    """White noise of an axis in the residuals of all pieces."""
-    edges = np.cumsum([0, *(len(piece.counted(piece.measurement)) for piece in problem.pieces)])
-    left = [residuals[a:b, axis] for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    commands = [piece.counted(piece.command)[:, axis] for piece in problem.pieces] if rests else None
-    found = noise_of(left, commands, settings)
-    return min(found, _between_periods(problem, left, axis, settings)) if rests else found
-
-
-def _between_periods(problem: Problem, left: Sequence[Array], axis: int, settings: NoiseSettings) -> float:
-    """White noise of an axis by differences between periods; infinite where the commands do not repeat.
-
-    Rows that do not count have noise as well. But where a baseline record is carried over, its noise is in the residual, and elsewhere in
-    none of the record.
-    """
-    pieces = problem.pieces
-    if not problem.is_carried:
-        return noise_between_periods(
-            [piece.measurement[:, axis] for piece in pieces], [piece.command for piece in pieces], settings
-        )
-    if any(piece.keep is not None and np.count_nonzero(np.diff(piece.keep)) > 2 for piece in pieces):
-        return np.inf
-    return noise_between_periods(left, [piece.counted(piece.command) for piece in pieces], settings)
+    return predictable_share(commands, np.split(rows, problem.edges), blocks)
 
 
 def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> HypothesisEvidence:
@@ -242,14 +174,12 @@ def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> Hypo
 
 def _has_holes(piece: Piece) -> bool:
     """True where the rows that count are not one stretch: a warm-up is none that is missed."""
-    if piece.keep is None:
-        return False
-    return int(np.count_nonzero(np.diff(np.concatenate([[False], piece.keep, [False]]).astype(int)))) > 2
+    return int(np.count_nonzero(np.diff(np.pad(piece.mask, 1).astype(int)))) > 2
 
 
 def _flicker(problem: Problem, scored: FittedHypothesis, configuration: Configuration) -> FlickerEvidence | None:
-    """1/f noise in what a hypothesis leaves; not of several axes at once, where rows are missing in between, or where nothing is left."""
-    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces) or not np.any(scored.solution.residual):
+    """1/f noise in what a hypothesis leaves, if anything."""
+    if not np.any(scored.solution.residual):
         return None
     command = np.concatenate([piece.counted(piece.command)[:, 0] for piece in problem.pieces])
     seen = flicker(problem.in_noise(scored.solution.residual), command, configuration.flicker)
@@ -259,14 +189,8 @@ def _flicker(problem: Problem, scored: FittedHypothesis, configuration: Configur
 
 
 def _hump(problem: Problem, scored: FittedHypothesis, configuration: Configuration) -> HumpEvidence | None:
-    """A vibration whose phase wanders in what a hypothesis leaves; not of several axes at once, nor where rows are missing in between."""
-    if len(problem.model.axes) > 1 or any(_has_holes(piece) for piece in problem.pieces):
-        return None
-    commands = [
-        piece.command if piece.driven_beside is None else np.hstack([piece.command, piece.driven_beside])
-        for piece in problem.pieces
-    ]
-    driving = np.concatenate([piece.counted(command) for piece, command in zip(problem.pieces, commands, strict=True)])
+    """A vibration whose phase wanders in what a hypothesis leaves."""
+    driving = np.concatenate([piece.driving for piece in problem.pieces])
     measured = np.concatenate([piece.counted(piece.measurement)[:, 0] for piece in problem.pieces])
     residual, in_noise = scored.solution.residual, problem.in_noise(scored.solution.residual)
     simulated = measured - in_noise * float(problem.sigma[0])

@@ -1,9 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of records against a model: the gap between measurement and simulation, and the effects that explain it.
-
-`problem_of` turns records into a problem, `diagnose` runs all steps on it: noise, record checks, threshold, search, evidence, decision.
-"""
+"""Diagnosis of records against a model: the gap between measurement and simulation, and the effects that explain it."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from hyst_control.diagnose.model_error.between_periods import by_periods, gain_o
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.model_error.unknown_initial_motion import with_initial_motion, without_initial_motion
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
-from hyst_control.diagnose.problem.problem import Piece, Problem, check_command, check_units, split
+from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit, split
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
 from hyst_control.diagnose.record_checks.spectral_lines import lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, held_at_one_value
@@ -54,12 +51,16 @@ class AxisDiagnosis:
     problem: Problem  # Records and model of these axes
     linearized: Linearized  # The problem with the columns of its coefficients
     found: Found  # Result of the search, with the fits of all hypotheses
-    hypotheses: tuple[FittedHypothesis, ...]  # Hypotheses in the order of the evidence
     evidence: Evidence  # Numbers that the decision is based on
     decision: Decision  # Verdict, its reasons, and the effects that are named
     baseline: Baseline | None = None  # Baseline records or stated discrepancy that were used
     tests: ContenderTests | None = None  # What contenders leave, and whether they hold; None by likelihood
     structure: Mapping[str, float] = field(default_factory=dict)  # Of an unknown gap, by the likelihood core: see `structure`
+
+    @property
+    def hypotheses(self) -> tuple[FittedHypothesis, ...]:
+        """Hypotheses in the order of the evidence."""
+        return self.found.hypotheses
 
     @property
     def chosen(self) -> FittedHypothesis:
@@ -113,34 +114,22 @@ def diagnose(
     # model: nominal model; None: a baseline record of the same command is the prediction, and only effects behind the mechanics are
     # tried
     model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
-    parts = []
-    axis = 0
+    parts: list[AxisDiagnosis] = []
     for part, known, bare in beside:
-        axes = tuple(range(axis, axis + len(part.model.axes)))
+        begin = sum(len(one.axes) for one in parts)
+        axes = tuple(range(begin, begin + len(part.model.axes)))
         if core == LIKELIHOOD:
             from hyst_control.diagnose.likelihood.core import by_likelihood  # only here, it takes long to load
 
-            judged = by_likelihood(part, known, bare, without, progress, configuration)
-            parts.append(
-                AxisDiagnosis(
-                    axes,
-                    judged.problem,
-                    judged.linearized,
-                    judged.found,
-                    judged.hypotheses,
-                    judged.evidence,
-                    judged.decision,
-                    judged.baseline,
-                    structure=judged.structure,
-                )
-            )
-            axis += len(axes)
+            found, evidence, decision, known, asked = by_likelihood(part, known, bare, without, progress, configuration)
+            here = found.linearized
+            parts.append(AxisDiagnosis(axes, here.problem, here, found, evidence, decision, known, structure=asked))
             continue
-        found = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
+        first = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         # Only one effect by itself would be taken from a second look.
         singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
         again = partial(_axis, sensor_side=bare, axes=axes, seed=seed, cache=cache, progress=progress, configuration=singles)
-        if _may_hide_a_line(found, configuration):
+        if _may_hide_a_line(first, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             # A diagnosis of lines alone is quick, and where it is not sure of one, that of all effects is not either.
             for others in (set(EFFECTS) - _line_effects(), set[str]()):
@@ -148,10 +137,8 @@ def diagnose(
                 if not _is_one_of(second, _line_effects()):
                     break
             else:
-                found = second
-        found = _between_periods(found, without, singles, again)
-        parts.append(found)
-        axis += len(axes)
+                first = second
+        parts.append(_between_periods(first, without, singles, again))
     notes += [note for part in parts for note in _outlier_notes(part)]
     problem = replace(problem, beside_error=parts[0].problem.beside_error)
     return Diagnosis(model, problem, tuple(parts), tuple(notes), seed, configuration)
@@ -208,8 +195,9 @@ def problem_of(
         raise InputError(f"warm-up: must be >= 0 s, got {warm_up!r}")
     pieces, notes, sample_times, holds = [], [], set(), set()
     for record in records:
-        check_units(model, record.signal("measurement").unit, record.source)
-        check_command(model, record)
+        for signal in ("measurement", "command"):
+            check_unit(model, record, signal)
+        record.check_axes()
         stretches = (replace(record, start="settled") if record.start == "auto" else record).aligned(allow_gaps=True)
         used = [stretch for stretch in stretches if len(stretch) >= min_rows]
         if not used:
@@ -291,24 +279,21 @@ def _axis(
 ) -> AxisDiagnosis:
     thresholds = configuration.policy
     prepared = prepare(problem, baseline, without, configuration, progress)
-    problem, linearized, checks, floor = prepared.problem, prepared.linearized, prepared.checks, prepared.floor
+    problem, linearized = prepared.problem, prepared.linearized
     members = prepared.members(sensor_side)
     progress("records without a gap")
     null = threshold(linearized, members, seed, cache=cache, configuration=configuration)
     known = [linearized, problem, linearized.scatter, linearized.scatter.model, configuration, *EFFECTS.values(), *members]
     with forked(known):  # effects hold functions, which cannot be sent
-        found = search(linearized, members, null + thresholds.margin, floor, prepared.leaves, progress, configuration)
-        collected = collect(found, null, floor, prepared.stated, prepared.record, checks, configuration)
-        tests = ContenderTests(prepared, found, collected, baseline, configuration)
-        evidence, decision = settled(collected.evidence, tests, thresholds)
-    return AxisDiagnosis(axes, problem, linearized, found, collected.hypotheses, evidence, decision, baseline, tests)
+        found = search(linearized, members, null + thresholds.margin, prepared.floor, prepared.leaves, progress, configuration)
+        evidence = collect(found, null, prepared, configuration)
+        tests = ContenderTests(prepared, found, evidence, baseline, configuration)
+        evidence, decision = settled(evidence, tests, thresholds)
+    return AxisDiagnosis(axes, problem, linearized, found, evidence, decision, baseline, tests)
 
 
 def _may_hide_a_line(found: AxisDiagnosis, configuration: Configuration) -> bool:
-    """True where a line stands out of what the model leaves, and is no gap beside the size of the error that its file states.
-
-    That size says nothing of the frequency: slow errors would hide a hum of many times what the model leaves there.
-    """
+    """True where a line stands out of what the model leaves, though it is no gap beside the stated error, which has no frequency."""
     baseline = found.baseline
     if found.decision.verdict is not Verdict.NO_GAP or baseline is None or baseline.clean is not None:
         return False
@@ -335,7 +320,7 @@ def _between_periods(
 
 def _is_one_of(found: AxisDiagnosis, effects: Collection[str]) -> bool:
     """True where such effects are the sure explanation. Of lines alone a spectrum from other records tells enough."""
-    names = () if found.chosen.candidate is None else found.chosen.candidate.names
+    names = found.chosen.names
     return found.decision.verdict is Verdict.EFFECT and bool(names) and set(names) <= set(effects)
 
 

@@ -12,33 +12,58 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.diagnose.configuration import Configuration
+from hyst_control.diagnose.configuration import Configuration, NoiseSettings
 from hyst_control.diagnose.decide.policy import practical_floor
 from hyst_control.diagnose.decide.record_findings import detected
 from hyst_control.diagnose.evidence import Finding, RecordEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline
+from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
 from hyst_control.diagnose.record_checks.spectral_lines import lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, lattice_of, record_evidence
-from hyst_control.diagnose.run.collect import (
-    known_error,
-    stated_energy,
-    stated_noise,
-    white_noise,
-)
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, Solution, fit
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
 from hyst_control.effects.effect import PLACES, RecordCheck
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
+from hyst_control.model_file import Model
 
 
 def nominal_residuals(problem: Problem) -> Annotated[Array, "M A"]:
     """Subtract the simulation of the nominal model from the measurement."""
     return problem.rows(problem.measured() - problem.simulate(problem.model.chain.stages))
+
+
+def stated_noise(model: Model) -> Annotated[Array, "A"]:
+    """Noise that a model file states."""
+    stated = np.atleast_1d(np.asarray(model.noise.get("sigma", 0.0), dtype=float))
+    return np.broadcast_to(stated, (len(model.axes),)).copy()
+
+
+def known_error(problem: Problem, stated: Annotated[Array, "A"]) -> Annotated[Array, "A"]:
+    """Choose what a model is known to leave beside the whitened error: its stated noise, or its model discrepancy."""
+    if problem.own_spectrum is not None:
+        return np.zeros_like(stated)  # fits have it in their weights
+    return stated if problem.own_error is None else np.maximum(stated, problem.own_error)
+
+
+def white_noise(
+    problem: Problem, residuals: Annotated[Array, "M A"], axis: int, settings: NoiseSettings, rests: bool = True
+) -> float:
+    """White noise of an axis in the residuals of all pieces, also by differences between periods where the commands repeat."""
+    left = np.split(residuals[:, axis], problem.edges)
+    commands = [piece.counted(piece.command) for piece in problem.pieces]
+    if not rests:
+        return noise_of(left, settings=settings)
+    found = noise_of(left, [command[:, axis] for command in commands], settings)
+    if not problem.is_carried:  # else the noise of the baseline record is in the residual, and nowhere in the record
+        commands, left = [piece.command for piece in problem.pieces], [piece.measurement[:, axis] for piece in problem.pieces]
+    elif any(piece.keep is not None and np.count_nonzero(np.diff(piece.keep)) > 2 for piece in problem.pieces):
+        return found
+    return min(found, noise_between_periods(left, commands, settings))
 
 
 def with_noise(problem: Problem, residuals: Annotated[Array, "M A"], configuration: Configuration) -> Problem:
@@ -132,8 +157,7 @@ def prepare(
     if baseline is not None:
         least = float(np.sqrt(np.mean((baseline.floor / problem.sigma) ** 2)))
         floor = max(floor, least if problem.own_spectrum is None else configuration.baseline.same_floor)
-    leaves = max(stated_energy(own, problem.sigma), 1.0 + problem.own_energy)
-    session = baseline is not None
+    leaves = max(float(np.mean((own / problem.sigma) ** 2)), 1.0 + problem.own_energy)
     return Prepared(
         problem,
         linearized,
@@ -146,7 +170,7 @@ def prepare(
         floor,
         leaves,
         clean,
-        session,
+        baseline is not None,
     )
 
 
@@ -170,13 +194,8 @@ def _suggested(
     found = lines(problem, linearized.unexplained(none.residual), configuration.checks)
     if baseline is None or baseline.clean is None:
         return found
-    clean_rows = np.split(nominal_residuals(baseline.clean), np.cumsum(_counts(baseline.clean))[:-1])
-    return beyond_clean(found, problem.rows(none.residual), clean_rows, problem.sample_time, configuration.checks)
-
-
-def _counts(problem: Problem) -> list[int]:
-    """Rows that count, by record."""
-    return [len(piece.counted(piece.command)) for piece in problem.pieces]
+    clean = np.split(nominal_residuals(baseline.clean), baseline.clean.edges)
+    return beyond_clean(found, problem.rows(none.residual), clean, problem.sample_time, configuration.checks)
 
 
 def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:
@@ -188,18 +207,13 @@ def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuratio
             # Repeats that are few enough for chance are normal as well.
             usual_repeated=old.repeated
             if old.step
-            else max(_repeats(piece.counted(piece.measurement)[:, axis]) for piece in clean.pieces),
+            else max(float(np.mean(np.diff(piece.counted(piece.measurement)[:, axis]) == 0.0)) for piece in clean.pieces),
             usual_step=old.step,
             usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
             usual_stuck=old.stuck,
         )
         for axis, (new, old) in enumerate(zip(record, usual, strict=True))
     )
-
-
-def _repeats(values: Array) -> float:
-    """Share of samples (N,) that repeat the one before."""
-    return float(np.mean(np.diff(values) == 0.0))
 
 
 def is_used(check: RecordCheck, without: Sequence[str]) -> bool:
@@ -239,16 +253,13 @@ def without_truncation(linearized: Linearized, findings: Sequence[Finding], conf
 
 
 def _without_repeats(problem: Problem, axes: Sequence[int], min_rows: int) -> Problem:
-    """The same problem without the rows that repeat the row before on one of these axes: they hold no new measurement.
-
-    A stretch of which next to nothing would be left keeps them.
-    """
+    """The same problem without rows that repeat the row before on one of these axes, but where too few would be left."""
     if not axes:
         return problem
     pieces = []
     for piece in problem.pieces:
         same = np.zeros(len(piece.command), bool)
         same[1:] = (np.diff(piece.measurement[:, axes], axis=0) == 0.0).any(axis=1)
-        keep = ~same if piece.keep is None else piece.keep & ~same
+        keep = piece.mask & ~same
         pieces.append(replace(piece, keep=keep) if np.count_nonzero(keep) >= min_rows else piece)
     return replace(problem, pieces=tuple(pieces))

@@ -14,7 +14,7 @@ from hyst_control.diagnose.configuration import Configuration, Thresholds
 from hyst_control.diagnose.decide.policy import contenders, decide, exceeds
 from hyst_control.diagnose.evidence import Evidence, Finding, ResidualEvidence
 from hyst_control.diagnose.model_error.baseline import Baseline
-from hyst_control.diagnose.run.collect import Collected, companions, residual_evidence
+from hyst_control.diagnose.run.collect import companions, residual_evidence
 from hyst_control.diagnose.run.prepare import Prepared
 from hyst_control.diagnose.search.beam_search import FittedHypothesis, Found
 from hyst_control.diagnose.search.fit import Linearized
@@ -61,11 +61,10 @@ class ContenderTests:
     """Tests of an axis' candidates on its records; each is done once."""
 
     def __init__(
-        self, prepared: Prepared, found: Found, collected: Collected, baseline: Baseline | None, configuration: Configuration
+        self, prepared: Prepared, found: Found, evidence: Evidence, baseline: Baseline | None, configuration: Configuration
     ) -> None:
         """Keep what tests need, and do none."""
-        self.evidence = collected.evidence
-        self._prepared, self._found, self._hypotheses = prepared, found, collected.hypotheses
+        self.evidence, self._prepared, self._found = evidence, prepared, found
         self._baseline, self._configuration = baseline, configuration
         self._residuals: dict[int, ResidualEvidence] = {}
         self._drops: dict[int, tuple[int, ...]] = {}
@@ -76,7 +75,7 @@ class ContenderTests:
         new = [index for index in indices if index not in self._residuals]
         none = self._found.none
         same = (none, prepared.findings, prepared.checks, self._configuration, self._found.temper, beside and beside.usual_zero)
-        measured = map_known(_residual, [(prepared.linearized, self._hypotheses[index], *same) for index in new])
+        measured = map_known(_residual, [(prepared.linearized, self._found.hypotheses[index], *same) for index in new])
         self._residuals.update(zip(new, measured, strict=True))
         return {index: self._residuals[index] for index in indices}
 
@@ -87,13 +86,10 @@ class ContenderTests:
         return self._drops[index]
 
     def _dropped(self, index: int) -> tuple[int, ...]:
-        evidence, hypotheses = self.evidence, self._hypotheses
-        best, none, linearized = hypotheses[index], self._found.none, self._prepared.linearized
+        best, none, linearized = self._found.hypotheses[index], self._found.none, self._prepared.linearized
         clean = self._prepared.clean
-        if clean is not None:
-            known = clean.show(best, evidence.null + self._configuration.policy.margin)
-            if known:
-                return self._without_known(index, known)
+        if clean is not None and (known := clean.show(best, self.evidence.null + self._configuration.policy.margin)):
+            return self._without_known(index, known)
         # Beside a baseline record of the same command no coefficient is free, and without baseline records they make up for much.
         if clean is not None and widens(linearized, best, none):
             return (index,)

@@ -24,7 +24,7 @@ from scipy.linalg import cho_factor
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.parallel import Beside, beside, map_known
+from hyst_control.base.parallel import beside, map_known
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.decide.policy import strained as are_strained
 from hyst_control.diagnose.problem.problem import Problem
@@ -65,6 +65,11 @@ class Found:
     combinations: tuple[FittedHypothesis, ...]
     temper: float  # Weight of a sample
 
+    @property
+    def hypotheses(self) -> tuple[FittedHypothesis, ...]:
+        """All of them, in the order of the evidence on them."""
+        return (self.none, *self.singles, *self.combinations, self.parameters)
+
 
 def inflated(linearized: Linearized, factor: float) -> Linearized:
     """The same columns with every tolerance multiplied; session effects stay as they are."""
@@ -91,115 +96,101 @@ def search(
     configuration: Configuration = CONFIGURATION,
 ) -> Found:
     """Fit and weigh all candidates."""
-    inflation = configuration.search.inflation
+    settings, thresholds, inflation = configuration.search, configuration.policy, configuration.search.inflation
     none, wide = FittedHypothesis(None, settled(linearized), 0.0), inflated(linearized, inflation)
     # The coefficients alone are needed when all is weighed.
     with beside(lambda: settled(wide, none.solution.z / inflation)) as alone:
-        return _searched(linearized, members, threshold, floor, leaves, progress, configuration, none, wide, alone)
+        beam, depth = settings.beam, settings.depth
+        whitened = linearized.problem.own_spectrum is not None
+        if leaves >= thresholds.own_error_energy or whitened:
+            depth = min(depth, settings.depth_with_own_error)
+            beam = max(beam, settings.beam_with_own_error)
+        strained = partial(_strained, thresholds=thresholds)
+        # Every effect is as likely as any other before the record is seen, however many realizations it has.
+        realizations = Counter(member.name for member in members)
+        alternatives = np.log(max(len(realizations), 1))
+        members = _screened(linearized, members, settings.realizations)
+        without = none.solution.misfit
+        begun = begin(linearized, [(Candidate((member,)), member.starts()) for member in members], settings, without)
+        for one in begun:
+            progress(one.candidate.names[0])
+        size = len(linearized.measured)
+        leading, waiting, finished = _leading(begun, size), begun, list[tuple[Candidate, Solution]]()
 
+        def explained(best: Solution, excess: float) -> bool:
+            return any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished)))
 
-def _searched(
-    linearized: Linearized,
-    members: Sequence[Member],
-    threshold: float,
-    floor: float,
-    leaves: float,
-    progress: Callable[[str], None],
-    configuration: Configuration,
-    none: FittedHypothesis,
-    wide: Linearized,
-    alone: Beside[Solution],
-) -> Found:
-    settings, thresholds = configuration.search, configuration.policy
-    beam, depth = settings.beam, settings.depth
-    whitened = linearized.problem.own_spectrum is not None
-    if leaves >= thresholds.own_error_energy or whitened:
-        depth = min(depth, settings.depth_with_own_error)
-        beam = max(beam, settings.beam_with_own_error)
-    strained = partial(_strained, thresholds=thresholds)
-    # Every effect is as likely as any other before the record is seen, however many realizations it has.
-    realizations = Counter(member.name for member in members)
-    alternatives = np.log(max(len(realizations), 1))
-    members = _screened(linearized, members, settings.realizations)
-    without = none.solution.misfit
-    begun = begin(linearized, [(one, one.starts()) for one in map(_alone, members)], settings, without)
-    for one in begun:
-        progress(one.candidate.names[0])
-    size = len(linearized.measured)
-    leading, waiting, finished = _leading(begun, size), begun, list[tuple[Candidate, Solution]]()
+        singles: list[Tangent] = []
+        for size_reached in range(1, depth):
+            if not leading:
+                break
+            best = leading[0].ends[0]
+            excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
+            # The stated spectrum of the discrepancy is an upper bound: an effect may hide below it, so there the search goes on. Elsewhere
+            # exact fits are made first: beside linear coefficients a large effect leaves an error that looks like a second effect.
+            if not whitened:
+                finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
+                if size_reached == 1 and not explained(
+                    best, excess
+                ):  # one that does not lead by its linear fit may still be all that there is
+                    finished += _completed(linearized, _rest(leading[:beam], finished), without, threshold, configuration)
+                if explained(best, excess):
+                    break  # nothing but noise is left, and no coefficients were strained for it
+            if whitened and without - best.misfit < threshold:
+                break  # there is no gap to explain
+            singles = singles or tangents_of_starts(linearized, members, settings.laid_beside)
+            grown = _grown(linearized, leading[:beam], singles, settings, progress)
+            if not grown:
+                break
+            end = grown[0].ends[0]
+            gain = min(best.misfit, without) - end.misfit
+            taken_off = 2.0 * gain / (size * linearized.problem.weight)
+            relieved = strained(best) and not strained(end)
+            if gain * effective_sample_weight(linearized.problem, end.residual) < threshold or (
+                taken_off < floor**2 and not relieved
+            ):
+                break
+            leading = _leading(grown, size)
+            waiting = waiting + grown
+        finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
+        fits = [item for item in finished if len(item[0].members) == 1]
+        combinations = [item for item in finished if len(item[0].members) > 1]
+        for candidate, solution in _pruned(linearized, combinations):
+            (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
+        everything = [solution for _, solution in fits + combinations] + [none.solution]
+        fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
+        together = _with_fewer_limits(linearized, fits + combinations, without, thresholds.added_share)
+        fits, combinations = together[: len(fits)], together[len(fits) :]
+        temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
+        nothing = weighed(linearized.problem, none.solution)
 
-    def explained(best: Solution, excess: float) -> bool:
-        return any(_beyond_noise(one) < excess and not strained(one) for one in (best, *(solution for _, solution in finished)))
+        def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
+            count = len(candidate.members)
+            # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
+            further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
+            gain = temper * (nothing - weighed(linearized.problem, solution))
+            # Beside baseline records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
+            # criterion of Schwarz (1978) is the most that parameters cost.
+            most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
+            among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
+            return FittedHypothesis(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
 
-    singles: list[Tangent] = []
-    for size_reached in range(1, depth):
-        if not leading:
-            break
-        best = leading[0].ends[0]
-        excess = max(leaves - 1.0 + leaves * settings.spent * size_reached**2, settings.spent_floor * floor**2)
-        # The stated spectrum of the discrepancy is an upper bound: an effect may hide below it, so there the search goes on. Elsewhere
-        # exact fits are made first: beside linear coefficients a large effect leaves an error that looks like a second effect.
-        if not whitened:
-            finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
-            if size_reached == 1 and not explained(
-                best, excess
-            ):  # one that does not lead by its linear fit may still be all that there is
-                finished += _completed(linearized, _rest(leading[:beam], finished), without, threshold, configuration)
-            if explained(best, excess):
-                break  # nothing but noise is left, and no coefficients were strained for it
-        if whitened and without - best.misfit < threshold:
-            break  # there is no gap to explain
-        singles = singles or tangents_of_starts(linearized, members, settings.laid_beside)
-        grown = _grown(linearized, leading[:beam], singles, settings, progress)
-        if not grown:
-            break
-        end = grown[0].ends[0]
-        gain = min(best.misfit, without) - end.misfit
-        taken_off = 2.0 * gain / (size * linearized.problem.weight)
-        relieved = strained(best) and not strained(end)
-        if gain * effective_sample_weight(linearized.problem, end.residual) < threshold or (taken_off < floor**2 and not relieved):
-            break
-        leading = _leading(grown, size)
-        waiting = waiting + grown
-    finished += _contenders(linearized, _rest(waiting, finished), finished, without, threshold, configuration)
-    fits = [item for item in finished if len(item[0].members) == 1]
-    combinations = [item for item in finished if len(item[0].members) > 1]
-    for candidate, solution in _pruned(linearized, combinations):
-        (combinations if len(candidate.members) > 1 else fits).append((candidate, solution))
-    everything = [solution for _, solution in fits + combinations] + [none.solution]
-    fits += [(one.candidate, one.ends[0]) for one in _rest(waiting, fits) if len(one.candidate.members) == 1]
-    together = _with_fewer_limits(linearized, fits + combinations, without, thresholds.added_share)
-    fits, combinations = together[: len(fits)], together[len(fits) :]
-    temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
-    nothing = weighed(linearized.problem, none.solution)
+        def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[FittedHypothesis, ...]:
+            return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
 
-    def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
-        count = len(candidate.members)
-        # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
-        further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
-        gain = temper * (nothing - weighed(linearized.problem, solution))
-        # Beside baseline records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
-        # criterion of Schwarz (1978) is the most that parameters cost.
-        most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
-        among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
-        return FittedHypothesis(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
-
-    def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[FittedHypothesis, ...]:
-        return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
-
-    wider = (
-        0.5
-        * (
-            np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
-            - np.linalg.slogdet(np.eye(wide.count) + temper * linearized.gram)[1]
+        wider = (
+            0.5
+            * (
+                np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
+                - np.linalg.slogdet(np.eye(wide.count) + temper * linearized.gram)[1]
+            )
+            if wide.count
+            else 0.0
         )
-        if wide.count
-        else 0.0
-    )
-    fitted = alone.result()
-    score = temper * (nothing - weighed(linearized.problem, fitted)) - wider - alternatives
-    parameters = FittedHypothesis(None, fitted, float(score), True, settings.inflation)
-    return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
+        fitted = alone.result()
+        score = temper * (nothing - weighed(linearized.problem, fitted)) - wider - alternatives
+        parameters = FittedHypothesis(None, fitted, float(score), True, inflation)
+        return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
 
 
 def _screened(linearized: Linearized, members: Sequence[Member], most: int) -> list[Member]:
@@ -217,17 +208,11 @@ def _left_by(linearized: Linearized, member: Member) -> float:
     return misfit_at(linearized, Candidate((member,)).unknowns(), np.zeros(0))
 
 
-def _alone(member: Member) -> Candidate:
-    return Candidate((member,))
-
-
 def _leading(found: Sequence[Begun], rows: int) -> list[Begun]:
-    """The best realization of every explanation, best first: a line that swells, of fifty parameters, has to be as much better.
-
-    By Schwarz's criterion (1978); otherwise it would take up what a second effect explains by one parameter.
-    """
+    """The best realization of every explanation, best first."""
 
     def spent(one: Begun) -> float:
+        # Schwarz's criterion (1978): a line that swells, of fifty parameters, would take up what a second effect explains by one.
         return 0.5 * float(np.log(rows)) * sum(member.size for member in one.candidate.members if member.is_line)
 
     best: dict[tuple[object, ...], Begun] = {}
@@ -327,8 +312,7 @@ def _pruned(linearized: Linearized, found: Sequence[tuple[Candidate, Solution]])
     candidate, solution = min(found, key=lambda item: item[1].misfit)
     places = candidate.slices()
     candidates = [candidate.without(dropped) for dropped in range(len(places))]
-
-    starts = [np.concatenate([solution.x[place] for place in places[:i] + places[i + 1 :]]) for i in range(len(places))]
+    starts = [np.delete(solution.x, np.r_[place]) for place in places]
     solutions = map_known(_refitted, [(linearized, one, start, solution.z) for one, start in zip(candidates, starts, strict=True)])
     return [(one, found) for one, found in zip(candidates, solutions, strict=True) if found is not None]
 
@@ -365,7 +349,7 @@ def _refitted(linearized: Linearized, candidate: Candidate, start: Array, z: Arr
         return None
 
 
-def _occam(solution: Solution, temper: float, most: float = np.inf) -> float:
+def _occam(solution: Solution, temper: float, most: float) -> float:
     """½ log of how much narrower the data make the parameters than the prior has them, `most` nats at most."""
     if not len(solution.information):
         return 0.0
@@ -455,11 +439,7 @@ def _held(linearized: Linearized) -> Linearized:
 
 
 def _from_grid_minimum(linearized: Linearized, candidate: Candidate, solution: Solution, count: int) -> Solution:
-    """A fit of one parameter, begun again where the effect alone does best, if that comes closer.
-
-    Beside a great gap the columns of the coefficients promise too much: a step in all of them leads astray, and the fit ends there,
-    worse than without the effect or with strained coefficients.
-    """
+    """A fit of one parameter, begun again where the effect alone does best, if that comes closer."""
     try:
         again = fit(linearized, candidate.unknowns(), _best_alone(linearized, candidate, count))
     except InputError:

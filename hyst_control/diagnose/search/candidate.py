@@ -124,11 +124,7 @@ class Member:
         return np.array([min(STEP, p.smooth / p.scale) if p.smooth else STEP for p in self.parameters])
 
     def is_at_bound(self, x: Annotated[Array, "P"]) -> bool:
-        """True where the effect's size is at an end of its range that only the catalogue sets.
-
-        Its first parameter is a size, and so are those that say so. The end next to where it is absent is none of these: an effect as
-        small as that is no larger one than the catalogue has. Nor are those of a voltage that begins where the command ends.
-        """
+        """True where the effect's size, its first parameter or one that says so, is at an end of its range that only the catalogue sets."""
         if self.is_line:
             return False
         return any(
@@ -214,7 +210,7 @@ class Member:
         key = np.asarray(x).tobytes()
         if key not in self._extras:
             self._extras.clear()
-            self._extras[key] = self._lines(x) if self.is_line else self._coupled(x)
+            self._extras[key] = self._flat([basis @ x[:-1] for _, basis in self._bases(x)]) if self.is_line else self._coupled(x)
         return self._extras[key]
 
     def extra_columns(self, x: Annotated[Array, "P"]) -> Annotated[Array, "M P"]:
@@ -302,9 +298,6 @@ class Member:
 
     def _line_frequency(self, x: Array) -> float:
         return float(self.frequency + x[-1] * self._frequency_step)
-
-    def _lines(self, x: Array) -> Array:
-        return self._flat([basis @ x[:-1] for _, basis in self._bases(x)])
 
     def _line_columns(self, x: Array) -> Array:
         swells, columns = self.line.swells, []

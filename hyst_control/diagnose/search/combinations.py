@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Combinations of effects as sums of single ones, of which none needs to lead alone.
 
-Two effects of like size, a drifting gain and a lag say, each leave what the other does, and a third one that is neither may leave less
-than either. So effects are laid side by side: of each the change of the output at one of its starts and the derivatives by its
-parameters there. To first order the output of a combination is the sum, and what it leaves follows from one matrix of scalar products,
-coefficients marginalised. The best are fitted.
+Two effects of like size each leave what the other does, and a third one that is neither may leave less. So the changes of the output by
+effects at their starts are laid side by side, with the derivatives by their parameters: to first order the output of a combination is the
+sum, and what it leaves follows from one matrix of scalar products. The best are fitted.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ class Tangent:
 def tangents_of_starts(linearized: Linearized, members: Sequence[Member], most: int) -> list[Tangent]:
     """Tangents of every effect at some of its starts, those left out that cannot be simulated."""
     wanted = []
-    for candidate in [Candidate((member,)) for member in members]:
-        starts = candidate.starts()
+    for member in members:
+        candidate, starts = Candidate((member,)), member.starts()
         chosen = np.unique(np.linspace(0, len(starts) - 1, min(most, len(starts))).astype(int))
         wanted += [(candidate, starts[index]) for index in chosen]
     return tangents_at(linearized, wanted)
@@ -54,10 +53,7 @@ def tangents_at(linearized: Linearized, wanted: Sequence[tuple[Candidate, Array]
 def closest_combinations(
     linearized: Linearized, some: Sequence[Tangent], effects: Sequence[Tangent], count: int, leading: Collection[str] = ()
 ) -> list[tuple[Candidate, Array]]:
-    """Find the combinations of one of `some` and a further effect that come closest to the records, and where to begin their fits.
-
-    An effect that is not leading is in few of them.
-    """
+    """Find the combinations of one of `some` and a further effect that come closest to the records, and where to begin their fits."""
     tangents = list({id(one): one for one in (*some, *effects)}.values())
     if not tangents:
         return []
@@ -119,12 +115,8 @@ def _combined(one: Tangent, other: Tangent, step: Array) -> tuple[Candidate, Arr
     (member,) = other.candidate.members
     both = one.candidate.with_member(member)
     size = len(one.values)
-    moved = [*_parts(one.candidate, one.values + step[:size]), (member, other.values + step[size:])]
-    values = {id(known): part for known, part in moved}
+    moved = one.values + step[:size]
+    values = {id(known): moved[place] for known, place in zip(one.candidate.members, one.candidate.slices(), strict=True)}
+    values[id(member)] = other.values + step[size:]
     unknowns = both.unknowns()
     return both, np.clip(np.concatenate([values[id(known)] for known in both.members]), unknowns.lower, unknowns.upper)
-
-
-def _parts(candidate: Candidate, values: Array) -> list[tuple[Member, Array]]:
-    """The effects, each with its own parameters."""
-    return [(member, values[place]) for member, place in zip(candidate.members, candidate.slices(), strict=True)]

@@ -59,7 +59,7 @@ KEPT_PROMISE = 0.25  # Least share of the predicted reduction that such a step m
 class Unknowns:
     """Parameters that are fitted besides z: `stages(z stages, x)` inserts what they mean, `extra(x)` adds to the output.
 
-    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients, one or by parameter (P,).
+    x (P,) within lower … upper; centre: the prior's mean; step: of the difference quotients (P,).
     known_columns(x, wanted): which parameters have columns ∂ŷ/∂x (M, P') that are known without a run of the whole chain, and these, at
     least those that are wanted.
     """
@@ -69,16 +69,16 @@ class Unknowns:
     lower: Array
     upper: Array
     centre: Array
-    step: float | Array = 0.02
-    known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None = None
-    again: Callable[[], Unknowns] | None = None  # Makes the same unknowns in another process
+    step: Array
+    known_columns: Callable[[Array, Collection[int] | None], tuple[list[int], Array]] | None
+    again: Callable[[], Unknowns]  # Makes the same unknowns in another process
 
     def __reduce__(self) -> tuple[object, ...]:
         return self.again, ()
 
     def difference(self, x: Array, p: int) -> float:
         """Step of the difference quotient by parameter p from x (P,): upwards, but inwards from the upper bound."""
-        step = float(np.broadcast_to(self.step, x.shape)[p])
+        step = float(self.step[p])
         return step if x[p] + step <= self.upper[p] else -step
 
 
@@ -221,11 +221,7 @@ def fit(
     linear: bool = False,
     renewed: bool = False,
 ) -> Solution:
-    """Minimize Φ over z and x by damped Gauss-Newton steps.
-
-    A step that does not lower Φ is shortened a few times; the fit then ends at the last point. So it does where it is far behind
-    another and comes no nearer.
-    """
+    """Minimize Φ over z and x by damped Gauss-Newton steps."""
     # renewed: whether the caller renews the columns where the fit ends: it ends with the first step that they are too old for
     # linear: whether ŷ(z, x) is taken as ŷ(0, x) + J z, whose best z is known for every x. The chain is run with the coefficients
     # that it has, so that a run costs less, and none of their steps leads astray. Φ and residual of the solution are those of this

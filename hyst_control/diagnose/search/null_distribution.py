@@ -3,14 +3,11 @@
 """Null distribution: the best candidate's score on records without a gap, and the threshold for any claim.
 
 With tens of thousands of samples, an information criterion alone accepts almost any effect. Records without a gap are therefore
-drawn: from the nominal model with scattered coefficients, the user's own command and noise. Each is searched with linearized
-candidates; the threshold is a quantile of the best scores. It is cached; the key contains all that it depends on: model, command,
-sample time, rows that count, noise, the catalogue's ranges and priors, the configuration and the version of this package.
+drawn: from the nominal model with scattered coefficients, the user's own command and noise. The threshold is a quantile of the best scores.
 
 Close to the coefficients z that a record was drawn with, its output is linear in them. So a record is taken as its noise v plus J z,
 where J holds the columns of the coefficients. With candidate d, S = I + w J Jᵀ and w the weight of a sample, fitting z alone and
-z with x differ by ½ w² (dᵀS⁻¹y)² / (w dᵀS⁻¹d + 1) for y = v + J z: the logarithm of a ratio of Gaussian densities, in which z is
-integrated out. So no record has to be simulated and fitted.
+z with x differ by ½ w² (dᵀS⁻¹y)² / (w dᵀS⁻¹d + 1) for y = v + J z: no record has to be simulated and fitted.
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -30,7 +27,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.base.installed import installed_version
 from hyst_control.base.parallel import map_forked
-from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, NullSettings
+from hyst_control.diagnose.configuration import Configuration, NullSettings
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.fit import Linearized, effect_columns, is_bounded
@@ -46,18 +43,13 @@ TOGETHER = 10
 
 
 def threshold(
-    linearized: Linearized,
-    members: Sequence[Member],
-    seed: int = 0,
-    progress: Callable[[int], None] = lambda _: None,
-    cache: bool = True,
-    configuration: Configuration = CONFIGURATION,
+    linearized: Linearized, members: Sequence[Member], seed: int = 0, cache: bool = True, *, configuration: Configuration
 ) -> float:
     """Score that the best candidate stays under in nearly all simulated records without a gap."""
     file = _cache_file(cache_key(linearized, members, seed, configuration)) if cache else None
     if file is not None and (known := _read(file)) is not None:
         return known
-    scores = null_scores(linearized, members, seed, configuration.null_distribution, progress)
+    scores = null_scores(linearized, members, seed, configuration.null_distribution)
     found = float(np.quantile(scores, configuration.null_distribution.quantile)) if len(scores) else 0.0
     if linearized.problem.own_spectrum is not None:
         # As a ratio to a variance that few records estimate, a score has the wider tail of F instead of chi-square's.
@@ -67,13 +59,7 @@ def threshold(
     return found
 
 
-def null_scores(
-    linearized: Linearized,
-    members: Sequence[Member],
-    seed: int,
-    settings: NullSettings = CONFIGURATION.null_distribution,
-    progress: Callable[[int], None] = lambda _: None,
-) -> Array:
+def null_scores(linearized: Linearized, members: Sequence[Member], seed: int, settings: NullSettings) -> Array:
     """Gain of the best candidate on every record that is drawn without a gap."""
     designs = tangents(linearized, members, settings.starts)
     if not designs:
@@ -112,12 +98,7 @@ def null_scores(
         ]
         return [float(gain) for gain in np.max(gains, axis=0)]
 
-    scores: list[float] = []
-    blocks = -(-settings.records // TOGETHER)
-    for block, found in enumerate(map_forked(best, blocks)):
-        progress(min(TOGETHER * (block + 1), settings.records))
-        scores += found
-    return np.array(scores)
+    return np.array([score for block in map_forked(best, -(-settings.records // TOGETHER)) for score in block])
 
 
 def _is_rounded(problem: Problem) -> bool:
@@ -126,10 +107,7 @@ def _is_rounded(problem: Problem) -> bool:
 
 
 def _rounded(problem: Problem, simulated: Array, noise: Array) -> Array:
-    """Noise (M,) of a simulated record, in units of the noise, of which a part is what rounding makes of the record.
-
-    The error of rounding in coarse steps follows the signal, so that effects gain more by it than by white noise.
-    """
+    """Noise (M,) of a simulated record, in units of the noise, of which a part is what rounding makes of the record."""
     step = np.array(problem.steps) / problem.sigma
     rest = np.sqrt(np.maximum(1.0 - step**2 / 12.0, 0.0))
     exact, rows = simulated.reshape(-1, len(step)), noise.reshape(-1, len(step)).copy()

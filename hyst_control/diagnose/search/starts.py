@@ -36,10 +36,7 @@ class Begun:
 
 
 def begin(
-    linearized: Linearized,
-    candidates: Sequence[tuple[Candidate, Sequence[Array]]],
-    settings: SearchSettings,
-    rival: float = np.inf,
+    linearized: Linearized, candidates: Sequence[tuple[Candidate, Sequence[Array]]], settings: SearchSettings, rival: float = np.inf
 ) -> list[Begun]:
     """Fit candidates beside linear coefficients: what the search goes by, until a fit of the chain as it is could matter.
 
@@ -120,16 +117,13 @@ def _promising(
     ranked: list[tuple[float, int, Array]] = []
     for start in starts:
         with suppress(InputError):
-            left, there = _after_step(linearized, unknowns, candidate, candidate.members[0], start, settings)
+            left, there = _after_step(linearized, unknowns, candidate, start, settings)
             ranked.append((left, len(ranked), there))
     return [start for *_, start in sorted(ranked, key=lambda item: item[:2])[: settings.followed]]
 
 
 def _near(linearized: Linearized, unknowns: Unknowns, starts: Sequence[Array], misfit: float) -> list[Array]:
-    """Starts whose misfit is at most `FAR` times that without the effect, closest first; the closest one is always among them.
-
-    An effect that explains a gap is about as large as the gap: a linear step from a much larger one tells nothing.
-    """
+    """Starts whose misfit is at most `FAR` times that without the effect, closest first; the closest one is always among them."""
     misfits = [misfit_at(linearized, unknowns, start) for start in starts]
     nearest, *others = sorted(range(len(starts)), key=misfits.__getitem__)
     return [starts[nearest], *(starts[i] for i in others if misfits[i] <= FAR * misfit)]
@@ -178,8 +172,7 @@ def gone_on(linearized: Linearized, begun: Begun, rival: float) -> Solution:
 
 
 def _possible(linearized: Linearized, unknowns: Unknowns, begun: Solution) -> Array:
-    """The coefficients (K,) that a fit beside linear ones promises, as far as the chain follows them: beside a great gap they may be
-    many tolerances away."""
+    """The coefficients (K,) that a fit beside linear ones promises, as far as the chain follows them."""
 
     def left(length: float) -> float:
         z = length * begun.z
@@ -195,28 +188,21 @@ def _possible(linearized: Linearized, unknowns: Unknowns, begun: Solution) -> Ar
 
 
 def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: Sequence[Array], count: int) -> Sequence[Array]:
-    """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record.
-
-    The misfit of such a parameter has a narrow minimum without a slope around it: a scan over the width that a spectrum leaves, and two
-    more around its best value.
-    """
+    """Starts of a member, of a suggested parameter replaced by the value near them that comes closest to the record."""
     index = next((i for i, parameter in enumerate(member.parameters) if parameter.suggested), None)
     if index is None:
         return starts
     lower, upper = unknowns.lower[index], unknowns.upper[index]
-    nominal = np.zeros(linearized.count)
     span = np.ptp(np.concatenate([piece.command for piece in member.problem.pieces])) / member.parameters[index].scale
 
-    def left(start: Array, value: float) -> float:
+    def at(start: Array, value: float) -> Array:
         x = start.copy()
         x[index] = np.clip(value, lower, upper)
-        try:
-            return misfit_of(linearized, linearized.measured - linearized.simulate(nominal, unknowns, x))
-        except InputError:
-            return np.inf
+        return x
 
+    # Its misfit has a narrow minimum without a slope around: a scan over the width that a spectrum leaves, and two around the best value.
     scanned = [
-        (left(start, value), value, start)
+        (misfit_at(linearized, unknowns, at(start, value)), value, start)
         for start in starts
         for value in start[index] + 0.75 * start[index] ** 2 / span * np.linspace(-1.0, 1.0, 2 * count + 1)
     ]
@@ -224,23 +210,19 @@ def _nearby(linearized: Linearized, unknowns: Unknowns, member: Member, starts: 
     width = 0.75 * start[index] ** 2 / span / count
     for _ in range(2):
         values = best + width * np.linspace(-1.0, 1.0, count + 1)
-        best = float(values[int(np.argmin([left(start, value) for value in values]))])
+        best = float(values[int(np.argmin([misfit_at(linearized, unknowns, at(start, value)) for value in values]))])
         width *= 2.0 / count
-    nearest = start.copy()
-    nearest[index] = np.clip(best, lower, upper)
-    return [nearest]
+    return [at(start, best)]
 
 
 def _after_step(
-    linearized: Linearized, unknowns: Unknowns, pair: Candidate, member: Member, x: Array, settings: SearchSettings
+    linearized: Linearized, unknowns: Unknowns, candidate: Candidate, x: Array, settings: SearchSettings
 ) -> tuple[float, Array]:
-    """A linear step in the new effect's parameters from x, coefficients marginalized about the nominal ones: the misfit after it
-    and where it leads."""
+    """Misfit after a linear step in the first effect's parameters from x, coefficients marginalized, and where it leads."""
     nominal = np.zeros(linearized.count)
     simulated = linearized.simulate(nominal, unknowns, x)
     residual = linearized.measured - simulated
-    place = next(part for one, part in zip(pair.members, pair.slices(), strict=True) if one is member)
-    chosen = list(range(place.start, place.stop))
+    member, chosen = candidate.members[0], list(range(candidate.members[0].size))
     if len(member.parameters) == len(chosen) and len(member.starts()) > settings.screened:
         # Many starts over frequencies say enough of those; the amplitudes are what a step can find.
         chosen = [i for i, p in zip(chosen, member.parameters, strict=True) if not p.logarithmic]

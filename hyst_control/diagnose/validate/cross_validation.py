@@ -12,7 +12,9 @@ session's zero, its initial memory) are free on the blocks that are evaluated to
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations
 from math import factorial
 from typing import Annotated
@@ -45,15 +47,11 @@ def held_out(
     settings: ReductionSettings = CONFIGURATION.reduction,
 ) -> tuple[HeldOut, list[HeldOut]]:
     """Squared errors without an effect and of explanations, by two-fold blocked cross-validation."""
-    count = len(linearized.measured)
-    fold = (np.arange(count) * settings.blocks // count) % 2
-    halves = [(fold == held, (fold != held).astype(float)) for held in (0, 1)]
-    in_noise = linearized.problem.in_noise
+    count, halves = len(linearized.measured), _halves(linearized, settings)
 
     def left(within: Linearized, simulated: Array, rows: Mask) -> Array:
-        companions = [in_noise(column)[rows] for column in within.columns[:, within.scatter.companions > 0].T]
-        columns = np.stack(companions, axis=1) if companions else np.zeros((np.count_nonzero(rows), 0))
-        return _beside_companions(columns, in_noise(linearized.measured - simulated)[rows]) ** 2
+        error = linearized.problem.in_noise(linearized.measured - simulated)[rows]
+        return _beside_companions(_companions(within)[rows], error) ** 2
 
     as_given = linearized.simulate(linearized.companions(none.solution.z))
     without = Linearized(linearized.problem, linearized.scatter, none.solution.z)
@@ -78,15 +76,26 @@ def held_out(
     return nothing, found
 
 
-def left_out(
-    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
-) -> float:
+def left_out(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings) -> float:
     """Share of the gap, beyond the noise, that effects leave on blocks that they were not fitted to."""
     if scored.candidate is None:
         return 0.0
     _, (errors,) = held_out(linearized, [scored], none, settings)
     before, after = float(errors.before_fitted.mean()), float(errors.after_fitted.mean())
     return float(np.clip((after - 1.0) / max(before - 1.0, 1e-12), 0.0, 1.0))
+
+
+def _halves(linearized: Linearized, settings: ReductionSettings) -> list[tuple[Mask, Array]]:
+    """Samples (M,) of every other block that are held out, and weights of those that are fitted then; of either half."""
+    count = len(linearized.measured)
+    fold = (np.arange(count) * settings.blocks // count) % 2
+    return [(fold == held, (fold != held).astype(float)) for held in (0, 1)]
+
+
+def _companions(linearized: Linearized) -> Array:
+    """Columns (M, C) of the companions, in units of the noise."""
+    columns = [linearized.problem.in_noise(column) for column in linearized.columns[:, linearized.scatter.companions > 0].T]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(linearized.measured), 0))
 
 
 def _beside_companions(columns: Array, residual: Array) -> Array:
@@ -97,16 +106,12 @@ def _beside_companions(columns: Array, residual: Array) -> Array:
     return np.asarray(residual - columns @ np.linalg.solve(gram, columns.T @ residual), dtype=np.float64)
 
 
-def holds(
-    linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings = CONFIGURATION.reduction
-) -> bool:
+def holds(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis, settings: ReductionSettings) -> bool:
     """Check that effects leave less than no effect does on blocks that they were not fitted to."""
     assert scored.candidate is not None
     unknowns = scored.candidate.unknowns()
-    fold = (np.arange(len(linearized.measured)) * settings.blocks // len(linearized.measured)) % 2
     before = after = 0.0
-    for held in (0, 1):
-        weight, rows = (fold != held).astype(float), fold == held
+    for rows, weight in _halves(linearized, settings):
         alone = fit(linearized, z=none.solution.z, weight=weight, rounds=settings.rounds)
         both = fit(linearized, unknowns, scored.solution.x, scored.solution.z, weight=weight, rounds=settings.rounds)
         columns = linearized.columns[rows][:, linearized.scatter.companions > 0]
@@ -117,19 +122,13 @@ def holds(
 
 
 def widens(linearized: Linearized, scored: FittedHypothesis, none: FittedHypothesis) -> bool:
-    """Check whether effects, added to the model as given, make the gap larger.
-
-    Beside baseline records, which leave the coefficients little to make up for, such effects are not there: together with the
-    coefficients they follow the model discrepancy. Without baseline records a true effect may happen to hide a part of what the
-    coefficients do.
-    """
+    """Check whether effects, added to the model as given, make the gap larger."""
     assert scored.candidate is not None
-    in_noise = linearized.problem.in_noise
-    columns = [in_noise(column) for column in linearized.columns[:, linearized.scatter.companions > 0].T]
-    companions = np.stack(columns, axis=1) if columns else np.zeros((len(linearized.measured), 0))
+    # Beside baseline records such effects are not there; without, a true one may happen to hide a part of what the coefficients do.
+    companions = _companions(linearized)
 
     def gap(simulated: Array) -> float:
-        return float(np.sum(_beside_companions(companions, in_noise(linearized.measured - simulated)) ** 2))
+        return float(np.sum(_beside_companions(companions, linearized.problem.in_noise(linearized.measured - simulated)) ** 2))
 
     before = gap(linearized.simulate(linearized.companions(none.solution.z)))
     companion = linearized.companions(scored.solution.z)
@@ -164,21 +163,17 @@ def shares(linearized: Linearized, scored: FittedHypothesis) -> list[float]:
         return [1.0]
     parts = candidate.slices()
 
+    @cache
     def taken_off(members: tuple[int, ...]) -> float:
-        if members not in known:
-            if members:
-                subset = type(candidate)(tuple(candidate.members[i] for i in members))
-                x = np.concatenate([solution.x[parts[i]] for i in members])
-                try:
-                    simulated = linearized.simulate(solution.z, subset.unknowns(), x)
-                except InputError:  # an effect that cannot stand without another one of them
-                    simulated = linearized.simulate(solution.z)
-            else:
-                simulated = linearized.simulate(solution.z)
-            known[members] = -float(np.sum((linearized.measured - simulated) ** 2))
-        return known[members]
+        simulated = linearized.simulate(solution.z)
+        if members:
+            subset = type(candidate)(tuple(candidate.members[i] for i in members))
+            with suppress(InputError):  # an effect that cannot stand without another one of them
+                simulated = linearized.simulate(
+                    solution.z, subset.unknowns(), np.concatenate([solution.x[parts[i]] for i in members])
+                )
+        return -float(np.sum((linearized.measured - simulated) ** 2))
 
-    known: dict[tuple[int, ...], float] = {}
     values = np.zeros(count)
     for i in range(count):
         others = [j for j in range(count) if j != i]

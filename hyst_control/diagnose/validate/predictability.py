@@ -1,11 +1,9 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predictable part of a residual: the part of its energy that the command determines.
+"""Predictable part of a residual: the part of its energy that the command determines, and not the run.
 
-A residual has two parts. One varies from run to run although the command is the same; no model can explain it. The other follows the
-command; the model lacks an effect. To separate them, the residual is regressed on features of the command's past. The regression is
-fitted on some blocks of the record and judged on the others. What comes back with every period of a command follows it as well, whatever
-a regression finds.
+The residual is regressed on features of the command's past, fitted on some blocks of the record and judged on the others. What comes back
+with every period of a command follows it as well.
 """
 
 from __future__ import annotations
@@ -75,13 +73,12 @@ def recurring_share(commands: Sequence[Array], residuals: Sequence[Array]) -> fl
 
 def predictability(problem: Problem, residual: Annotated[Array, "M A"], bands: Sequence[float], blocks: int) -> Predictability:
     """Find which part of a residual follows the command, and where."""
-    commands = [piece.command for piece in problem.pieces]
-    counted = [np.flatnonzero(np.ones(len(piece.command)) if piece.keep is None else piece.keep) for piece in problem.pieces]
-    designs = _designs(commands, problem.sample_time)
-    left = _held_out(np.concatenate([d[rows] for d, rows in zip(designs, counted, strict=True)]), residual, blocks)
+    pieces = problem.pieces
+    designs = _designs([piece.command for piece in pieces], problem.sample_time)
+    left = _held_out(np.concatenate([piece.counted(one) for piece, one in zip(pieces, designs, strict=True)]), residual, blocks)
     groups = {
-        "level": (LEVELS, np.concatenate([_levels(u)[rows] for u, rows in zip(commands, counted, strict=True)])),
-        "branch": (BRANCHES, np.concatenate([_branches(u)[rows] for u, rows in zip(commands, counted, strict=True)])),
+        "level": (LEVELS, np.concatenate([piece.counted(_levels(piece.command)) for piece in pieces])),
+        "branch": (BRANCHES, np.concatenate([piece.counted(_branches(piece.command)) for piece in pieces])),
     }
     noise = problem.sigma**2
     split = {
@@ -92,11 +89,11 @@ def predictability(problem: Problem, residual: Annotated[Array, "M A"], bands: S
         for name, (labels, at) in groups.items()
     }
     before, after = _excess(residual, noise), _excess(left, noise)
-    pieces = np.split(residual, np.cumsum([len(rows) for rows in counted])[:-1])
-    recurs = recurring_share([u[rows] for u, rows in zip(commands, counted, strict=True)], pieces) * float(np.sum(residual**2))
+    commands = [piece.counted(piece.command) for piece in pieces]
+    recurs = recurring_share(commands, np.split(residual, problem.edges)) * float(np.sum(residual**2))
     return Predictability(
         max(_ratio(before, after), min(recurs / max(before, 1e-300), 1.0)),
-        _parts(_by_band(problem, residual, left, [len(rows) for rows in counted], bands), before),
+        _parts(_by_band(problem, residual, left, bands), before),
         _parts(split["level"], before),
         _parts(split["branch"], before),
     )
@@ -165,22 +162,19 @@ def _branches(command: Array) -> Array:
     return np.asarray(np.where(np.abs(rate) <= least, 2.0, np.where(rate > 0, 0.0, 1.0)))
 
 
-def _by_band(
-    problem: Problem, residual: Array, left: Array, counts: Sequence[int], bands: Sequence[float]
-) -> list[tuple[str, float, float, float]]:
+def _by_band(problem: Problem, residual: Array, left: Array, bands: Sequence[float]) -> list[tuple[str, float, float, float]]:
     """Name, energy before and after, and the noise's energy of every frequency band."""
     nyquist = 0.5 / problem.sample_time
     edges = [0.0, *(edge for edge in bands if edge < nyquist), nyquist]
     found = np.zeros((len(edges) - 1, 2))
-    begin = 0
-    for count in counts:
-        at = np.clip(np.searchsorted(edges, np.fft.rfftfreq(count, problem.sample_time), side="right") - 1, 0, len(edges) - 2)
-        for column, rows in enumerate((residual, left)):
-            power = np.abs(np.fft.rfft(rows[begin : begin + count], axis=0)) ** 2
+    for column, whole in enumerate((residual, left)):
+        for rows in np.split(whole, problem.edges):
+            count = len(rows)
+            at = np.clip(np.searchsorted(edges, np.fft.rfftfreq(count, problem.sample_time), side="right") - 1, 0, len(edges) - 2)
+            power = np.abs(np.fft.rfft(rows, axis=0)) ** 2
             power[1 : (count + 1) // 2] *= 2.0  # the bins of negative frequencies
             found[:, column] += np.bincount(at, power.sum(axis=1) / count, minlength=len(edges) - 1)
-        begin += count
-    noise = sum(counts) * float(np.sum(problem.sigma**2)) / nyquist
+    noise = len(residual) * float(np.sum(problem.sigma**2)) / nyquist
     names = [f"{low:g} to {high:g} Hz" for low, high in zip(edges[:-1], edges[1:], strict=True)]
     return [
         (name, before, after, noise * (high - low))

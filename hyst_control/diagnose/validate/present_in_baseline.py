@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that baseline records show as well: parts that the model never had, and nothing that has changed.
 
-Beside baseline records of other commands an effect is looked for in the new record alone. One that brings the simulation closer to the
-baseline records too, with the very parameters that the new record asks for, was there before: a further mode that the identification
-left out looks new wherever a command excites it more. The coefficients are free within their uncertainty on both sides.
+An effect that brings the simulation closer to baseline records of other commands too, with the very parameters that the new record asks
+for, was there before. The coefficients are free within their uncertainty on both sides.
 """
 
 from __future__ import annotations
@@ -72,6 +71,4 @@ class CleanRecords:
 
     def _without_zero(self, flat: Array) -> Array:
         """A vector (M,) without the zero and the drift of each record."""
-        axes = len(self.problem.model.axes)
-        edges = np.cumsum([len(piece.counted(piece.measurement)) * axes for piece in self.problem.pieces])[:-1]
-        return np.concatenate([without_zero(rows.reshape(-1, axes))[0].reshape(-1) for rows in np.split(flat, edges)])
+        return np.concatenate([without_zero(rows)[0].reshape(-1) for rows in self.problem.by_piece(flat)])

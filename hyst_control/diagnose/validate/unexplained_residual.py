@@ -1,10 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Residual of an explanation, without what the explanation's own effects leave unmodeled.
-
-A converter's rounding error follows the signal and is not white noise. A vibration of varying frequency has sidebands that a few
-polynomials cannot remove, about its frequency and about the overtones that what shakes has as well. Neither shows an unknown effect.
-"""
+"""Residual of an explanation, without what its own effects leave by nature: rounding errors, and the sidebands of a line that wanders."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class EndingNode(Node):
         """Call a function at a fixed interval of the steady clock."""
         return self.create_timer(seconds, callback, clock=self._steady)
 
-    def once(self, callback: Callable[[], None]) -> None:
+    def once(self, callback: Callable[[], object]) -> None:
         """Call a function once, as soon as the node spins."""
 
         def call() -> None:

@@ -47,7 +47,6 @@ def run(
     nodes: Sequence[EndingNode], context: Context, timeout: float = FOREVER, on_closed: Callable[[int], None] = lambda status: None
 ) -> int | None:
     """Spin nodes on one executor until all that end by themselves have ended; close and destroy them in any case."""
-    # nodes: the nodes. A single node is also waited for if it does not end by itself: it may fail
     executor = EventsExecutor(context=context)
     ended, waiting = Future(), [node for node in nodes if node.ends or len(nodes) == 1]  # alone, a node may also fail
 

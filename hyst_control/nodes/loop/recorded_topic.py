@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -38,6 +39,7 @@ class RecordedTopic:
         self._ticks = ticks if node.lockstep else 0
         self._encoder: Encoder | None = None
         self.rows = node.signal_rows(topic, Missing.HOLD if node.lockstep else Missing.SKIP, sparse=sparse)
+        self._missed = 0  # Ticks given up that were counted
         self.recorded = 0  # Number of rows taken for the bag
         self._pending: list[Array] = []  # blocks (N, C) of successive ticks that are merged into one message
         self._pending_rows = 0
@@ -48,12 +50,11 @@ class RecordedTopic:
 
     def drain(self) -> None:
         """Take all messages that have arrived."""
-        for label, block, stamp in self._intake.take(self._refused, self._merge > 1):
+        for label, block, stamp in self._intake.take(partial(self._node.drop, self.name, "unreadable"), self._merge > 1):
             self._stamp = stamp
             self.receive(label, block)
-        missed = self.rows.missed
         self.rows.release(time.monotonic())
-        self._count_missed(missed)
+        self._count_missed()
         self._collect()
 
     def receive(self, label: str, block: Annotated[Array, "N C"]) -> None:
@@ -88,20 +89,15 @@ class RecordedTopic:
 
     def close(self) -> None:
         """Store all received rows, those held back as well."""
-        missed = self.rows.missed
         self.rows.release(time.monotonic(), give_up=True)
-        self._count_missed(missed)
+        self._count_missed()
         self._collect()
         self.write()
 
-    def _refused(self, reason: str) -> None:
-        self._node.drop(self.name, "unreadable", reason)
-
     def _receive_rows(self, tick: int, block: Array) -> None:
         """Take in rows (N, C) of successive ticks from this one on."""
-        missed = self.rows.missed
         receipt = self.rows.receive(tick, block, time.monotonic())
-        self._count_missed(missed)
+        self._count_missed()
         if receipt is Receipt.ACCEPTED:
             self._collect()
         elif receipt is Receipt.AHEAD:
@@ -113,10 +109,11 @@ class RecordedTopic:
             if self._node.lockstep:
                 self._repeated()
 
-    def _count_missed(self, before: int) -> None:
-        """Count the ticks given up since `missed` had this value."""
-        if self.rows.missed > before and not self._sparse:
-            self._node.counts[f"{self.name}: missed ticks"] += self.rows.missed - before
+    def _count_missed(self) -> None:
+        """Count the ticks given up since the last call."""
+        before, self._missed = self._missed, self.rows.missed
+        if self._missed > before and not self._sparse:
+            self._node.counts[f"{self.name}: missed ticks"] += self._missed - before
             if self._node.lockstep:
                 first, end = self.rows.gaps[-1]
                 self._node.warn(self.name, f"{self.name}: ticks {first} to {end - 1} are lost: was their node killed?")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import OrderedDict
 
 from hyst_control.base.arrays import Array
 from hyst_control.nodes.signal_node.base import SignalNode
@@ -30,8 +30,7 @@ class RivalWatch:
         self._node, self._output, self._label = node, output, label
         self._heard = -math.inf
         self._intake: PolledSubscription | None = None
-        self._sent: set[bytes] = set()
-        self._order: deque[bytes] = deque()
+        self._sent: OrderedDict[bytes, None] = OrderedDict()
         node.every(LOOK_INTERVAL, self.look)
 
     @property
@@ -47,13 +46,9 @@ class RivalWatch:
     def sent(self, block: Array) -> None:
         """Remember the rows of a `block` (N, 1 + A) that the node sends, while there are several publishers."""
         if self._intake is not None:
-            for row in block:
-                key = row.tobytes()
-                if key not in self._sent:
-                    self._sent.add(key)
-                    self._order.append(key)
-            while len(self._order) > SENT_ROWS:
-                self._sent.discard(self._order.popleft())
+            self._sent.update(dict.fromkeys(row.tobytes() for row in block))
+            while len(self._sent) > SENT_ROWS:
+                self._sent.popitem(last=False)
 
     def look(self) -> None:
         """Listen while there are several publishers, and take what has come."""
@@ -68,7 +63,6 @@ class RivalWatch:
             self._node.end_intake(self._intake)
             self._intake = None
             self._sent.clear()
-            self._order.clear()
         if self._intake is not None:
             self._take()
 

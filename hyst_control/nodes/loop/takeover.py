@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class Takeover:
     def _listen(self, now: float) -> bool:
         """True when something was heard."""
         heard = False
-        for label, block, _ in self._intake.take(lambda reason: self._node.drop(APPLIED, "unreadable", reason)):
+        for label, block, _ in self._intake.take(partial(self._node.drop, APPLIED, "unreadable")):
             tick = admit(block, self._node.period) if len(block) and label == self._label else None
             if isinstance(tick, int):
                 self.tick, self.command, self._heard, heard = tick + len(block) - 1, block[-1, 1:].copy(), now, True

@@ -20,7 +20,7 @@ from hyst_control.nodes.signal_node.parameters import Setting
 
 AUTOSTART = Setting("autostart", True, "", "configure and activate the node at its start; false: wait for lifecycle transitions")
 
-UNCONFIGURED, INACTIVE, ACTIVE, FINALIZED = "unconfigured", "inactive", "active", "finalized"
+UNCONFIGURED, INACTIVE, ACTIVE = "unconfigured", "inactive", "active"
 
 
 class ManagedNode(LifecycleNodeMixin, SignalNode):

@@ -9,7 +9,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from rclpy.node import Node
@@ -23,16 +23,6 @@ LOOK_INTERVAL = 0.01  # s, between two looks beyond the process, for subscribers
 
 # Every sample counts: reliable delivery, and a queue as long as the lag that a recorder may have.
 QUEUE = QoSProfile(history=QoSHistoryPolicy.KEEP_LAST, depth=5000, reliability=QoSReliabilityPolicy.RELIABLE)
-
-
-class LocalReceiver(Protocol):
-    """Receiver within the process, to which messages are handed directly instead of through its subscription."""
-
-    topic: str  # Its topic
-    raw: bool  # True when it takes serialized messages
-
-    def hand(self, raw: bytes, label: str, block: Annotated[Array, "N C"]) -> None:
-        """Queue a message."""
 
 
 class Sender:
@@ -123,6 +113,9 @@ class CallbackSubscription:
             return
         self._callback(label, block)
 
+
+LocalReceiver: TypeAlias = "CallbackSubscription | PolledSubscription"
+"""Receiver within the process, to which messages are handed directly instead of through its subscription."""
 
 # Message, its time in ns since the epoch, and label and rows where they need not be decoded
 _Found = tuple[Any, int, str, Array | None]

@@ -267,11 +267,7 @@ class Output:
 
     def with_times(self, tick: int, rows: Annotated[Array, "N A"]) -> Annotated[Array, "N 1 + A"]:
         """Rows of successive ticks with their times."""
-        count, period = len(rows), self._period
-        block = np.empty((count, self._columns))
-        if count == 1:
-            block[0, 0] = tick * period
-        else:
-            block[:, 0] = np.arange(tick, tick + count) * period
+        block = np.empty((len(rows), self._columns))
+        block[:, 0] = np.arange(tick, tick + len(rows)) * self._period
         block[:, 1:] = rows
         return block

@@ -48,9 +48,9 @@ def signal_settings(kind: str) -> tuple[SignalSetting, ...]:
     """Parameters of a kind of signal."""
     own = inspect.signature(KINDS[kind]).parameters
     defaults = {name: each.default for name, each in own.items() if name not in OF_THE_GENERATOR}
-    return tuple(_setting(kind, name, defaults.get(name)) for name in (*defaults, *(name for name in COMMON if name not in own)))
-
-
-def _setting(kind: str, name: str, default: Any) -> SignalSetting:
-    given, meant = NOT_GIVEN if default in (inspect.Parameter.empty, None) else default, described(kind, name)
-    return SignalSetting(name, given, meant.unit, meant.meaning, -LARGEST_VALUE, LARGEST_VALUE, live=True)
+    defaults |= {name: None for name in COMMON if name not in own}
+    found = []
+    for name, default in defaults.items():
+        given, meant = NOT_GIVEN if default in (inspect.Parameter.empty, None) else default, described(kind, name)
+        found.append(SignalSetting(name, given, meant.unit, meant.meaning, -LARGEST_VALUE, LARGEST_VALUE, live=True))
+    return tuple(found)

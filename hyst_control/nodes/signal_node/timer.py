@@ -103,7 +103,10 @@ class Timer(Schedule):
         self._last_time = now
         node.counts["ticks"] += 1
         if node.ever_active:
-            self.tick(number * self._block)
+            self.clocks.look_at(self.now, node.settings.ahead)
+            for source in node.inputs:
+                source.poll()
+            node.tick(number * self._block)
         if not self.simulated and time.monotonic() - now > self.interval:
             node.counts["overruns"] += 1
             self.overrun_streak += 1
@@ -111,13 +114,6 @@ class Timer(Schedule):
         else:
             self.overrun_streak = 0
         node.diagnostics.go_on()
-
-    def tick(self, tick: int) -> None:
-        """Take the messages that have arrived, then tick the node."""
-        self.clocks.look_at(self.now, self._node.settings.ahead)
-        for source in self._node.inputs:
-            source.poll()
-        self._node.tick(tick)
 
     def row_rules(self, every_row: bool, replace: bool) -> dict[str, Any]:
         return {"missing": Missing.SKIP, "clock_may_be_set_back": True, "replace": replace}

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -31,7 +32,7 @@ class WatchedSignal:
 
     def drain(self) -> None:
         """Take all messages that have arrived."""
-        for label, block, _ in self._intake.take(self._refused, merge=True):
+        for label, block, _ in self._intake.take(partial(self._node.drop, self._topic, "unreadable"), merge=True):
             if label != self._label:
                 self._node.drop(self._topic, "wrong label", f"its columns must be {self._label!r}, got {label!r}")
             else:
@@ -51,9 +52,6 @@ class WatchedSignal:
                 for stretch in np.split(np.arange(len(part)), np.flatnonzero(np.diff(usable)) + 1):
                     if usable[stretch[0]]:
                         self._receive_rows(tick + int(stretch[0]), part[stretch, 1:])
-
-    def _refused(self, reason: str) -> None:
-        self._node.drop(self._topic, "unreadable", reason)
 
     def _receive_rows(self, tick: int, rows: Array) -> None:
         node, state = self._node, self.rows

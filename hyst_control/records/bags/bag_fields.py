@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hyst_control.base.arrays import Array
+from hyst_control.base.arrays import Array, Integers
 from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import first_line
 from hyst_control.records.bags.bag_files import Bag
@@ -68,10 +68,9 @@ class _Times:
     stamps: array[int] = field(default_factory=lambda: array("q"))
     received: array[int] = field(default_factory=lambda: array("q"))
 
-    def nanoseconds(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+    def nanoseconds(self) -> Integers:
         """Times in ns; those of reception where a stamp is missing."""
-        stamped = np.frombuffer(self.stamps, np.int64)
-        return stamped if self.is_stamped else np.frombuffer(self.received, np.int64)
+        return np.frombuffer(self.stamps if self.is_stamped else self.received, np.int64)
 
     @property
     def is_stamped(self) -> bool:

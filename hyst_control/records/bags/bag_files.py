@@ -5,15 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from io import BufferedReader
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryDirectory
-from typing import BinaryIO
 
-from hyst_control.base.errors import InputError
+from hyst_control.base.errors import InputError, Loss
 from hyst_control.base.foreign_readers import first_line
 from hyst_control.base.yaml_files import read_yaml
 from hyst_control.records.bags.decompression import Budget, Damage, Expanded, decompress
@@ -91,48 +89,46 @@ class Bag:
 
     def _of_file(self, file: Path, finished: bool, budget: Budget, packed: bool) -> Iterator[tuple[str, int, bytes]]:
         """Messages of one storage file (`packed`: each compressed by itself); of an unfinished one all that can be read, with a note."""
-        compressed = file.suffix == ".zstd"
+        is_sqlite = file.name.endswith((".db3", ".db3.zstd"))
         count = 0
         try:
-            if file.name.endswith((".db3", ".db3.zstd")):
-                for topic, time, raw in self._sqlite(file, finished, budget, compressed):
-                    count += 1
-                    yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
-                return
-            with ExitStack() as opened:
-                stream: BinaryIO = opened.enter_context(open(file, "rb"))
-                if compressed:
-                    stream = BufferedReader(Expanded(stream, budget), PIECE)
-                mcap = McapStream(stream, None if compressed else file.stat().st_size, budget, self.chosen, types=self.types)
-                try:
-                    for topic, time, raw in mcap.messages():
-                        count += 1
-                        yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
-                finally:
-                    self.topics.update(mcap.topics.values())
-                if finished and mcap.announced is not None and mcap.announced != mcap.found:
-                    raise Damage(f"holds {mcap.found} messages where {mcap.announced} are announced")
+            for topic, time, raw in (self._sqlite if is_sqlite else self._mcap)(file, finished, budget):
+                count += 1
+                yield topic, time, decompress(raw, "zstd", None, budget) if packed else raw
         except CutOff:
             if finished:
                 raise InputError(f"{self.path}: is damaged (a record is longer than the file): record again or repair it") from None
             if not count:
                 raise InputError(f"{file}: is cut off before its first whole chunk: record again") from None
-            self.notes.append(f"{file}: has no footer (recorder killed?): {count} messages up to its last whole chunk were read")
+            read = f"{count} messages up to its last whole chunk were read"
+            self.notes.append(Loss(f"{file}: has no footer (recorder killed?): {read}"))
         except InputError:
             raise
         except Exception as error:  # damage is also what a decompressor says of it
-            if finished or file.name.endswith((".db3", ".db3.zstd")):
+            if finished or is_sqlite:
                 raise InputError(f"{file}: is damaged ({first_line(error)}): record again or repair it") from None
             if not count:
                 raise InputError(
                     f"{file}: is damaged or cut off before its first whole chunk ({first_line(error)}): record again"
                 ) from None
-            self.notes.append(f"{file}: is damaged ({first_line(error)}): {count} messages before the damage were read")
+            self.notes.append(Loss(f"{file}: is damaged ({first_line(error)}): {count} messages before the damage were read"))
 
-    def _sqlite(self, file: Path, finished: bool, budget: Budget, compressed: bool) -> Iterator[tuple[str, int, bytes]]:
+    def _mcap(self, file: Path, finished: bool, budget: Budget) -> Iterator[tuple[str, int, bytes]]:
+        compressed = file.suffix == ".zstd"
+        with open(file, "rb") as opened:
+            stream = BufferedReader(Expanded(opened, budget), PIECE) if compressed else opened
+            mcap = McapStream(stream, None if compressed else file.stat().st_size, budget, self.chosen, types=self.types)
+            try:
+                yield from mcap.messages()
+            finally:
+                self.topics.update(mcap.topics.values())
+            if finished and mcap.announced is not None and mcap.announced != mcap.found:
+                raise Damage(f"holds {mcap.found} messages where {mcap.announced} are announced")
+
+    def _sqlite(self, file: Path, finished: bool, budget: Budget) -> Iterator[tuple[str, int, bytes]]:
         topics: dict[int, str] = {}
         try:
-            if not compressed:
+            if file.suffix != ".zstd":
                 yield from sqlite_messages(file, finished, topics, self.chosen, self.types)
                 return
             with TemporaryDirectory() as folder:  # SQLite reads files only
@@ -172,7 +168,7 @@ def _metadata(path: Path, notes: list[str]) -> _Metadata | None:
         reason = str(error).removeprefix(f"{file}: ")
     except (KeyError, TypeError, AttributeError, ValueError):
         reason = "it says nothing of a bag"
-    notes.append(f"{file}: cannot be used ({reason}): the bag's files were read without it")
+    notes.append(Loss(f"{file}: cannot be used ({reason}): the bag's files were read without it"))
     return None
 
 

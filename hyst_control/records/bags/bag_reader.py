@@ -8,14 +8,14 @@ import math
 from array import array
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers
-from hyst_control.base.errors import InputError
+from hyst_control.base.errors import InputError, Loss
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bags.bag_fields import read_fields
 from hyst_control.records.bags.bag_files import Bag
@@ -93,7 +93,7 @@ def read_bag(
             f'"command=/drive.data[V],measurement=/joint_states.position[um]" of its topics: {bag.listed()}'
         )
     named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
-    notes += [f"{path}: {topic}: holds no messages" for topic in sorted(bag.topics - set(found))]
+    notes += [Loss(f"{path}: {topic}: holds no messages") for topic in sorted(bag.topics - set(found))]
     found.clear()
     origin = min((min(each.times) for each in named.values() if each.times), default=0)
     signals: dict[str, Signal] = {}
@@ -104,10 +104,10 @@ def read_bag(
         except InputError as error:
             if name in SIGNALS or topics is not None:
                 raise
-            notes.append(f"{error} (left out)")
+            notes.append(Loss(f"{error} (left out)"))
             continue
         if not len(signals[name].time):
-            notes.append(f"{path}: {name}: holds no rows")
+            notes.append(Loss(f"{path}: {name}: holds no rows"))
     if any(signal.timing == "receive" for signal in signals.values()):
         notes.append(f"{path}: messages without a layout: the time of reception stands for the sample time, with its jitter")
         received = {name: each for name, each in signals.items() if name in SIGNALS and len(each.time) > 1}
@@ -159,15 +159,6 @@ Form = tuple[str, int]
 """Label and number of columns of messages."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Successive messages of one form, the first of them counted from 0, and how many they are."""
-
-    form: Form
-    first: int
-    messages: int
-
-
 class _Rows:
     """Rows of one form: sample times apart from the values where there is a label, values alone where there is none."""
 
@@ -189,12 +180,11 @@ class _Topic:
 
     def __init__(self, wanted: bool) -> None:
         self.wanted = wanted
-        self.parts: list[_Part] = []
+        self.parts: list[tuple[Form, int]] = []  # successive messages of one form, and how many they are
         self.rows: dict[Form, _Rows] = {}
         self.times = array("q")
         self.error: InputError | None = None
         self._pending: list[bytes] = []
-        self._decoded = 0
 
     def add(self, raw: bytes, time: int) -> None:
         """Take one message; time: ns, of its reception."""
@@ -227,13 +217,9 @@ class _Topic:
                 raise InputError(
                     f"label changes from {next(iter(counts))[0]!r} to {list(counts)[1][0]!r}: record one plant per topic"
                 )
-            notes.append(
-                f"{where}: {foreign} rows of another form ({other[0] or f'{other[1]} values'!r}) were left out: who sent them?"
-            )
-            kept = np.zeros(len(times), bool)
-            for part in self.parts:
-                kept[part.first : part.first + part.messages] = part.form == main
-            times = times[kept]
+            form = other[0] or f"{other[1]} values"
+            notes.append(Loss(f"{where}: {foreign} rows of another form ({form!r}) were left out: who sent them?"))
+            times = times[np.repeat([form == main for form, _ in self.parts], [messages for _, messages in self.parts])]
         return main[0], found[main], times
 
     def _decode(self) -> None:
@@ -243,11 +229,9 @@ class _Topic:
                 self._append(raws)
             except InputError as error:
                 self.error, self.parts, self.rows = error, [], {}
-        self._decoded += len(raws)
 
     def _append(self, raws: list[bytes]) -> None:
         """Messages of one size and header are read as one array, others one by one and joined as long as their form is one."""
-        first = self._decoded
         for size, group in groupby(raws, len):
             alike = list(group)
             label, block = decode(alike[0])
@@ -256,20 +240,19 @@ class _Topic:
             # The padding inside a header is whatever the sender's memory held: only a wholly equal one is taken as read.
             if alike[0][1] == 1 and (table[:, :head] == table[0, :head]).all():
                 rows = np.ascontiguousarray(table[:, head:]).view("<f8").reshape(len(alike) * len(block), block.shape[1])
-                first = self._keep(label, rows, first, len(alike))
+                self._keep(label, rows, len(alike))
                 continue
             for (label, _), same in groupby(map(decode, alike), lambda message: (message[0], message[1].shape[1])):
                 parts = [part for _, part in same]
-                first = self._keep(label, np.concatenate(parts), first, len(parts))
+                self._keep(label, np.concatenate(parts), len(parts))
 
-    def _keep(self, label: str, rows: Array, first: int, messages: int) -> int:
-        """Keep the rows (N, C) of successive messages; the number of the next one."""
+    def _keep(self, label: str, rows: Array, messages: int) -> None:
+        """Keep the rows (N, C) of successive messages."""
         form = label, rows.shape[1]
-        self.parts.append(_Part(form, first, messages))
+        self.parts.append((form, messages))
         if form not in self.rows:
             self.rows[form] = _Rows(form)
         self.rows[form].append(rows)
-        return first + messages
 
 
 def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes: list[str]) -> Signal:

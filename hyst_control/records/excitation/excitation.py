@@ -22,7 +22,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.excitation.broadband_signals import multisine, multisine_lines, sweep
-from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, mhl_identification
+from hyst_control.records.excitation.identification_signals import diagnostic, hampi_identification, joined, mhl_identification
 from hyst_control.records.excitation.parameters import described
 from hyst_control.records.excitation.signal_size import check_size, is_shown, max_samples, number
 from hyst_control.records.excitation.waveforms import (
@@ -80,22 +80,22 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     )
     axis, idle = given.pop("axis", None), number(given.pop("idle", 0.0), "idle")
     function = KINDS[kind]
-    known = inspect.signature(function).parameters
+    every = inspect.signature(function).parameters
+    known = {key: parameter for key, parameter in every.items() if key not in ("sample_time", "axes")}
     for key in given:
-        if key not in known or key in ("sample_time", "axes"):
-            allowed = [name for name in known if name not in ("sample_time", "axes")]
+        if key not in known:
             raise InputError(
-                f"{kind}: {key}: no such parameter, must be one of {', '.join([*allowed, 'lower', 'upper', 'slew_limit', 'axis'])}"
+                f"{kind}: {key}: no such parameter, must be one of {', '.join([*known, 'lower', 'upper', 'slew_limit', 'axis'])}"
             )
     for key, parameter in known.items():
-        if parameter.default is inspect.Parameter.empty and key not in given and key not in ("sample_time", "axes"):
+        if parameter.default is inspect.Parameter.empty and key not in given:
             raise InputError(f"{kind}: {key}: is missing")
     given = {key: _usable(kind, key, value, str(known[key].annotation)) for key, value in given.items()}
     for key, value in given.items():
         _check_frequency(kind, key, value, sample_time)
-    if "duration" in given and number(given["duration"], "duration") / sample_time > max_samples():
+    if "duration" in given and given["duration"] / sample_time > max_samples():
         raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
-    extra = {"axes": axes} if "axes" in known else {}
+    extra = {"axes": axes} if "axes" in every else {}
     try:
         rows = np.asarray(function(sample_time=sample_time, **extra, **given), dtype=float)
     except InputError as error:
@@ -203,7 +203,7 @@ def sequence(sample_time: float, axes: int, parts: Sequence[Mapping[str, Any]], 
             raise InputError(f"parts[{index}]: {error}") from None
         check_size(sum(each.size for each in rows) + following.size + number(join, "join") * axes / sample_time)
         if rows and join:
-            rows.append(np.stack([cosine_ramp(sample_time, rows[-1][-1, a], following[0, a], join) for a in range(axes)], axis=1))
+            rows.append(joined(sample_time, rows[-1][-1], following[0], join))
         rows.append(following)
     return np.concatenate(rows)
 

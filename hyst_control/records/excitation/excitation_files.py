@@ -30,7 +30,11 @@ def read_description(words: Sequence[str]) -> dict[str, Any]:
     Raises `InputError` naming the word that cannot be used.
     """
     first, *rest = words
-    spec = _from_file(Path(first)) if first.endswith((".yaml", ".yml")) else {"signal": first}
+    spec: Any = {"signal": first}
+    if first.endswith((".yaml", ".yml")):
+        spec = read_yaml(Path(first), f"give an existing file or one of {', '.join(sorted(KINDS))}")
+        if not isinstance(spec, dict):
+            raise InputError(f"{Path(first)}: holds no description: must be signal: KIND and its parameters")
     for word in rest:
         name, mark, text = word.partition("=")
         if not mark or not name:
@@ -39,14 +43,7 @@ def read_description(words: Sequence[str]) -> dict[str, Any]:
             spec[name] = parse_yaml(text, name)
         except InputError:
             raise InputError(f"{word!r}: the value must be a number, a text or a list such as [1, 2]") from None
-    return spec
-
-
-def _from_file(path: Path) -> dict[str, Any]:
-    spec = read_yaml(path, f"give an existing file or one of {', '.join(sorted(KINDS))}")
-    if not isinstance(spec, dict):
-        raise InputError(f"{path}: holds no description: must be signal: KIND and its parameters")
-    return spec
+    return dict(spec)
 
 
 def write_excitation(

@@ -76,10 +76,7 @@ def mhl_identification(
         ]
     )
     own = np.concatenate([own, cosine_ramp(sample_time, own[-1], 0.0, 0.1), rest(sample_time, 0.05)])
-    rows = np.zeros((len(own) * axes, axes))
-    for axis in range(axes):
-        rows[axis * len(own) : (axis + 1) * len(own), axis] = own
-    return rows
+    return _in_turn(own, axes, 0.0)
 
 
 def diagnostic(
@@ -100,12 +97,6 @@ def diagnostic(
     def everywhere(column: Array) -> Array:
         return np.repeat(column[:, None], axes, axis=1)
 
-    def in_turn(column: Array, idle: float) -> list[Array]:
-        piece = np.full((axes, len(column), axes), float(idle))
-        for axis in range(axes):
-            piece[axis, :, axis] = column
-        return list(piece)
-
     small = multisine(sample_time, period, 1.0 / period, band, 0.03 * span, axes, centre, 2, True, 4, True, seed)
     large = multisine(sample_time, period, 1.0 / period, 0.3 * band, 0.13 * span, axes, centre, 2, True, 4, True, seed + 1)
     large = np.clip(large, lowest, highest)
@@ -114,17 +105,26 @@ def diagnostic(
     pieces = [
         everywhere(rest(sample_time, unit, lowest)),
         everywhere(rest(sample_time, 2.5 * unit, lowest + 0.6 * span)),
-        _joined(sample_time, np.full(axes, lowest + 0.6 * span), small[0], 0.25 * unit),
+        joined(sample_time, np.full(axes, lowest + 0.6 * span), small[0], 0.25 * unit),
         small,
-        _joined(sample_time, small[-1], large[0], 0.25 * unit),
+        joined(sample_time, small[-1], large[0], 0.25 * unit),
         large,
-        _joined(sample_time, large[-1], np.full(axes, lowest), 0.25 * unit),
+        joined(sample_time, large[-1], np.full(axes, lowest), 0.25 * unit),
+        _in_turn(triangle(sample_time, 1.0 / (1.25 * unit * share), 0.5 * span, centre, 2.5 * unit * share), axes, lowest),
+        _in_turn(staircase(sample_time, levels, 0.2 * unit * share), axes, centre),
+        everywhere(rest(sample_time, unit, lowest)),
     ]
-    pieces += in_turn(triangle(sample_time, 1.0 / (1.25 * unit * share), 0.5 * span, centre, 2.5 * unit * share), lowest)
-    pieces += in_turn(staircase(sample_time, levels, 0.2 * unit * share), centre)
-    pieces += [everywhere(rest(sample_time, unit, lowest))]
     return np.concatenate(pieces)
 
 
-def _joined(sample_time: float, start: Array, stop: Array, duration: float) -> Array:
+def _in_turn(column: Array, axes: int, idle: float) -> Array:
+    """Rows in which one axis after the other moves while the others rest at `idle`."""
+    rows = np.full((axes, len(column), axes), float(idle))
+    for axis in range(axes):
+        rows[axis, :, axis] = column
+    return rows.reshape(-1, axes)
+
+
+def joined(sample_time: float, start: Array, stop: Array, duration: float) -> Array:
+    """Ramps of all axes from one position (A,) to another one."""
     return np.stack([cosine_ramp(sample_time, a, b, duration) for a, b in zip(start, stop, strict=True)], axis=1)

@@ -19,6 +19,7 @@ from hyst_control.base.errors import InputError
 
 IN_MEMORY = 2**25  # Bytes from which rows go to a file: 4 million numbers, 80 s at 50 kHz
 BLOCK = 2**18  # Rows that are worked on at a time
+PREFIX = "hyst-rows-"  # Of a temporary file's name
 
 
 def blocks(count: int) -> Iterator[slice]:
@@ -31,7 +32,7 @@ def empty_rows(*shape: int) -> Array:
     size = 8 * int(np.prod(shape, dtype=np.int64))
     if size <= IN_MEMORY:
         return np.empty(shape)
-    with _temporary() as file:
+    with tempfile.TemporaryFile(prefix=PREFIX) as file:
         try:
             file.truncate(size)
         except OSError as error:
@@ -125,7 +126,7 @@ class RowStore:
 
     def _spill(self) -> None:
         if self._file is None:
-            self._file = _temporary()
+            self._file = tempfile.TemporaryFile(prefix=PREFIX)
         try:
             for block in self._blocks:
                 self._file.write(block.data)
@@ -135,13 +136,7 @@ class RowStore:
         self._blocks, self._held = [], 0
 
 
-def _temporary() -> BinaryIO:
-    return tempfile.TemporaryFile(prefix="hyst-rows-")
-
-
 def _mapped(file: BinaryIO, shape: tuple[int, ...]) -> Array:
-    if not all(shape):
-        return np.empty(shape)
     return np.asarray(np.memmap(file, np.float64, "r+", shape=shape))
 
 

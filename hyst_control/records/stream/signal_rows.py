@@ -111,7 +111,7 @@ class SignalRows:
         self._blocks: deque[tuple[int, Array]] = deque()
         self._newest: tuple[int, Array] | None = None  # rows that came last, and the tick of the first of them
         self._held: dict[int, Array] = {}  # rows behind a gap, by the tick of the first of them
-        self._held_rows = 0
+        self.held = 0  # number of rows behind a gap
         self._gap_since = 0.0
         self._first_heard: int | None = None
         self._joining_since = 0.0
@@ -127,11 +127,6 @@ class SignalRows:
     def start(self) -> int:
         """Tick of the oldest row that waits, or of the one that is due next when there is none."""
         return self._blocks[0][0] if self._blocks else self.awaited
-
-    @property
-    def held(self) -> int:
-        """Number of rows behind a gap."""
-        return self._held_rows
 
     @property
     def awaited(self) -> int:
@@ -333,8 +328,8 @@ class SignalRows:
         known = self._held.get(tick)
         if known is None or len(rows) > len(known):
             self._held[tick] = rows
-            self._held_rows += len(rows) - (0 if known is None else len(known))
-        if self._held_rows > self.max_queued_rows:
+            self.held += len(rows) - (0 if known is None else len(known))
+        if self.held > self.max_queued_rows:
             self._release(now, give_up=True)
 
     def _release(self, now: float, give_up: bool) -> None:
@@ -343,7 +338,7 @@ class SignalRows:
             if tick > self.end and not give_up:
                 return
             rows = self._held.pop(tick)
-            self._held_rows -= len(rows)
+            self.held -= len(rows)
             if tick + len(rows) > self.end:
                 if tick > self.end:
                     self._begin()

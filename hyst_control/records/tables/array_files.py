@@ -46,19 +46,11 @@ def read_arrays(path: str | Path, kind: str, in_child: bool = False) -> dict[str
     path = Path(path)
     if kind in CRASHING and not in_child and path.exists():
         return _read_in_child(path, kind)
-    remedy = "check how it was written, or save it as CSV"
-    try:
-        with foreign_reader(path, f"a {kind} file", remedy):
-            if kind == ".npy":
-                with open(path, "rb") as file:
-                    found: dict[str, Any] = {"": _npy(file, path.stat().st_size, path)}
-            elif kind == ".npz":
-                found = _npz(path)
-            else:
-                found = _mat(path)
-            return real_arrays(found)
-    except _MatlabHdf:
-        raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
+    with foreign_reader(path, f"a {kind} file", "check how it was written, or save it as CSV"):
+        if kind == ".npy":
+            with open(path, "rb") as file:
+                return real_arrays({"": _npy(file, path.stat().st_size, path)})
+        return real_arrays(_npz(path) if kind == ".npz" else _mat(path))
 
 
 def _read_in_child(path: Path, kind: str) -> dict[str, Array]:
@@ -92,10 +84,6 @@ def main() -> None:
     for number, value in enumerate(found.values()):
         np.save(Path(folder) / f"{number}.npy", value)
     print(json.dumps(list(found)))
-
-
-class _MatlabHdf(BaseException):
-    """Not an `Exception`: the wrapper of foreign readers lets it pass."""
 
 
 def hdf5_arrays(path: Path) -> dict[str, Any]:
@@ -179,7 +167,7 @@ def _mat(path: Path) -> dict[str, Any]:
         try:
             return hdf5_arrays(path)
         except (ModuleNotFoundError, OSError):
-            raise _MatlabHdf from None
+            raise InputError(f"{path}: is a MATLAB 7.3 file: save it with -v7, or as .npz or CSV, or install h5py") from None
     found: dict[str, Any] = {}
     objects: list[str] = []
     for name, value in content.items():

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded signals as files of other tools: one message a row for players, tables for spreadsheets and data frames, arrays for MATLAB.
 
-Bags hold blocks of rows, of which a player draws the first only; the MCAP file made here has one message a row, whose log time is the
-sample time, so that PlotJuggler, Foxglove and rqt draw what was sampled when. Tables have a row for every sample time of any signal;
-where a signal has no sample at that time its cell is empty.
+Of a block of rows a player draws the first only: the MCAP file made here has one message a row, whose log time is the sample time. Tables
+have a row for every sample time of any signal; where a signal has no sample at that time its cell is empty.
 """
 
 from __future__ import annotations

@@ -14,8 +14,7 @@ import numpy as np
 from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.base.files import appearing
-from hyst_control.records.bags.bag_writer import BagWriter
-from hyst_control.records.bags.rosbag2_writer import Rosbag2Writer, open_bag
+from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.stream.signal_message import Encoder, label_for
@@ -238,7 +237,16 @@ def write_bag(path: str | Path, record: Record) -> None:
     if record.history:
         said["history"] = "\n".join(record.history)
     with appearing(Path(path)) as part, open_bag(part, said or None) as writer:
-        _write_signals(writer, record)
+        encoders = {topic: Encoder(label_for(signal.axes, signal.unit)) for topic, signal in record.signals.items()}
+        for topic in encoders:
+            writer.add_topic(f"/{topic}")
+        for begin in range(0, max(len(signal.time) for signal in record.signals.values()), BLOCK):
+            for topic, signal in record.signals.items():
+                rows = slice(begin, begin + BLOCK)
+                block = np.column_stack([signal.time[rows], signal.values[rows]])
+                if len(block):
+                    at = max(int(round(block[-1, 0] * 1e9)), 0)
+                    writer.write(f"/{topic}", encoders[topic].encode(np.ascontiguousarray(block)), at)
 
 
 def write_bags(path: str | Path, records: Sequence[Record]) -> None:
@@ -249,18 +257,3 @@ def write_bags(path: str | Path, records: Sequence[Record]) -> None:
     with appearing(Path(path)) as part:
         for number, record in enumerate(records, start=1):
             write_bag(part / f"{number:0{len(str(len(records)))}d}", record)
-
-
-def _write_signals(writer: BagWriter | Rosbag2Writer, record: Record) -> None:
-    encoders = {topic: Encoder(label_for(signal.axes, signal.unit)) for topic, signal in record.signals.items()}
-    for topic in encoders:
-        writer.add_topic(f"/{topic}")
-    longest = max(len(signal.time) for signal in record.signals.values())
-    for begin in range(0, longest, BLOCK):
-        for topic, signal in record.signals.items():
-            part = slice(begin, begin + BLOCK)
-            block = np.column_stack([signal.time[part], signal.values[part]])
-            if len(block):
-                writer.write(
-                    f"/{topic}", encoders[topic].encode(np.ascontiguousarray(block)), max(int(round(block[-1, 0] * 1e9)), 0)
-                )

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array, Integers, Mask
-from hyst_control.base.errors import InputError
+from hyst_control.base.errors import InputError, Loss
 from hyst_control.records.record import Signal, commonest_step, regular_times
 from hyst_control.records.stream.row_store import blocks
 from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
@@ -105,7 +105,8 @@ def _at_ticks(
     where: str, signals: Mapping[str, Signal], grids: dict[str, Grid], allow_gaps: bool
 ) -> tuple[dict[str, Signal], list[str]]:
     first_topic, longest = max(grids.items(), key=lambda item: len(signals[item[0]].time))
-    step, origin, notes = longest.step, min(grid.origin for grid in grids.values()), []
+    step, origin = longest.step, min(grid.origin for grid in grids.values())
+    notes: list[str] = []
     found: dict[str, Signal] = {}
     times: dict[int, Array] = {}
     for topic, grid in grids.items():
@@ -130,7 +131,7 @@ def _at_ticks(
     return found, notes
 
 
-def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> str:
+def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> Loss:
     """The note on missing ticks, or the refusal of them."""
     assert grid.ticks is not None
     gaps = np.flatnonzero(np.diff(grid.ticks) > 1)
@@ -138,7 +139,7 @@ def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> str:
     rows = "1 row is missing" if grid.missing == 1 else f"{grid.missing} rows are missing"
     text = f"{where}: time: {rows}, {after if len(gaps) == 1 else f'in {len(gaps)} gaps, the first {after}'}"
     if allow_gaps:
-        return f"{text}: what needs equal steps uses the stretches between (identify --allow-gaps)"
+        return Loss(f"{text}: what needs equal steps uses the stretches between (identify --allow-gaps)")
     raise InputError(f"{text}: --resample interpolates them, --allow-gaps leaves them out, or choose rows between them (--rows)")
 
 

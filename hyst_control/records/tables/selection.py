@@ -73,7 +73,7 @@ def _of_text(table: TextTable, wanted: Sequence[str]) -> Selected:
     )
 
 
-def _number(path: Path, name: str, width: int, first: int, listed: str) -> int:
+def _number(path: str | Path, name: str, width: int, first: int, listed: str) -> int:
     """Number from 0 of the column that a number stands for."""
     if not name.isdecimal():
         raise InputError(f"{path}: has no column {name!r}: {listed or f'number them from {first} to {width - 1 + first}'}")
@@ -82,14 +82,14 @@ def _number(path: Path, name: str, width: int, first: int, listed: str) -> int:
     return int(name) - first
 
 
-def column_indices(path: str | Path, name: str, names: Sequence[str], width: int, first: int = 1) -> list[int]:
+def column_indices(source: str, name: str, names: Sequence[str]) -> list[int]:
     """Numbers from 0 of the columns of this name, with its unit or without, or of this number; a matrix has several."""
     if name in names:
         return [index for index, other in enumerate(names) if other == name]
     bare = [without_unit(other) for other in names]
     if bare.count(without_unit(name)) == 1:
         return [bare.index(without_unit(name))]
-    return [_number(Path(path), name, width, first, ", ".join(names))]
+    return [_number(source, name, len(names), 1, ", ".join(names))]
 
 
 def _of_arrays(path: Path, held: Container, wanted: Sequence[str], variable: str | None) -> Selected:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of records before anything is fitted to them: is this a measurement of that command, and are these records of one plant.
 
-A fit to a shuffled command, to a sensor that was not plugged in, or to the records of two plants ends without an error and means nothing.
 A record is called reversed, exchanged or shifted only where a causal model of moderate order (`reference_model`) explains the reversed,
 exchanged or shifted record clearly better, on rows that were held out; and unrelated to its command only where neither such a model nor
 the coherence finds more in the command than in the command of another time. Records are compared by their frequency responses.

@@ -120,9 +120,7 @@ def copied_gain(command: Array, measured: Array) -> float | None:
 
     same, gain = left(command, measured)
     before, after = left(command[:-1], measured[1:])[0], left(command[1:], measured[:-1])[0]
-    if same < COPY and before > EXACT * same and after > EXACT * same:
-        return gain
-    return None
+    return gain if same < COPY and before > EXACT * same and after > EXACT * same else None
 
 
 def simultaneous_gaps(command: Array, measured: Array) -> int:

@@ -13,9 +13,9 @@ from hyst_control.records.validity.findings import Finding, Trial
 from hyst_control.records.validity.reference_model import Reference, continued, hysteretic_reference, linear_reference
 
 LONGEST_RECORD = 2**20  # Samples, from the beginning, by whose coherence a record is judged
-ANOTHER_TIME = 0.382  # Share of a record from which its commands of another time are taken
-OTHER_TIMES, LINEAR_FOLLOWS = (0.236, ANOTHER_TIME, 0.618), 0.5
-"""Other times with which a linear model is compared, and the share of the least of theirs that its own command's leaves at most."""
+OTHER_TIMES = (0.236, 0.382, 0.618)
+"""Shares of a record from which its commands of another time are taken, none of them a simple fraction: it may be periodic."""
+LINEAR_FOLLOWS = 0.5  # Share that a linear model of the command leaves at most, of the least that those of other times leave
 
 FOLLOWS = 0.2
 """Ratio of what the command leaves to what the command of another time does, up to which an incoherent measurement follows it."""
@@ -27,17 +27,13 @@ EMPTY = 0.01  # Power relative to the mean below which a frequency is not excite
 MAINS = (50.0, 60.0)
 
 
-def _of_another_time(rows: Array, shift: float = ANOTHER_TIME) -> Array:
-    """Rows (N, A) of another time of a record, by no simple fraction of it: it may be periodic."""
-    return np.roll(rows, int(shift * len(rows)), axis=0)
-
-
 def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Array, measured: Array) -> list[Finding]:
     """An axis that follows its commands no more than those of another time."""
     explained = coherent_share(trial, index)
     if explained >= EXPLAINED:
         return []
-    others = [hysteretic_reference(_of_another_time(command, shift), measured) for shift in OTHER_TIMES]
+    commands = [np.roll(command, int(shift * len(command)), axis=0) for shift in OTHER_TIMES]
+    others = [hysteretic_reference(other, measured) for other in commands]
     if ahead.unexplained < FOLLOWS * min(fit.unexplained for fit in others):
         return []
     # White noise is left by every command alike: what else is left tells them apart.
@@ -50,7 +46,6 @@ def incoherence_findings(trial: Trial, index: int, ahead: Reference, command: Ar
     # Slow dynamics make the same of a smooth command and of one of another time. What leaves nothing but white noise is the whole answer.
     if abs(next_sample_correlation(measured - own.predicted)) < WHITE and own.unexplained < FOLLOWS * own.without_command:
         return []
-    commands = (_of_another_time(command, shift) for shift in OTHER_TIMES)
     # A hum is explained by any command once a pole stands at its frequency: the other times begin with the same poles, too.
     fits = (fit for other in commands for fit in (linear_reference(other, measured), continued(other, measured, own)))
     if own.unexplained < LINEAR_FOLLOWS * min(fit.unexplained for fit in fits):

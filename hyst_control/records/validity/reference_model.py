@@ -4,8 +4,7 @@
 
 A model is a bank of first-order filters with common poles, real or in conjugate pairs, behind the commands and behind play operators of
 them; a constant and a straight line are free. The poles are relocated as in vector fitting (Gustavsen and Semlyen, IEEE Trans. Power
-Delivery 14, 1999), in the time domain. It holds lags, modes, integrators, delays of a few samples and hysteresis. What it explains is
-counted on rows that were held out, so that a record can be compared with itself read backwards, exchanged or shifted in time.
+Delivery 14, 1999), in the time domain. What it explains is counted on rows that were held out.
 """
 
 from __future__ import annotations
@@ -73,13 +72,14 @@ def condensed(command: Array, measurement: Array) -> tuple[Array, Array, int]:
     """At most about `MAX_ROWS` rows of a record that hold its command's motion, and how many neighbors are averaged in each of them."""
     most = MAX_ROWS if command.shape[1] == 1 else MAX_ROWS // 2
     together = -(-len(command) // most)
-    while together > 1 and not _power_is_kept(command, together):
+    whole = np.var(command, axis=0)
+    while together > 1 and not np.all(np.var(averaged(command, together), axis=0) >= KEPT_POWER * whole):
         together //= 2
     length = most * together
     begins = np.unique(np.linspace(0, max(len(command) - length, 0), 16).astype(int))
     moved = [float(np.sum(np.ptp(command[begin : begin + length : together], axis=0) ** 2)) for begin in begins]
-    window = slice(int(begins[int(np.argmax(moved))]), None)
-    rows = slice(window.start, window.start + length)
+    begin = int(begins[int(np.argmax(moved))])
+    rows = slice(begin, begin + length)
     return averaged(command[rows], together), averaged(measurement[rows], together), together
 
 
@@ -94,11 +94,6 @@ def averaged(rows: Array, together: int) -> Array:
     falling = together * plain - rising
     found = rising[:-3] + (rising[1:-2] + together * plain[1:-2]) + (falling[2:-1] + together * plain[2:-1]) + falling[3:]
     return np.asarray(found / (2 * together) ** 2)
-
-
-def _power_is_kept(command: Array, together: int) -> bool:
-    whole, left = np.var(command, axis=0), np.var(averaged(command, together), axis=0)
-    return bool(np.all(left >= KEPT_POWER * whole))
 
 
 def reference(command: Array, measured: Array) -> Reference:
@@ -132,7 +127,9 @@ def shift_curve(command: Array, measured: Array, poles: Poles, reach: int) -> Ar
     rows = slice(reach, reach + count)
     inputs = _inputs(command, THRESHOLDS[1::2])
     lines = np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
-    columns = np.concatenate([_columns(inputs, poles)[:, rows], lines])
+    filtered = np.empty((len(inputs) * _width(poles), len(measured)))
+    _filter(inputs, poles, np.arange(len(measured)), filtered, with_inputs=True)
+    columns = np.concatenate([filtered[:, rows], lines])
     columns /= np.sqrt(np.sum(columns**2, axis=1))[:, None] + 1e-150
     powers, directions = np.linalg.eigh(columns @ columns.T)
     kept = powers > 1e-12 * powers[-1]
@@ -225,19 +222,13 @@ def _play(values: Array, threshold: float) -> Array:
     return found
 
 
-def _columns(inputs: Array, poles: Poles) -> Array:
-    """Inputs (K, N), each followed by what a filter of each pole makes of the values before; of a pair the real and the imaginary part."""
-    found = np.empty((len(inputs) * _width(poles), inputs.shape[1]))
-    _filter(inputs, poles, np.arange(inputs.shape[1]), found, with_inputs=True)
-    return found
-
-
 def _width(poles: Poles) -> int:
     """Columns of an input: itself and the filters' states."""
     return 1 + len(poles) + int(np.count_nonzero(poles.imag))
 
 
 def _filter(inputs: Array, poles: Poles, place: Integers, found: Array, *, with_inputs: bool) -> None:
+    """Write what a filter of each pole makes of the values of inputs (K, N) before; of a pair the real and the imaginary part."""
     gains = np.array([_gain(pole) for pole in poles])
     _filter_bank(np.ascontiguousarray(inputs), poles.astype(np.complex128), gains, place, found, with_inputs)
 

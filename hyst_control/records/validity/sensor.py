@@ -33,19 +33,13 @@ def unexpected_share(expected: Array, measured: Array) -> float:
 
 def dead_sensor(trial: Trial, index: int) -> Finding | None:
     """A sensor that keeps one value, or two neighboring ones, or stands still while the command moves."""
-    values = trial.measurement[:, index]
-    few = len(np.unique(values[:LONGEST_RECORD])) <= 2 and len(np.unique(trial.command[:LONGEST_RECORD, index])) > 2
-    passed = 1.0 if few else _frozen(trial, index)
-    if passed <= FROZEN or (not few and rails(trial.command[:, index], values) is not None):
+    command, values = trial.command[:, index], trial.measurement[:, index]
+    few = len(np.unique(values[:LONGEST_RECORD])) <= 2 and len(np.unique(command[:LONGEST_RECORD])) > 2
+    meanwhile = [float(np.ptp(command[rows])) for rows in _standing_still(values)]
+    passed = 1.0 if few else max(meanwhile, default=0.0) / float(np.ptp(command))
+    if passed <= FROZEN or (not few and rails(command, values) is not None):
         return None
     return Finding("dead_sensor", trial.name, trial.axes[index], passed, FROZEN)
-
-
-def _frozen(trial: Trial, index: int) -> float:
-    """Largest share of the command's range that passes while the measurement keeps one value for long."""
-    command = trial.command[:, index]
-    passed = [float(np.ptp(command[rows])) for rows in _standing_still(trial.measurement[:, index])]
-    return max(passed, default=0.0) / float(np.ptp(command))
 
 
 def _standing_still(values: Array) -> list[slice]:
