@@ -96,8 +96,8 @@ EFFECT = Effect(
     "The moved mass is another one: the main mode is slower or faster, its stiffness kept.",
     lambda around: (
         Parameter("mass_ratio", "", 0.0, (0.02, 0.2, 1.0, -0.15, 2.5), -0.6, 3.0, 0.15),
-        Parameter("damping", "", 0.0, (0.0,), -0.6, 1.0, 0.1, told=False),
+        Parameter("damping", "", 0.0, (0.0,), -0.6, 1.0, 0.1),
     ),
     lambda values, around: AddedMass(values["mass_ratio"], values.get("damping", 0.0)),
-    phrase="an added mass of {mass_ratio} of the moving mass",
+    phrase="a main mode with {mass_ratio} of its mass and {damping} of its damping added",
 )

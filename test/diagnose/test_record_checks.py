@@ -111,7 +111,10 @@ def test_no_gap_is_not_said_to_lie_within_tolerances_that_the_fit_leaves_far_beh
     }
     far = sentence(report)
     assert far.startswith("No gap beyond the 0.14 um rms that the model leaves on baseline records and the noise")
-    assert far.endswith("The best fit moves frequency[0] by -20 σ, which the model's own error can cause.")
+    assert far.endswith("The best fit moves the model's coefficients by 20 σ together, which the model's own error can cause.")
+    assert "by 12 σ together" in sentence(report | {"parameters": [], "strain": 12.0})
+    named = sentence(report | {"baseline": report["baseline"] | {"of_model": True}})
+    assert "leaves on the records it was identified from" in named
     near = sentence(report | {"parameters": [{"name": "frequency[0]", "z": -2.0}]})
     assert near.startswith("No gap beyond the model's tolerances, the 0.14 um rms") and "best fit" not in near
 
@@ -141,7 +144,7 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert "offset, explains 82 % of what re-fitting the model leaves" in told and "100 %" not in told
     assert "explains nothing of it" in sentence(report | {"effects": [fitted[0] | {"shrink_reidentified": -0.1}]})
     far = {"reasons": ["unexplained_share"], "parameters": [{"name": "num[0]", "z": 31.2}, {"name": "k", "z": 5.5}]}
-    assert "would, but only with coefficients far from the model's: num[0] (+31 σ)." in sentence(report | far)
+    assert "would, but only with coefficients 31 σ from the model's." in sentence(report | far)
 
 
 @pytest.mark.parametrize(

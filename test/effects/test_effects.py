@@ -45,7 +45,7 @@ TABLE = {
     "hysteresis_width": {"width"}, "hysteresis_shape": {"amount"}, "hysteresis_rate": {"factor"}, "delay": {"tau"},
     "amplifier_lowpass": {"cutoff", "order"}, "sensor_lowpass": {"cutoff", "order"},
     "slew_limit": {"rate"}, "saturation": {"lower", "upper"},
-    "dac_hold": {"samples", "step"}, "resonance": {"frequency", "damping", "gain"}, "added_mass": {"mass_ratio"},
+    "dac_hold": {"samples", "step"}, "resonance": {"frequency", "damping", "gain"}, "added_mass": {"mass_ratio", "damping"},
     "backlash": {"half_width"}, "cross_coupling": {"coupling", "corner"}, "sensor_nonlinearity": {"second", "third"},
     "sensor_noise": {"rms"}, "flicker_noise": {"rms"}, "mains_hum": {"amplitude", "frequency"},
     "vibration": {"amplitude", "frequency"}, "softening_modes": {"softening", "damping"},

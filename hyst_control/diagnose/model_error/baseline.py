@@ -194,6 +194,7 @@ def _carried(
     differences: list[Array] = []
     run_to_run: list[Array] = []
     zeros: list[Array] = []
+    lefts: list[Array] = []
     noises: list[Array] = []
     unlike: list[Array] = []
     for piece, found in zip(problem.pieces, matches, strict=True):
@@ -221,6 +222,7 @@ def _carried(
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
         quiet, left = without_noise(mean, np.fmin(repeating, differing))
         series.append(quiet)
+        lefts.append(without_zero(mean[kept])[0])
         noises.append(left)
         if apart := max(_apart(piece.command, match, settings) for match in found):
             unlike.append(min(settings.error_slope * apart, 1.0) * without_zero(quiet[kept])[0])
@@ -245,9 +247,12 @@ def _carried(
     stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
     floor, motions = settings.same_floor * repeatability, []
-    if not differences:  # one record tells nothing of the next one
+    if (
+        not differences
+    ):  # one record tells little of the next one: what the model leaves on it differs from session to session at most
         motions = [without_zero(piece.counted(piece.measurement))[0] for piece in pieces]
-        floor = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+        usual_size = settings.usual_repeatability * np.sqrt(np.mean(np.concatenate(motions) ** 2, axis=0))
+        floor = np.minimum(usual_size, np.sqrt(np.mean(np.concatenate(lefts) ** 2, axis=0)))
     own_error = alone if differences else floor
     spectra = [
         ErrorSpectrum.of(errors, problem.sample_time, max(kept_rows.counts), lowest_frequency(problem), factor)

@@ -50,7 +50,7 @@ class Attribution:
 
     effects: tuple[Named, ...]  # The most probable first
     candidates: tuple[tuple[str, float], ...]  # Every effect that was weighed, with its probability
-    # Coefficients that are off by more than their tolerance suggests, the furthest first
+    # Coefficients that are certainly off, by more than the model file allows, the furthest first
     parameters: tuple[CoefficientChange, ...]
 
 
@@ -62,7 +62,7 @@ def attribute(diagnosis: Diagnosis) -> Attribution:
     return Attribution(
         (*named, *_companions(diagnosis)),
         _candidates(diagnosis, found_by_checks),
-        tuple(change for change in coefficient_changes(diagnosis) if abs(change.deviations) > least),
+        tuple(change for change in coefficient_changes(diagnosis) if change.is_certain and abs(change.deviations) > least),
     )
 
 

@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.coordinates import chain_coordinates
-from hyst_control.diagnose.problem.coefficient_prior import Coefficient, Scatter, stage_at
+from hyst_control.diagnose.problem.coefficient_prior import Scatter, stage_at
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
 from hyst_control.records.correlation import matching_length
@@ -26,9 +27,20 @@ class CoefficientChange:
     # before, after: Value in the model file, and as fitted with the best explanation; in the model file's unit
     before: float
     after: float
-    deviations: float  # Distance in standard deviations of its tolerance
+    deviations: float  # Distance in standard deviations of what the model file allows
     spread: float  # Half of the 90 % interval of `after`
     unit: str  # "" where it is none or depends on those of the signals
+
+    @property
+    def is_certain(self) -> bool:
+        """True where the interval of `after` does not hold `before`."""
+        return abs(self.after - self.before) > self.spread
+
+
+def strain(diagnosis: Diagnosis) -> float:
+    """Distance of all coefficients together from the model file's, in standard deviations, of the axis that is furthest off."""
+    own = (part.coefficients[part.linearized.scatter.companions == 0.0] for part in diagnosis.parts)
+    return max(float(np.linalg.norm(each)) for each in own)
 
 
 def coefficient_changes(diagnosis: Diagnosis, most: int | None = None) -> list[CoefficientChange]:
@@ -36,21 +48,11 @@ def coefficient_changes(diagnosis: Diagnosis, most: int | None = None) -> list[C
     found = []
     for part in diagnosis.parts:
         axis = f" ({diagnosis.model.axes[part.axes[0]]})" if len(diagnosis.parts) > 1 else ""
-        scatter, z = part.linearized.scatter, part.coefficients
         deviations = LIKELY * np.sqrt(repetition(part.problem)) * _factor(part)
-        for index, coefficient in enumerate(scatter.coefficients):
-            if not coefficient.companion:
-                before, slope, unit = _of(scatter, coefficient, index)
-                found.append(
-                    CoefficientChange(
-                        coefficient.name + axis,
-                        before,
-                        before + float(slope @ z),
-                        float(z[index]),
-                        float(np.linalg.norm(slope @ deviations)),
-                        unit,
-                    )
-                )
+        for name, before, slope, unit in _numbers(part.linearized.scatter):
+            moved, allowed = float(slope @ part.coefficients), float(np.linalg.norm(slope))
+            spread = float(np.linalg.norm(slope @ deviations))
+            found.append(CoefficientChange(name + axis, before, before + moved, moved / allowed, spread, unit))
     return sorted(found, key=lambda change: -abs(change.deviations))[:most]
 
 
@@ -63,20 +65,19 @@ def _factor(part: AxisDiagnosis) -> Array:
     return np.asarray(tolerances[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
-def _of(scatter: Scatter, coefficient: Coefficient, index: int) -> tuple[float, Array, str]:
-    """Value before, its slope by every z (K,), and unit: of the number itself, or of that by which a column of the factor is called."""
-    stages, slope = scatter.model.chain.stages, np.zeros(len(scatter.coefficients))
-    if coefficient.path:
-        stage = stage_at(stages, coefficient.path)
-        before = float(np.array(getattr(stage, coefficient.field))[coefficient.index])
-        slope[index] = before * coefficient.tolerance
-        return before, slope, ""
-    assert scatter.joint is not None
-    joint, columns = scatter.joint, scatter.joint.factor.shape[1]
-    row = next(i for i, name in enumerate(joint.names) if name.partition(".")[2] == coefficient.name)
-    slope[:columns] = joint.factor[row] * np.array([one.tolerance for one in scatter.coefficients[:columns]])
-    unit = chain_coordinates(stages, scatter.model.axes)[joint.names[row]].unit
-    return float(joint.values[row]), slope, "" if "unit" in unit else unit
+def _numbers(scatter: Scatter) -> Iterator[tuple[str, float, Array, str]]:
+    """Name, value, slope by every z (K,) and unit of every number that the model file lets scatter."""
+    stages, sizes = scatter.model.chain.stages, np.array([one.tolerance for one in scatter.coefficients])
+    for index, one in enumerate(scatter.coefficients):
+        if one.path and not one.companion:
+            value = float(np.array(getattr(stage_at(stages, one.path), one.field))[one.index])
+            yield one.name, value, value * sizes * (np.arange(len(sizes)) == index), ""
+    if scatter.joint is not None:
+        joint, known = scatter.joint, chain_coordinates(stages, scatter.model.axes)
+        for name, value, row in zip(joint.names, joint.values.tolist(), joint.factor, strict=True):
+            if np.any(row):
+                unit = "" if "unit" in known[name].unit or known[name].unit == "gain" else known[name].unit
+                yield name.partition(".")[2], value, sizes * np.pad(row, (0, len(sizes) - len(row))), unit
 
 
 def repetition(problem: Problem) -> float:

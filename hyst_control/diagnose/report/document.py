@@ -14,6 +14,7 @@ import numpy as np
 from hyst_control.diagnose.decide.policy import join
 from hyst_control.diagnose.report.attribution import Attribution, Named
 from hyst_control.diagnose.report.block_replay import Block
+from hyst_control.diagnose.report.coefficient_changes import strain
 from hyst_control.diagnose.report.gap_breakdown import SESSION, Rows, stages
 from hyst_control.diagnose.report.next_experiment import next_experiment
 from hyst_control.diagnose.run.diagnosis import Diagnosis
@@ -23,7 +24,7 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
-FAR_OFF = 5.0  # Tolerances beyond which a coefficient is told as the reason why an explanation is not believed
+FAR_OFF = 5.0  # Standard deviations beyond which the coefficients are told as the reason why an explanation is not believed
 SAID = {"kind": "simple curve", "none of these": "no simple curve"}
 """Words of the document, where a line of text has no room to explain them."""
 DISTORTED_BY = {
@@ -67,6 +68,7 @@ def gap_report(
                 }
                 for change in attribution.parameters
             ],
+            "strain": strain(diagnosis),
             "next_experiment": next_experiment(diagnosis),
             "augmented_model": augmented,
             "unexplained_share": joint.unexplained,
@@ -119,6 +121,7 @@ def _beside_clean_records(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "baseline": {
             "same_command": all(one.carried for one in used),
+            "of_model": any(one.clean is None for one in used),
             "repeatability": [float(value) for one in used for value in one.repeatability],
             "unit": unit,
         },
@@ -229,27 +232,35 @@ def sentence(report: dict[str, Any]) -> str:
     size = f"{told:.3g} {unit} rms ({range_share:.2g} % of range, noise floor {gap['floor_rms']:.3g} {unit}{within})"
     names = [named(effect) for effect in report["effects"]]
     verdict, reasons = report["verdict"], report.get("reasons", ())
-    far_off = [row for row in report.get("parameters", ()) if abs(row["z"]) > FAR_OFF]
+    strained = _strain(report)
     if verdict == Verdict.NO_GAP.value:
         known = _known_error(report)
-        if far_off and known:
-            moved = f"The best fit moves {far_off[0]['name']} by {far_off[0]['z']:+.0f} σ, which the model's own error can cause."
+        if strained > FAR_OFF and known:
+            moved = (
+                f"The best fit moves the model's coefficients by {strained:.0f} σ together, which the model's own error can cause."
+            )
             return f"No gap beyond {known.strip(', ')} and the noise: simulation and record differ by {size}. {moved}"
         return f"No gap beyond the model's tolerances{known} and the noise: simulation and record differ by {size}."
     if verdict == Verdict.PARAMETERS.value:
         worst = "; ".join(off_by(row) for row in report["parameters"][:3])
         if Reason.COEFFICIENTS_WITHIN_TOLERANCE.value in reasons:
             return f"The gap of {size} is within the tolerance of the model's parameters, but too large to leave: re-identify the model."
-        return f"The gap of {size} is caused by the model's parameters: {worst or 're-identify the nominal model'}."
+        which = f": {worst}" if worst else f", {strained:.0f} σ off together, none of them by itself: re-identify the model"
+        return f"The gap of {size} is caused by the model's parameters{which}."
     if verdict == Verdict.UNKNOWN.value:
-        return f"No known effect explains the gap of {size}{_nearest(report, names, far_off)}."
+        return f"No known effect explains the gap of {size}{_nearest(report, names)}."
     far = _reduction(report)
     if verdict == Verdict.AMBIGUOUS.value:
         return f"The gap of {size} is caused by {' or '.join(names)}: these data cannot tell which.{far}"
     return f"The gap of {size} is caused by {' and '.join(names)}.{far}"
 
 
-def _nearest(report: dict[str, Any], names: Sequence[str], far_off: Sequence[Mapping[str, Any]]) -> str:
+def _strain(report: Mapping[str, Any]) -> float:
+    """Distance of the coefficients from the model's; older reports have that of each."""
+    return float(report.get("strain") or max((abs(row["z"]) for row in report.get("parameters", ())), default=0.0))
+
+
+def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     """Phrase on the explanation that comes nearest, and why it is none; empty where none is named."""
     reasons, together = report.get("reasons", ()), " and ".join(names)
     if Reason.ENERGY_LEFT.value not in reasons:
@@ -261,9 +272,8 @@ def _nearest(report: dict[str, Any], names: Sequence[str], far_off: Sequence[Map
                 f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
                 f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
             )
-        if names and far_off and Reason.UNEXPLAINED_SHARE.value in reasons:
-            worst = far_off[0]
-            return f"; {together} would, but only with coefficients far from the model's: {worst['name']} ({worst['z']:+.0f} σ)"
+        if names and _strain(report) > FAR_OFF and Reason.UNEXPLAINED_SHARE.value in reasons:
+            return f"; {together} would, but only with coefficients {_strain(report):.0f} σ from the model's"
         if names and Reason.AT_BOUND.value in reasons:
             return f"; {together} would, with a size at the end of its range"
         if names and Reason.TOO_MANY_EFFECTS.value in reasons:
@@ -285,7 +295,8 @@ def _known_error(report: dict[str, Any]) -> str:
     size = max(baseline.get("repeatability", ()), default=0.0)
     if not size:
         return ""
-    what = "baseline records differ by" if baseline["same_command"] else "the model leaves on baseline records"
+    of = "the records it was identified from" if baseline.get("of_model") else "baseline records"
+    what = "baseline records differ by" if baseline["same_command"] else f"the model leaves on {of}"
     return f", the {size:.3g} {baseline['unit']} rms that {what},"
 
 
