@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyst_control import model_file
-from hyst_control.api.model import Model
-from hyst_control.api.record import Record, records_of
+from hyst_control.api.model import Model, model_of
+from hyst_control.api.record import Record, keywords, records_of
 from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted
 from hyst_control.base import progress
 from hyst_control.base.errors import InputError
@@ -157,11 +157,11 @@ def diagnose(
         "seed": SEED.checked(seed),
         "progress": verbose,
     }
-    with progress.shown(verbose):
-        if isinstance(model, model_file.Model) or model is None:
+    with progress.shown(verbose), keywords():
+        if model is None or not callable(model):
             if parameters is not None:
                 raise InputError("parameters: are those of a function: a model has its own")
-            found = diagnose_records(given, model, before, **settings)
+            found = diagnose_records(given, None if model is None else model_of(model), before, **settings)
         else:
             found = diagnose_simulator(given, model, parameters or {}, before, **settings)
     return promoted(Gap, found)

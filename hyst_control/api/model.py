@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hyst_control import model_file
-from hyst_control.api.record import Record, from_arrays, records_of
+from hyst_control.api.record import Record, from_arrays, keywords, record_of, records_of
 from hyst_control.api.shown import SEED, Shown, drawn, needed, promoted, rows_for, step_of, table_frame
 from hyst_control.base import progress
 from hyst_control.base.arrays import Array
@@ -155,9 +155,7 @@ class Model(model_file.Model, Shown):
 
     def score(self, record: Record) -> Score:
         """Score the model on a record that it was not fitted to: errors; as a number the coefficient of determination."""
-        record, *others = records_of("record", record)
-        if others:
-            raise InputError(f"record: {1 + len(others)} records: score them one by one")
+        record = record_of("record", record)
         table = validate_record({self.name: self}, record, "score")
         shares = []
         for data in compared_stretches(record, self):
@@ -171,14 +169,14 @@ class Model(model_file.Model, Shown):
 
         Give a path to write the figure as well: .png, .svg, .pdf or .html. Returns the axes of matplotlib.
         """
-        return drawn(beside(self, record), f"{self.name} on {record.source}", path)
+        return drawn(beside(self, record_of("record", record)), f"{self.name} on {record.source}", path)
 
     def bode(self, record: Record | None = None, path: str | Path | None = None) -> list[Axes]:
         """Draw the frequency response, the hysteresis replaced by its mean slope, over that of a record where one is given.
 
         Give a path to write the figure as well, as in `plot`.
         """
-        return drawn(bode_of(self, record), self.name, path)
+        return drawn(bode_of(self, record and record_of("record", record)), self.name, path)
 
     def plot_poles(self, path: str | Path | None = None) -> list[Axes]:
         """Draw poles and zeros, the hysteresis replaced by its mean slope, and write them to a file where `path` is given."""
@@ -363,7 +361,7 @@ def identify(
     if "model" in options:
         raise InputError(f"model: the argument is called family: give family={options['model']!r}")
     given = records_of("records", records)
-    with progress.shown(verbose):
+    with progress.shown(verbose), keywords():
         fit = identify_records(given, family, method=method, start=start, allow_gaps=allow_gaps, force=force, **options)
     if fit.report["verdict"] == NOTHING and not force:
         raise InputError(fit.report["notes"][0])
@@ -403,6 +401,13 @@ def load_model(path: str | Path) -> Model:
     named = str(path)
     shipped = not Path(path).exists() and named.isidentifier()
     return promoted(Model, model_file.load_model(config_path(f"models/{named}.yaml") if shipped else path))
+
+
+def model_of(given: Any) -> model_file.Model:
+    """The model that is given; refuses anything else, such as a file's name."""
+    if not isinstance(given, model_file.Model):
+        raise InputError(f"model: {type(given).__name__} is no Model: make one by hc.load_model or hc.identify")
+    return given
 
 
 def _range(valid: Any) -> str:

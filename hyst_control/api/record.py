@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 AXES = Quantity("axes", None, "", "names of the axes", kind=LISTS[str])
 HOLD = Quantity("hold", "zoh", "", "the command between samples", choices=("zoh", "foh"))
 SOURCE = Quantity("source", None, "", "name of the record", kind=TEXT)
-_OPTION, _KEYWORDS = re.compile(r"--([a-z]\w*(?:-[a-z]+)*)"), {"resample": "resample=0.0", "allow-gaps": "allow_gaps=True"}
+_OPTION = re.compile(r"(?<![\w.-])--([a-z]\w*(?:-[a-z]+)*)")
+_KEYWORDS = {"resample": "resample=0.0", "allow-gaps": "allow_gaps=True"}
 _WITH_UNIT = re.compile(r"(?P<name>.+?)\s*\[(?P<unit>[^\[\]]+)\]\s*")
 
 
@@ -541,7 +542,7 @@ def _at_times(made: Record, times: Any, resample: float | None, allow_gaps: bool
         raise InputError(f"{made.source}: time: must be sample times that increase, in s or dates: sort the rows, or give the rate")
     units = {topic: signal.unit for topic, signal in made.signals.items()}
     hold = made.hold if made.states_hold else None
-    with _keywords():
+    with keywords():
         found = record_of_run(made.source, time, made.values, units, hold, resample=resample, allow_gaps=allow_gaps)
     signals = {topic: replace(signal, axes=made.axes) for topic, signal in found.signals.items()}
     return replace(made, signals=signals, notes=found.notes)
@@ -556,17 +557,18 @@ def _imported(
 ) -> Record:
     """The record of a file; a column of times that is not named is left out."""
     columns = [column(topic, given) for topic, given in named.items() if given is not None]
-    with _keywords():
+    with keywords():
         return promoted(Record, import_table(path, columns, *how, **more))
 
 
 @contextmanager
-def _keywords() -> Iterator[None]:
-    """Refusals within that name keywords in place of the options of `hyst import`."""
+def keywords() -> Iterator[None]:
+    """Refusals within that name keywords in place of the options of commands."""
     try:
         yield
     except InputError as error:
-        raise InputError(_OPTION.sub(lambda option: _KEYWORDS.get(option[1], option[1]), str(error))) from None
+        words = _OPTION.sub(lambda option: _KEYWORDS.get(option[1], f"{option[1].replace('-', '_')}="), str(error))
+        raise type(error)(words) from None
 
 
 def _column(topic: str, given: str | Sequence[str]) -> Column:
@@ -595,6 +597,14 @@ def records_of(name: str, given: Record | Sequence[Record]) -> list[Record]:
     for each in several:
         if not isinstance(each, records.Record):
             raise InputError(
-                f"{name}: {type(each).__name__} is no Record: make one by hc.from_arrays, hc.from_pandas or hc.read_bag"
+                f"{name}: {type(each).__name__} is no Record: make one by hc.read_csv, hc.read_bag, hc.from_arrays or hc.from_pandas"
             )
     return several
+
+
+def record_of(name: str, given: Record) -> Record:
+    """The record that is given; refuses several, and anything else."""
+    record, *others = records_of(name, given)
+    if others:
+        raise InputError(f"{name}: {1 + len(others)} records: take them one by one")
+    return record

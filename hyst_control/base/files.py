@@ -8,6 +8,7 @@ it, and a symbolic link stands for what it names: those are written through.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import secrets
@@ -24,6 +25,14 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.foreign_readers import first_line
 
 LINKS = 40  # Symbolic links that are followed one after the other, as the kernel does
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def refusal(error: OSError, path: object, remedy: str) -> str:
+    """Words for what the system refused at a path ("" where none is known), and the remedy: room, where there is none for it."""
+    if error.errno in NO_ROOM:
+        return f"no room for {path or 'the output'} ({error.strerror}): free space or choose another folder"
+    return f"{path}: {error.strerror or error}: {remedy}".removeprefix(": ")
 
 
 def check_writable(path: str | Path) -> None:
@@ -84,7 +93,7 @@ def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
         part = target.with_name(f".{target.name[:200]}-{secrets.token_hex(6)}.part")
         handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if private else 0o666)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}: choose a folder that exists and can be written") from None
+        raise InputError(refusal(error, path, "choose a folder that exists and can be written")) from None
     try:
         with os.fdopen(handle, "wb") as file:
             if mode is not None and not private and hasattr(os, "fchmod"):
@@ -92,7 +101,7 @@ def replacing(path: str | Path, private: bool = False) -> Iterator[BinaryIO]:
             yield file
         os.replace(part, target)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}: choose a file name that can be written") from None
+        raise InputError(refusal(error, path, "choose a file name that can be written")) from None
     finally:
         with suppress(FileNotFoundError):
             os.unlink(part)
@@ -145,7 +154,7 @@ def write_texts(folder: str | Path, texts: Mapping[str, str]) -> list[Path]:
                     file.write(text.encode("utf-8", "backslashreplace"))
                     file.flush()
                 except OSError as error:
-                    raise InputError(f"{folder / name}: {error.strerror}: choose a folder that can be written") from None
+                    raise InputError(refusal(error, folder / name, "choose a folder that can be written")) from None
     except BaseException:
         if new:
             shutil.rmtree(folder, ignore_errors=True)

@@ -78,6 +78,10 @@ def _check(text: str) -> None:
         elif isinstance(event, yaml.ScalarEvent):
             nodes += 1
             if len(event.value) > MAX_CHARACTERS:
+                if not open_nodes:
+                    raise InputError(
+                        f"is no YAML of keys and values, but one text of {len(event.value)} characters: give another file"
+                    )
                 raise InputError(f"holds a value of {len(event.value)} characters: at most {MAX_CHARACTERS} are read")
             if event.anchor is not None:
                 anchors[event.anchor] = 1

@@ -26,11 +26,11 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from types import FrameType, ModuleType
-from typing import NoReturn, cast
+from typing import Any, NoReturn, cast
 
 from hyst_control.base import plugins, progress
 from hyst_control.base.errors import InputError
-from hyst_control.base.files import check_outputs, check_writable, write_json
+from hyst_control.base.files import NO_ROOM, check_outputs, check_writable, refusal, write_json
 from hyst_control.base.installed import installed_version
 from hyst_control.processes.executables import ros_missing
 
@@ -49,8 +49,24 @@ Excite, record, identify, control and diagnose piezo stages and fast steering mi
 class Parser(argparse.ArgumentParser):
     """Parser that says in one line what is wrong, without all options."""
 
+    given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Arguments in a namespace, and no others: those that are not known are refused under the name of the command."""
+        self.given = sys.argv[1:] if args is None else args
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
+
     def error(self, message: str) -> NoReturn:
         """End with the message and exit status 2."""
+        words = {word.partition("=")[0] for word in self.given}
+        several = [action for action in self._actions if action.nargs not in (None, 0)]
+        taking = [name for action in several for name in action.option_strings if name in words]  # it may have taken files, too
+        stray = message.startswith("unrecognized") and ": -" not in message and any(not action.option_strings for action in several)
+        if stray or (taking and message.startswith(("the following", *(f"argument {name}:" for name in taking)))):
+            message += ": put the files before the options"
         self.exit(2, f"{self.prog}: {message}: see {self.prog} --help\n")
 
 
@@ -93,10 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         import argcomplete
 
         argcomplete.autocomplete(top)
-    arguments, unknown = top.parse_known_args(argv)
-    if unknown:
-        command = f"hyst {arguments.command}" if arguments.command else "hyst"
-        top.exit(2, f"{command}: unrecognized arguments: {' '.join(unknown)}: see {command} --help\n")
+    arguments = top.parse_args(argv)
     if arguments.command is None:
         print(FIRST_STEPS)
         return 0
@@ -115,8 +128,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at the end
         return 0
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        reason = f"{where}{error.strerror or error}: check the path and its permissions"
+        written = [path for name in arguments.writes if (path := getattr(arguments, name))] if error.errno in NO_ROOM else []
+        reason = refusal(error, error.filename or ", ".join(written), "check the path and its permissions")
     except MemoryError as error:
         reason = f"not enough memory{f' ({error})' if str(error) else ''}: free memory, or take shorter records"
     except KeyboardInterrupt:

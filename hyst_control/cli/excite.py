@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     add = parser.add_argument
     add("signal", nargs="*", metavar="KIND parameter=value", help="kind of signal or .yaml file, and parameters")
-    add("--list", action="store_true", help="print every kind with its parameters")
+    add("--list", action="store_true", help="print every kind with its parameters, their units and meaning")
     add("--output", metavar="FILE", help="file to write: .csv, .npy or .yaml, or a bag (no ending, or .bag); it must not exist")
     add("--rate", type=float, default=20000.0, help="sample rate in Hz (default 20000)")
     add(
@@ -118,11 +118,15 @@ class Kinds:
         return {"schema": "hyst_control/excitations", "version": 1, "kinds": kinds, "common_parameters": list(COMMON)}
 
     def text(self) -> str:
-        """Text for people: two lines per kind."""
+        """Text for people: two lines per kind, and a line per parameter."""
+        from hyst_control.records.excitation.parameters import described
+
         lines = []
         listed = self.document()
         for name, kind in listed["kinds"].items():
             words = [key if default is None else f"{key}={default}" for key, default in kind["parameters"].items()]
             lines += [f"{name} {' '.join(words)}", f"    {kind['text']}"]
+            declared = [described(name, key) for key in kind["parameters"]]
+            lines += [f"      {f'{each.name} [{each.unit}]' if each.unit else each.name}: {each.meaning}" for each in declared]
         bounds, others = (", ".join(part) for part in (listed["common_parameters"][:3], listed["common_parameters"][3:]))
         return "\n".join([*lines, f"Parameters of every kind: {bounds} (bounds that it is checked against), {others}."])

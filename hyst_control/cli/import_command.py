@@ -61,7 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=0.0,
         metavar="HZ",
-        help="interpolate irregular times, gaps and several rates, at HZ or at the file's own rate",
+        help="interpolate irregular times, several rates and gaps of at most 9 rows, at HZ or at the file's own rate; of a table, what "
+        "follows a longer gap is a record of its own",
     )
     add("--allow-gaps", action="store_true", help="accept times that pass over rows, as identify --allow-gaps does")
     add(
@@ -118,7 +119,7 @@ def written(output: str, records: Sequence[Record]) -> CommandResult:
 
     progress.step(f"write {output}")
     write_bags(output, records)
-    notes = [note for record in records for note in (*record.notes, *_unlike_axes(record))]
+    notes = [note for record in records for note in (*record.notes, *_unfit(record))]
     made = Artifacts("import", [output], lines=[f"note: {note}" for note in notes])
     for number, record in enumerate(records, start=1):
         for topic, signal in record.signals.items():
@@ -128,13 +129,16 @@ def written(output: str, records: Sequence[Record]) -> CommandResult:
     return made
 
 
-def _unlike_axes(record: Record) -> list[str]:
-    """A note where command and measurement have other axes: a model needs the same."""
+def _unfit(record: Record) -> list[str]:
+    """A note where no model can be identified: command or measurement is missing, or they have other axes."""
     from hyst_control.base.errors import InputError
+    from hyst_control.records.record import TOPICS
 
+    if missing := [topic for topic in TOPICS if topic not in record.signals]:
+        there = ", ".join(record.signals) or "no signals"
+        return [f"{record.source}: has no {' and no '.join(missing)}, only {there}: hyst identify needs command and measurement"]
     try:
-        if {"command", "measurement"} <= set(record.signals):
-            record.check_axes()
+        record.check_axes()
     except InputError as error:
         return [str(error)]
     return []

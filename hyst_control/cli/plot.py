@@ -133,10 +133,6 @@ def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...
     if arguments.color and xy is None:
         raise InputError("--color: is of loops: give --xy too")
     read = [read_bag(bag, arguments.namespace, topics=wanted) for bag in bags]
-    for bag, each in zip(bags, read, strict=True):
-        for name in named:
-            if name not in each.signals:
-                read_bag(bag, arguments.namespace).signal(name)  # refuses it, naming all topics that are there
     record, *others = records = [each.between(arguments.begin, arguments.end) for each in read]
     notes = tuple(note for each in records for note in each.notes)
     if arguments.model:

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record signal topics to a bag with the recorder node until Ctrl-C, for a time, or for a number of ticks.
 
-The bag is readable at any moment, even if the recorder is killed. Use `--schedule timer` for signals on the wall clock and `lockstep`
-for a simulation that waits for its inputs; `--rate` is the sample rate of the signals.
+The bag is readable at any moment, even if the recorder is killed; where nothing was received, none is kept and the exit status is 2.
+Use `--schedule timer` for signals on the wall clock and `lockstep` for a simulation that waits for its inputs; `--rate` is the sample
+rate of the signals.
 
 examples:
   hyst record --rate 1000 --duration 60 --output run.bag
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> CommandResult | int:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
     import json
+    import shutil
     from pathlib import Path
 
     from hyst_control.base import progress
@@ -60,8 +62,14 @@ def run(arguments: argparse.Namespace) -> CommandResult | int:
         return status
     made = Artifacts("record", [arguments.output])
     metadata = read_yaml(Path(arguments.output) / "metadata.yaml")
-    for topic in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]:
-        name, count = topic["topic_metadata"]["name"], topic["message_count"]
+    topics = metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    counts = {topic["topic_metadata"]["name"]: topic["message_count"] for topic in topics}
+    if not any(counts.values()):
+        shutil.rmtree(arguments.output)
+        raise InputError(
+            f"nothing was received on {', '.join(counts)}, and no bag is kept: check that the nodes run under these names"
+        )
+    for name, count in counts.items():
         made.lines.append(
             f"{name}: {count} messages" if count else f"{name}: nothing was received: check that its node runs under this name"
         )

@@ -19,6 +19,7 @@ from hyst_control.records.record import Record, Signal
 
 MEASUREMENT = ("measurement",)
 ORDER = Quantity("order", 4, "", "order of the filter", lower=1)
+BEYOND = 0.01  # Of its range, by which a filter may take the command out of it without a note
 MAX_FACTOR = 1000  # Largest numerator and denominator of the ratio of two rates
 
 Edited = TypeVar("Edited", bound="EditableRecord")
@@ -75,7 +76,7 @@ class EditableRecord(Record):
             return np.asarray(resample_poly(values, up, down, axis=0, padtype="line"))
 
         done = self._changed(self.signals, resampled, 1.0 / rate)
-        done = replace(done, hold="zoh" if held else "foh", states_hold=True)
+        done = replace(done, hold="zoh" if held else "foh", states_hold=True, notes=(*done.notes, *self._ringing(done)))
         return done._noted(f"resampled from {1 / step:g} to {rate:g} Hz")
 
     def filter(self: Edited, low_pass: float | None = None, high_pass: float | None = None, *, order: int = 4) -> Edited:
@@ -113,7 +114,8 @@ class EditableRecord(Record):
         except ValueError:
             raise InputError(f"{self.source}: is too short for this filter: choose a lower order or a longer record") from None
         words = " and ".join(f"{name.replace('_', '-')} {corner:g} Hz" for name, corner in given.items())
-        return replace(done, hold="foh", states_hold=True)._noted(f"filtered: {words}, order {order} without phase")
+        done = replace(done, hold="foh", states_hold=True, notes=(*done.notes, *self._ringing(done)))
+        return done._noted(f"filtered: {words}, order {order} without phase")
 
     def detrend(self: Edited, kind: str = "linear", *, topics: Sequence[str] = MEASUREMENT) -> Edited:
         """Remove the mean or the straight line of best fit, which of a measurement is offset and drift.
@@ -158,8 +160,10 @@ class EditableRecord(Record):
         Record
             The record without outliers; the history has their number.
         """
-        if window < 3 or window % 2 == 0 or not threshold > 0:
-            raise InputError(f"window, threshold: must be odd and >= 3, and > 0, got {window!r} and {threshold!r}")
+        if not threshold > 0:
+            raise InputError(f"threshold (--outliers): must be > 0 standard deviations, got {threshold!r}")
+        if window < 3 or window % 2 == 0:
+            raise InputError(f"window: must be odd and >= 3 samples, got {window!r}")
         found = 0
 
         def cleaned(_: str, values: Array) -> Array:
@@ -227,6 +231,19 @@ class EditableRecord(Record):
             time = begin + np.arange(len(values)) * (step or own)
             signals[topic] = Signal(time.astype(np.float64), np.ascontiguousarray(values), signal.axes, signal.unit)
         return replace(self, signals=signals)
+
+    def _ringing(self, done: Record) -> list[str]:
+        """A note where a filter took the command out of the range that it had."""
+        if "command" not in self.signals:
+            return []
+        before, after = self.command, done.command
+        beyond = np.maximum(before.min(axis=0) - after.min(axis=0), after.max(axis=0) - before.max(axis=0)).max()
+        if not beyond > BEYOND * np.ptp(before, axis=0).max() > 0:
+            return []
+        ranges = [f"{values.min():.4g} to {values.max():.4g}" for values in (after, before)]
+        return [
+            f"{self.source}: the command now runs from {ranges[0]} {self.command_unit}, out of its {ranges[1]}: filters ring at steps"
+        ]
 
     def _noted(self: Edited, step: str) -> Edited:
         return replace(self, history=(*self.history, step))

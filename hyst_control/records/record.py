@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -64,6 +64,12 @@ def commonest_step(time: Array, steps: int = STEPS_LOOKED_AT) -> float:
     """Median step of two or more sample times, s; of very many, that of stretches spread evenly over them."""
     parts = spread_parts(len(time) - 1, steps, 64)
     return float(np.median(np.concatenate([np.diff(time[part.start : part.stop + 1]) for part in parts])))
+
+
+def no_topic(source: object, topic: str, there: Iterable[str]) -> InputError:
+    """The refusal of a record without a topic, naming the topics that are there."""
+    known = ", ".join(sorted(there)) or "none"
+    return InputError(f"{source}: has no topic {topic} (topics: {known}): record it, or remap the topic's name")
 
 
 @dataclass(frozen=True)
@@ -221,8 +227,7 @@ class Record:
     def signal(self, topic: str) -> Signal:
         """A signal by topic. Raises `InputError` naming the topics that are there."""
         if topic not in self.signals:
-            there = ", ".join(sorted(self.signals)) or "none"
-            raise InputError(f"{self.source}: has no topic {topic} (topics: {there}): record it, or remap the topic's name")
+            raise no_topic(self.source, topic, self.signals)
         return self.signals[topic]
 
     def between(self: Cut, begin: float | None, end: float | None) -> Cut:
@@ -400,7 +405,7 @@ class Record:
                 trouble.append(f"the actuator did not follow the command in {unfollowed} ticks")
             raise InputError(
                 f"{self.source}: {', and '.join(trouble)} in {len(breaks)} gaps, the first before t = {at:g} s: record "
-                "again, or allow gaps to use the stretches between them"
+                "again, or use the stretches between them (identify --allow-gaps)"
             )
         edges = np.concatenate([[0], breaks + 1, [len(common)]])
         stretches: list[Cut] = []

@@ -255,8 +255,26 @@ def test_what_is_no_record_is_said():
     for call in (lambda: hc.identify(COMMAND, "pi"), lambda: stage.score(COMMAND)):
         with pytest.raises(hc.InputError, match="ndarray is no Record: make one by"):
             call()
-    with pytest.raises(hc.InputError, match="2 records: score them one by one"):
+    for call in (stage.score, stage.plot, stage.bode):
+        with pytest.raises(hc.InputError, match="record: str is no Record: make one by hc.read_csv, "):
+            call("lab.csv")
+    with pytest.raises(hc.InputError, match="2 records: take them one by one"):
         stage.score([stage.simulate(COMMAND)] * 2)
+
+
+def test_what_is_no_model_is_said():
+    record = hc.from_arrays(COMMAND, COMMAND, RATE)
+    for call in (lambda: hc.tune("hampi.yaml"), lambda: hc.diagnose(record, "hampi.yaml")):
+        with pytest.raises(hc.InputError, match="model: str is no Model: make one by hc.load_model or hc.identify"):
+            call()
+
+
+def test_refusals_name_keywords_in_place_of_options():
+    record = hc.from_arrays(COMMAND, COMMAND, RATE)
+    with pytest.raises(hc.InputError, match="give model=, baseline= or both"):
+        hc.diagnose(record)
+    with pytest.raises(hc.InputError, match=r"use the stretches between them \(identify allow_gaps=True\)"):
+        hc.identify(record.merge(record), verbose=False)
 
 
 def test_a_measurement_that_does_not_move_is_scored_without_a_warning(recwarn):

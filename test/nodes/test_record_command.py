@@ -52,12 +52,12 @@ def test_bad_output_is_refused_in_one_line(tmp_path, domain):
     assert ended.returncode == 2 and "exists already" in ended.stderr and len(ended.stderr.strip().splitlines()) == 1
 
 
-def test_duration_ends_the_recording_without_a_message(tmp_path, domain):
+def test_a_recording_of_nothing_is_refused_and_not_kept(tmp_path, domain):
     ended = subprocess.run(
         [sys.executable, "-c", COMMAND, "record", "--duration", "0.3", "--topics", "command", "--output", str(tmp_path / "bag")],
         timeout=60,
         capture_output=True,
         text=True,
     )
-    assert ended.returncode == 0 and "/command: nothing was received" in ended.stdout
-    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    assert ended.returncode == 2 and not ended.stdout and not (tmp_path / "bag").exists()
+    assert ended.stderr.splitlines()[-1].startswith("hyst record: nothing was received on /command, and no bag is kept")

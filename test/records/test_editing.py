@@ -117,7 +117,7 @@ def test_merged_records_are_two_stretches_on_one_clock():
         (lambda record: record.filter(10, 100), "low-pass above the high-pass"),
         (lambda record: record.cut(0, 0.002).filter(10), "too short"),
         (lambda record: record.detrend("cubic"), "kind: must be linear or constant"),
-        (lambda record: record.remove_outliers(window=4), "window, threshold"),
+        (lambda record: record.remove_outliers(window=4), "window: must be odd and >= 3 samples, got 4"),
         (lambda record: record.cut(5, 6), "no samples"),
         (lambda record: record.merge(record).detrend(), "ticks are missing"),
     ],

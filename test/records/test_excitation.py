@@ -220,7 +220,7 @@ def test_unusable_descriptions_are_named(spec, words):
     "spec, name",
     [
         ({"signal": "sine", "frequency": 900.0, "amplitude": 1.0}, "frequency"),
-        ({"signal": "sine", "frequency": -900.0, "amplitude": 1.0}, "frequency"),
+        ({"signal": "spiral", "frequency": -900.0, "radius": 1.0, "duration": 1.0}, "frequency"),
         ({"signal": "triangle", "frequency": 500.0, "amplitude": 1.0}, "frequency"),
         ({"signal": "loops", "frequency": 900.0, "peak": 1.0, "cycles": 9}, "frequency"),
         ({**SUM, "frequencies": [1.0, 900.0]}, "frequencies"),
@@ -232,6 +232,12 @@ def test_unusable_descriptions_are_named(spec, words):
 def test_frequencies_that_the_rate_cannot_show_are_refused(spec, name):
     with pytest.raises(InputError, match=f"^{spec['signal']}: {name}: must be below half the sample rate, 500 Hz"):
         build(spec, 1e-3)
+
+
+def test_a_spiral_of_negative_frequency_turns_the_other_way():
+    spec = {"signal": "spiral", "radius": 1.0, "duration": 1.0}
+    there, back = (build({**spec, "frequency": frequency}, 1e-3, 2) for frequency in (7.0, -7.0))
+    np.testing.assert_array_equal(back, there * [1.0, -1.0])
 
 
 def test_frequencies_by_default_are_those_that_the_rate_can_show():

@@ -193,7 +193,10 @@ def test_gapless_parts_are_records_again():
     cut = parts[0].rows(10, 30).with_values(measurement=np.zeros((20, 2)))
     assert cut.start == "unknown" and len(cut) == 20 and not cut.measurement.any() and cut.is_gapless
     np.testing.assert_array_equal(cut.command, whole.command[10:30])
-    assert whole.between(0.001, None).start == "auto" and gappy.between(0.001, None).start == "unknown"
+    known = whole.between(20.5 * STEP, None)
+    np.testing.assert_array_equal(known.start.memory, whole.command[:21])
+    np.testing.assert_array_equal(known.between(30.5 * STEP, None).start.memory, whole.command[:31])  # the memory before is kept
+    assert whole.between(None, 20.5 * STEP).start == "auto" and gappy.between(150.5 * STEP, None).start == "unknown"
 
 
 def test_repeated_messages_count_once_and_contradicting_ones_are_refused(tmp_path):

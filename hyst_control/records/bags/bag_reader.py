@@ -19,7 +19,7 @@ from hyst_control.base.errors import InputError, Loss
 from hyst_control.records.actuator_following import APPLIED
 from hyst_control.records.bags.bag_fields import read_fields
 from hyst_control.records.bags.bag_files import Bag
-from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing
+from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing, no_topic
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE, decode, parse_label
 from hyst_control.records.tables.regular_signals import on_one_clock
@@ -59,7 +59,7 @@ def read_bag(
     unit
         Unit of measurement and reference in a bag whose messages have no layout.
     topics
-        Last parts of the names of the topics to read; all by default.
+        Last parts of the names of the topics to read, which must be there; all by default.
     columns
         Topics and fields that stand for the signals, such as "command=/drive.data[V],measurement=/joint_states.position[um]", for a
         bag of other messages.
@@ -92,7 +92,11 @@ def read_bag(
             f"{path}: holds no {MESSAGE_TYPE} messages: check what was recorded, or name fields as in --columns "
             f'"command=/drive.data[V],measurement=/joint_states.position[um]" of its topics: {bag.listed()}'
         )
-    named = {name: found[topic] for name, topic in _by_last_part(path, found, namespace).items() if found[topic].wanted}
+    short = _by_last_part(path, found, namespace)
+    for topic in topics or ():
+        if topic not in short and topic != APPLIED:  # which is there only while the actuator does not follow
+            raise no_topic(path, topic, short)
+    named = {name: found[topic] for name, topic in short.items() if found[topic].wanted}
     notes += [Loss(f"{path}: {topic}: holds no messages") for topic in sorted(bag.topics - set(found))]
     found.clear()
     origin = min((min(each.times) for each in named.values() if each.times), default=0)

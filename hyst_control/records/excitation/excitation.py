@@ -93,11 +93,14 @@ def build(spec: Mapping[str, Any], sample_time: float, axes: int = 1) -> Array:
     given = {key: _usable(kind, key, value, str(known[key].annotation)) for key, value in given.items()}
     for key, value in given.items():
         _check_frequency(kind, key, value, sample_time)
+    if given.get("lowest", -np.inf) > (highest := given.get("highest", np.inf)):
+        raise InputError(f"{kind}: lowest: must be <= highest ({highest:g}), got {given['lowest']:g}: exchange them")
     if "duration" in given and given["duration"] / sample_time > max_samples():
         raise InputError(f"{kind}: duration: {given['duration']} s at {sample_time:g} s a sample is too long for memory")
     extra = {"axes": axes} if "axes" in every else {}
     try:
-        rows = np.asarray(function(sample_time=sample_time, **extra, **given), dtype=float)
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are refused below
+            rows = np.asarray(function(sample_time=sample_time, **extra, **given), dtype=float)
     except InputError as error:
         raise InputError(f"{kind}: {error}") from None
     except (TypeError, ValueError, OverflowError, ZeroDivisionError, IndexError, MemoryError) as error:
@@ -133,11 +136,13 @@ def _usable(kind: str, key: str, value: Any, declared: str) -> Any:
 
 
 def _check_frequency(kind: str, key: str, value: Any, sample_time: float) -> None:
-    """Refuse a frequency that the sample rate cannot show: it would appear as another one."""
-    if key in LIMITED_BY_RATE or described(kind, key).unit != "Hz":
+    """Refuse a frequency below 0, or one that the sample rate cannot show: it would appear as another one."""
+    if described(kind, key).unit != "Hz":
         return
     for frequency in np.atleast_1d(value):
-        if not is_shown(frequency, sample_time):
+        if frequency < 0 and kind != "spiral":  # which turns the other way then
+            raise InputError(f"{kind}: {key}: must be >= 0 Hz, got {frequency:g} Hz: give it without its sign")
+        if key not in LIMITED_BY_RATE and not is_shown(frequency, sample_time):
             raise InputError(
                 f"{kind}: {key}: must be below half the sample rate, {0.5 / sample_time:g} Hz, got {frequency:g} Hz: lower it, or raise "
                 "the rate"

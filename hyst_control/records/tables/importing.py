@@ -21,7 +21,7 @@ from hyst_control.records.stream.signal_message import Encoder, label_for
 from hyst_control.records.tables.columns import TIME, Column, parse_columns
 from hyst_control.records.tables.frequency_response import response_record
 from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, without_repeated
-from hyst_control.records.tables.sample_grid import DAY, LONGEST_FILLED, midnights
+from hyst_control.records.tables.sample_grid import DAY, LONGEST_FILLED, gap_remedies, midnights
 from hyst_control.records.tables.selection import read_columns
 
 __all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
@@ -190,7 +190,7 @@ def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequenc
     arrays = [held[name] for name in column.columns]
     factors = [scale for array, scale in zip(arrays, column.scales, strict=True) for _ in range(array.shape[1])]
     scaled = empty_rows(len(numbers), len(factors))
-    bad, first_bad, finite = 0, 0, True
+    unusable, finite = np.zeros(len(numbers), dtype=bool), True
     for part in blocks(len(numbers)):
         found = np.concatenate([array[part] for array in arrays], axis=1)
         with np.errstate(over="ignore", invalid="ignore"):  # a signalling NaN, too, is found below
@@ -200,9 +200,8 @@ def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequenc
         wrong = ~np.isfinite(scaled[part]).all(axis=1)
         if filled:
             wrong &= measured.all(axis=1)
-        if wrong.any():
-            first_bad = first_bad if bad else int(numbers[part.start + int(np.argmax(wrong))])
-            bad, finite = bad + int(wrong.sum()), finite and bool(measured[wrong].all())
+        unusable[part], finite = wrong, finite and bool(measured[wrong].all())
+    bad, first_bad = int(unusable.sum()), numbers[int(np.argmax(unusable))]
     if bad and finite:
         raise InputError(
             f"{path}: {column.topic}: row {first_bad} is too large for a number once it is in other units: check the unit"
@@ -212,10 +211,10 @@ def _scaled(path: Path, column: Column, held: dict[str, Array], numbers: Sequenc
             raise InputError(
                 f"{path}: {column.topic}: no row holds a finite number: name another column, or save formulas as values"
             )
+        remedies = gap_remedies(bool(_short_stretches(unusable)[unusable].all()), "such rows")
         which = f"row {first_bad} holds" if bad == 1 else f"row {first_bad} and {bad - 1} more hold"
         raise InputError(
-            f"{path}: {column.topic}: {which} no finite number: --resample interpolates such rows, --allow-gaps leaves them out, or "
-            "choose other rows (--rows) or repair the file"
+            f"{path}: {column.topic}: {which} no finite number: {remedies}, or choose other rows (--rows) or repair the file"
         )
     return scaled
 

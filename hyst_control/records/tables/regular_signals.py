@@ -13,7 +13,7 @@ from hyst_control.base.arrays import Array, Integers, Mask
 from hyst_control.base.errors import InputError, Loss
 from hyst_control.records.record import Signal, commonest_step, regular_times
 from hyst_control.records.stream.row_store import blocks
-from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, interpolation_error, resampled
+from hyst_control.records.tables.sample_grid import LONGEST_FILLED, Grid, find_grid, gap_remedies, interpolation_error, resampled
 
 OWN_RATE = 0.0  # Rate to resample to that stands for the signals' own
 SHORTEST_RUN = 10  # Rows of a run from which a time that starts again begins a new record, and is no disorder
@@ -36,9 +36,15 @@ def runs_of(where: str, time: Array, rows: Sequence[int] | Integers, gaps: bool)
         edges += (part.start + 1 + np.flatnonzero((steps < 0.0) | (steps > max(longest, 0.0)))).tolist()
     bounds = [0, *edges, len(time)]
     if len(bounds) > 2 and (len(bounds) - 1 > MAX_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
-        more = f" and {len(edges) - 1} more" if len(edges) > 1 else ""
+        if not (back := [edge for edge in edges if time[edge] < time[edge - 1]]):
+            raise InputError(
+                f"{where}: time: gaps of more than {LONGEST_FILLED - 1} rows, the first before row {rows[edges[0]]}, leave "
+                f"{len(edges) + 1} parts, the shortest of {min(np.diff(bounds))} rows: --resample takes at most {MAX_RUNS} parts of at "
+                f"least {SHORTEST_RUN} rows: choose rows beside the gaps (--rows), or give --allow-gaps in its place"
+            )
+        more = f" and {len(back) - 1} more" if len(back) > 1 else ""
         raise InputError(
-            f"{where}: time: does not increase in row {rows[bounds[1]]}{more}: choose rows in which it does, or leave the time out and "
+            f"{where}: time: does not increase in row {rows[back[0]]}{more}: choose rows in which it does, or leave the time out and "
             "give the rate"
         )
     return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]
@@ -140,7 +146,8 @@ def _refuse_gaps(where: str, time: Array, grid: Grid, allow_gaps: bool) -> Loss:
     text = f"{where}: time: {rows}, {after if len(gaps) == 1 else f'in {len(gaps)} gaps, the first {after}'}"
     if allow_gaps:
         return Loss(f"{text}: what needs equal steps uses the stretches between (identify --allow-gaps)")
-    raise InputError(f"{text}: --resample interpolates them, --allow-gaps leaves them out, or choose rows between them (--rows)")
+    remedies = gap_remedies(bool(np.diff(grid.ticks).max() <= LONGEST_FILLED), "them")
+    raise InputError(f"{text}: {remedies}, or choose rows between them (--rows)")
 
 
 def _interpolated(

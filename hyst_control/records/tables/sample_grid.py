@@ -30,6 +30,13 @@ DAY = 86400.0
 LONGEST_FILLED = 10  # Steps of a gap up to which values between its ends are interpolated
 
 
+def gap_remedies(short: bool, rows: str) -> str:
+    """Words on what to do about missing rows; `short`: whether every gap is short enough to be interpolated."""
+    if short:
+        return f"--resample interpolates {rows}, --allow-gaps leaves them out"
+    return f"too many in a row for --resample (at most {LONGEST_FILLED - 1}): --allow-gaps leaves {rows} out"
+
+
 @dataclass(frozen=True)
 class Grid:
     """Ticks of some times (N,): row n lies at about origin + ticks[n] * step (ticks None: + n * step), `deviation` (s) at most beside."""
