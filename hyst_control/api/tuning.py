@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hyst_control import model_file
+from hyst_control.api.model import model_of
 from hyst_control.api.shown import Shown, drawn, promoted, step_of, table_frame
 from hyst_control.control import tuning
 from hyst_control.control.model_figures import tuning_panels
@@ -23,9 +24,9 @@ class Tuning(tuning.Tuning, Shown):
 
     Parameters
     ----------
-    kp, ki, sample_time, nominal, worst, settling_time, overshoot, roll_off, filters
+    kp, ki, sample_time, nominal, worst, settling_time, overshoot, roll_off, filters, notes
         Gains (V per measurement unit, and per s), sample time (s), margins of the model and of the worst case, settling time (s) and
-        overshoot (%) of a step, corner of the roll-off (Hz, 0 without), and derivative, notches and damping.
+        overshoot (%) of a step, corner of the roll-off (Hz, 0 without), derivative, notches and damping, and what the margins rest on.
     model
         Model that they were tuned for.
     loop_delay
@@ -106,7 +107,7 @@ def tune(
     """
     found = tuning.tune(
         model,
-        sample_time=step_of(rate, model.sample_time),
+        sample_time=step_of(rate, model_of(model).sample_time),
         gain_margin=gain_margin,
         phase_margin=phase_margin,
         peak_sensitivity=peak_sensitivity,

@@ -175,12 +175,12 @@ def _simulated(
     description = IterativeLearning(_filter(arguments, model, len(reference), sample_time), **options)
     learner, signals = run_trials(reference, compensator, controller.start(axes), plant, description)
     table = trial_table(learner, float(np.ptp(reference, axis=0).max()), kind)
-    table.notes += _at_limits(model, signals["command"][-description.trial_rows :], limits)
+    table.notes += _at_limits(model, signals["command"][-description.trial_rows :], reference, limits)
     return table, learner
 
 
-def _at_limits(model: Model, command: Array, limits: tuple[float, float]) -> list[str]:
-    """A note where the commands (N, A) of a trial stood at their limits, with what the model reaches there."""
+def _at_limits(model: Model, command: Array, reference: Array, limits: tuple[float, float]) -> list[str]:
+    """A note where the commands (N, A) of a trial stood at their limits: the reference is out of reach, or the loop oscillates."""
     import numpy as np
 
     from hyst_control.control.feedforward.compensator import quasi_static
@@ -190,7 +190,13 @@ def _at_limits(model: Model, command: Array, limits: tuple[float, float]) -> lis
     if shares[axis] < AT_LIMITS:
         return []
     low, high = quasi_static(model, np.repeat(np.array(limits)[:, None], len(model.axes), axis=1))[:, axis]
+    reached = np.all((reference[:, axis] >= low) & (reference[:, axis] <= high))
+    told = (
+        "they would do for the whole reference, so the loop oscillates, or the reference is too fast: lower the gains (--kp, --ki)."
+        if reached
+        else f"the model moves between {low:.4g} and {high:.4g} {model.units['measurement']}; change offset or amplitude."
+    )
     return [
         f"The command of axis {model.axes[axis]} stood at its limits, {limits[0]:g} to {limits[1]:g} V, for {100 * shares[axis]:.0f} % of "
-        f"the last trial: the model moves between {low:.4g} and {high:.4g} {model.units['measurement']}; change offset or amplitude."
+        f"the last trial: {told}"
     ]

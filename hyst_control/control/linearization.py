@@ -147,6 +147,15 @@ def modes(stages: Sequence[Stage], axes: int) -> Complex:
     return np.asarray(poles[np.argsort(np.abs(poles))], dtype=np.complex128)
 
 
+def has_dynamics(stages: Sequence[Stage], axes: int) -> bool:
+    """True where a stage of a linear chain has states, delays apart."""
+    return any(
+        any(has_dynamics(chain, axes) for chain in stage.inner_chains)
+        or (isinstance(stage, LinearStage) and any(len(system.A) for system in stage.systems(axes)))
+        for stage in stages
+    )
+
+
 def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
     """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
     found = modes([stage for stage in stages if isinstance(stage, LinearStage)], axes)

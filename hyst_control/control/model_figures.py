@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
+from hyst_control.base.errors import InputError
 from hyst_control.control.linearization import linearized, sampled_response
 from hyst_control.control.state_space import Discrete, state_space
-from hyst_control.control.tuning import Tuning, controller_response, spread_responses
+from hyst_control.control.tuning import Plants, Tuning, controller_response
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches
 from hyst_control.model_file import Model
@@ -53,7 +54,10 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
 
 
 def poles_and_zeros(model: Model) -> list[Panel]:
-    """Poles and zeros of every axis in the plane of s, those of delays left out; the hysteresis is replaced by its mean slope."""
+    """Poles and zeros of every axis in the plane of s, those of delays left out; the hysteresis is replaced by its mean slope.
+
+    A root on the negative real axis of z is at plus and minus half the sample rate. Raises `InputError` where there is none to draw.
+    """
     system = state_space(linearized(model), len(model.axes), model.sample_time)
     panels = []
     for index, axis in enumerate(model.axes):
@@ -61,10 +65,15 @@ def poles_and_zeros(model: Model) -> list[Panel]:
         lines = []
         for name, roots, marker in (("poles", poles, "x"), ("zeros", zeros, "o")):
             seen = roots[(np.abs(roots) > OF_DELAYS) & (np.abs(roots) < 1.0 / OF_DELAYS)]
+            negative = (seen.real < 0.0) & (np.abs(seen.imag) <= 1e-9 * np.abs(seen))
             s = np.log(seen.astype(complex)) / model.sample_time
-            lines.append(Line(name, s.real, s.imag / (2.0 * np.pi), True, marker))
+            s = np.concatenate([s, s[negative].conj()])
+            label = f"{name} (at ± half the rate: of the sampling)" if negative.any() else name
+            lines.append(Line(label, s.real, s.imag / (2.0 * np.pi), True, marker))
         name = f" of {axis}" if len(model.axes) > 1 else ""
         panels.append(Panel(f"real part{name} [1/s]", f"imaginary part{name} / 2π [Hz]", tuple(lines)))
+    if not any(len(line.x) for panel in panels for line in panel.lines):
+        raise InputError(f"{model.name}: has neither poles nor zeros to draw: it is static, delays apart")
     return panels
 
 
@@ -136,19 +145,18 @@ def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Pan
     """Open loop with its margins, sensitivities and step of a tuned feedback, of every axis."""
     frequency = frequencies(tuning.sample_time)[:-1]
     z: Complex = np.exp(2j * np.pi * frequency * tuning.sample_time)
-    plants = spread_responses(model, tuning.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
-    loops = plants * controller_response(tuning.law, z)
+    plant = Plants.nominal(model, tuning.sample_time, loop_delay, z)
+    controller = controller_response(tuning.law, z)
+    loops = plant.loci * controller
     magnitude, phase = bode([Response(f"loop {axis}", frequency, loop) for axis, loop in zip(model.axes, loops, strict=True)], "1")
     least = tuning.nominal
     said = f"margins {least.gain_margin:.1f} dB, {least.phase_margin:.0f} deg, crossover {least.crossover:.3g} Hz"
     magnitude = replace(magnitude, lines=(*magnitude.lines, Line(said, np.array([least.crossover]), np.ones(1), True, "o")))
+    labels = ["(greatest singular value)"] if plant.mixed else model.axes
     closed = [
-        line
-        for axis, loop in zip(model.axes, loops, strict=True)
-        for line in (
-            Line(f"sensitivity {axis}", frequency, np.abs(1.0 / (1.0 + loop))),
-            Line(f"complementary {axis}", frequency, np.abs(loop / (1.0 + loop))),
-        )
+        Line(f"{name} {label}", frequency, size)
+        for label, *pair in zip(labels, *plant.sensitivities(controller), strict=True)
+        for name, size in zip(("sensitivity", "complementary"), pair, strict=True)
     ]
     length = 400
     if np.isfinite(tuning.settling_time):

@@ -15,19 +15,23 @@ the feedback. The closed loop is stable exactly where Nyquist's criterion holds 
 
 The model discrepancy is a relative one: the plant's response may lie anywhere within `model_error` |P| of the model's, at every
 frequency and in every case (multiplicative uncertainty, Doyle, Francis and Tannenbaum, Feedback Control Theory, 1992, §4). The
-margins hold for the worst of these plants.
+margins hold for the worst of these plants. Of axes that are mixed it is (I + E) P or P (I + E) with any matrix E of a greatest singular
+value up to `model_error`, and the sensitivity's size its greatest singular value: S of such a plant is at most
+|S| / (1 - model_error |T|), as for one axis (Skogestad and Postlethwaite, Multivariable Feedback Control, 2005, §8.6). Eigenvalues say
+nothing of either where the plant is not normal; gain and phase margin are those of the loci, for changes that all axes share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from hyst_control.base.arrays import Array, Complex
+from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
 from hyst_control.control.feedback.filters import Filters, response
@@ -35,10 +39,22 @@ from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedback_shapes import STRUCTURES, Shape, shapes
 from hyst_control.control.linear_step import Step, law_sections, linear_step
-from hyst_control.control.linearization import first_mode, hysteresis_slopes, linearized, modes, sampled_response, with_first_mode
+from hyst_control.control.linearization import (
+    first_mode,
+    has_dynamics,
+    hysteresis_slopes,
+    linearized,
+    modes,
+    sampled_response,
+    with_first_mode,
+)
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
+LOWEST = 1e-5
+"""Lowest frequency of a response, relative to half the sampling rate, in whose loop the integral action prevails; else a lower one."""
+UNKNOWN = 0.1
+"""Greatest |L| where a model without dynamics is not known: a resonance there may amplify 5 times within a gain margin of 6 dB."""
 AROUND = 60
 """Points of a response on either side of a resonance, in equal ratios from a tenth of its half width to a tenth of its frequency."""
 LOWEST_SCALE = 1e-15
@@ -49,8 +65,8 @@ LOWEST_SCALE = 1e-15
 class Margins:
     """Stability of one loop.
 
-    gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|), crossover and bandwidth Hz (-3 dB of L / (1 + L), half
-    the sampling rate when it stays above).
+    gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|; of mixed axes the greatest singular value), crossover and
+    bandwidth Hz (-3 dB of L / (1 + L), half the sampling rate when it stays above).
     """
 
     gain_margin: float
@@ -66,7 +82,7 @@ class Tuning:
 
     kp (V per measurement unit) and ki (V per measurement unit and s), margins of the model as it is and the worst over the spread and
     the model discrepancy, settling_time s of a step into 2 %, overshoot in per cent; roll_off Hz, 0 without; filters: notches,
-    derivative and damping.
+    derivative and damping; notes: sentences on what the margins rest on.
     """
 
     kp: float
@@ -78,6 +94,7 @@ class Tuning:
     overshoot: float
     roll_off: float = 0.0
     filters: Filters = Filters()
+    notes: tuple[str, ...] = ()
 
     def controller(self, lower: float, upper: float, slew_limit: float = 0.0) -> PI:
         """Tuned controller with the command limits `lower` and `upper` in V and `slew_limit` in V/s (0 for none)."""
@@ -100,12 +117,13 @@ class Tuning:
         }
 
     def sensitivity(self, model: Model, frequency: Sequence[float], loop_delay: int = 0) -> Array:
-        """Greatest |1 / (1 + L)| (F,) of all axes of a nominal model at a frequency, Hz, with a loop_delay of further ticks."""
+        """Greatest singular value (F,) of S = 1 / (1 + L) of a nominal model at a frequency, Hz, with a loop_delay of further ticks."""
         z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
-        plants = spread_responses(model, self.sample_time, loop_delay, 0.0, 0.0, z)[: len(model.axes)]
-        with np.errstate(divide="ignore", invalid="ignore"):  # at 0 Hz, where integral action has no bound
-            loops = plants * controller_response(self.law, z)
-            return np.where((z == 1.0) & (self.ki > 0.0), 0.0, np.abs(1.0 / (1.0 + loops)).max(axis=0))
+        found = np.zeros(len(z))
+        moving = (z != 1.0) | (self.ki == 0.0)  # integral action has no bound at 0 Hz
+        plant = Plants.nominal(model, self.sample_time, loop_delay, z[moving])
+        found[moving] = plant.sensitivities(controller_response(self.law, z[moving]))[0].max(axis=0)
+        return found
 
     def step(self, model: Model, length: int) -> Array:
         """Measurement (length, A) of `model` in the linear loop when the reference jumps from 0 to 1."""
@@ -128,6 +146,7 @@ class Tuning:
                 table.add("PI feedback", where, subject, quantity, symbol, getattr(case, quantity))
         table.add("PI feedback", where, "nominal", "settling_time", "s", self.settling_time)
         table.add("PI feedback", where, "nominal", "overshoot", "%", self.overshoot)
+        table.notes += self.notes
         return table
 
 
@@ -181,7 +200,8 @@ def tune(
     mode_spread
         Relative spread of the first resonance's frequency, over which the margins hold too.
     model_error
-        Relative error of the model's response, at any frequency and in any direction, on top of the spreads.
+        Relative error of the model's response at any frequency, on top of the spreads: a motion of the model is wrong by this share of
+        its size, in any direction. Gain and phase margins of axes that drive each other hold for errors that all of them share.
     roll_off
         Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains, which then keep the margins
         only with it.
@@ -206,42 +226,167 @@ def tune(
         asked.checked(value)
     mean, greatest = hysteresis_slopes(model)
     stages, axes = linearized(model, mean), len(model.axes)
-    z = _points(modes(stages, axes), mode_spread, sample_time)
-    plants = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z)
-    static = float(np.abs(plants[:, 0]).max())
-    if np.any(plants[:, 0].real <= 0.0):
-        raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
+    poles, mode = modes(stages, axes), first_mode(linearized(model, greatest), axes)
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
-    mode = first_mode(linearized(model, greatest), axes)
-    tried = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
 
     def step(law: PI) -> Step:
         return linear_step(stages, axes, law, loop_delay)
 
-    def law_of(shape: Shape, every: int = 1) -> PI | None:
-        return _greatest_integral(plants[:, ::every], static, sample_time, shape, z[::every], limits)
+    def search(plants: Plants) -> PI:
+        static = float(np.abs(plants.loci[:, 0]).max())
+        if np.any(plants.loci[:, 0].real <= 0.0):
+            raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
+        tried = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
+        if len(tried) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
+            few = plants.part(every=3)
+            coarse = [(shape, law) for shape in tried if (law := _greatest_integral(few, static, sample_time, shape, limits))]
+            tried = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
+        for shape in tried:
+            if law := _greatest_integral(plants, static, sample_time, shape, limits):
+                return law
+        decouple = ", or decouple the axes, which drive each other" if plants.mixed else ""
+        raise InputError(
+            f"margins: no controller of this structure keeps them for this model: ask for less, or sample faster{decouple}"
+        )
 
-    if len(tried) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
-        coarse = [(shape, law) for shape in tried if (law := law_of(shape, 3))]
-        tried = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
-    law = next((law for shape in tried if (law := law_of(shape))), None)
-    if law is None:
-        raise InputError("margins: no controller of this structure keeps them for this model: ask for less, or sample faster")
-    controller = controller_response(law, z)
-    nominal = [margins(plant * controller, z, sample_time) for plant in plants[:axes]]
-    cases = [margins(plant * controller, z, sample_time, model_error) for plant in plants]
+    known, least, dynamic = known_band(model), 0.0, has_dynamics(stages, axes)
+    lowest = LOWEST * (1e-3 if Plants.nominal(model, sample_time, loop_delay, np.array([1j])).mixed else 1.0)
+    while least < 1.0:  # from where the integral action prevails
+        z = _points(poles, mode_spread, sample_time, lowest)
+        beyond = np.angle(z) > 2.0 * np.pi * sample_time * known * (1.0 + 1e-9)
+        plants = Plants(z, spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z), beyond & (not dynamic))
+        law = search(plants)
+        controller = controller_response(law, z)
+        least = float(np.abs(plants.loci[:, 0] * controller[0]).min()) * (1.0 - model_error)
+        lowest *= 0.1 * least
     found = step(law)
     settling = found.settling_ticks() * sample_time
     if np.isnan(settling):
         raise InputError(
             "chain: is not stable, so that no step settles however large its margins: identify the model again, or mend its dynamics"
         )
-    return Tuning(law.kp, law.ki, sample_time, _worst(nominal), _worst(cases), settling, found.overshoot, law.roll_off, law.filters)
+    nominal, worst = plants.part(1).margins(controller, sample_time), plants.margins(controller, sample_time, model_error)
+    reached = dynamic and np.abs(plants.loci * controller)[:, beyond].max(initial=0.0) * (1.0 + model_error) * limits[0] > 1.0
+    notes = _notes(plants, known, model_error, dynamic, reached)
+    return Tuning(law.kp, law.ki, sample_time, nominal, worst, settling, found.overshoot, law.roll_off, law.filters, notes)
 
 
-def _points(poles: Complex, mode_spread: float, sample_time: float) -> Complex:
+def known_band(model: Model) -> float:
+    """Highest frequency, Hz, that a model tells of: where the power of its records' commands ends, at most half its own sample rate."""
+    excited = np.asarray(model.valid.get("frequency", [0.0, np.inf]), dtype=float)[..., 1]
+    return min(float(excited.min()), 0.5 / model.sample_time)
+
+
+@dataclass(frozen=True)
+class Plants:
+    """Cases of a plant, the model first."""
+
+    z: Complex  # Points (F,) of the unit circle, in order of frequency
+    responses: Complex  # (K, F, A, A)
+    unknown: Mask  # (F,), points at which |L| is at most `UNKNOWN`
+
+    @classmethod
+    def nominal(cls, model: Model, sample_time: float, loop_delay: int, z: Complex) -> Plants:
+        """The model itself."""
+        return cls(z, spread_responses(model, sample_time, loop_delay, 0.0, 0.0, z)[:1], np.zeros(len(z), bool))
+
+    def part(self, cases: int | None = None, every: int = 1) -> Plants:
+        """The first cases, at every so many points."""
+        return Plants(self.z[::every], self.responses[:cases, ::every], self.unknown[::every])
+
+    @cached_property
+    def mixed(self) -> bool:
+        """True where an axis drives another."""
+        return bool(np.any(self.responses * (1.0 - np.eye(self.responses.shape[-1]))))
+
+    @cached_property
+    def loci(self) -> Complex:
+        """Characteristic loci (K · A, F); of axes that are not mixed their responses."""
+        return np.concatenate([_loci(case) for case in self.responses])
+
+    @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """Greatest and least singular value (K, F) of the responses."""
+        return singular_values(self.responses)
+
+    @cached_property
+    def inverses(self) -> Complex:
+        """Inverses (K, F, A, A) of the responses."""
+        return np.asarray(np.linalg.pinv(self.responses), dtype=np.complex128)
+
+    def sensitivities(self, controller: Complex) -> tuple[Array, Array]:
+        """|S| and |T| of the loops with a controller (F,): (M, F) of every axis or, of mixed ones, greatest singular values (K, F)."""
+        if not self.mixed:
+            loops = self.loci * controller
+            return np.abs(1.0 / (1.0 + loops)), np.abs(loops / (1.0 + loops))
+        return closed_loop(self.responses, self.inverses, controller)
+
+    def distance(self, controller: Complex, error: float = 0.0, enough: float = np.inf) -> float:
+        """The least 1 / |S| of the loops with a controller (F,), over all relative errors up to `error`; `enough` at most."""
+        if not self.mixed:
+            return _min_distance(self.loci * controller, error)
+        # Bounds tell that a loop of little or much gain is far from -1.
+        greatest, least = (size * np.abs(controller) for size in self.sizes)
+        near = ((1.0 + error) * greatest > 1.0 - enough) & ((1.0 - error) * (least - 1.0) - error < enough)
+        at = np.nonzero(near)
+        sensitivity, complementary = closed_loop(self.responses[at], self.inverses[at], controller[at[1]])
+        return float(((1.0 - error * complementary) / sensitivity).min(initial=enough))
+
+    def margins(self, controller: Complex, sample_time: float, error: float = 0.0) -> Margins:
+        """Worst margins of the loops with a controller (F,)."""
+        loops = self.loci * controller
+        return replace(
+            _worst([margins(loop, self.z, sample_time, error) for loop in loops]),
+            peak_sensitivity=1.0 / self.distance(controller, error),
+        )
+
+
+def singular_values(matrices: Complex) -> tuple[Array, Array]:
+    """Greatest and least singular value (...) of matrices (..., A, A)."""
+    if matrices.shape[-1] != 2:
+        found = np.asarray(np.linalg.svd(matrices, compute_uv=False), dtype=np.float64)
+        return found[..., 0], found[..., -1]
+    (a, b), (c, d) = np.moveaxis(matrices, (-2, -1), (0, 1))  # a closed form is ten times as fast
+    size = (np.abs(matrices) ** 2).sum(axis=(-2, -1))
+    product: Array = np.abs(a * d - b * c)
+    greatest: Array = np.sqrt(0.5 * (size + np.sqrt(np.maximum(size**2 - 4.0 * product**2, 0.0))))
+    return greatest, product / np.maximum(greatest, 1e-300)
+
+
+def closed_loop(responses: Complex, inverses: Complex, controller: Complex) -> tuple[Array, Array]:
+    """Greatest singular values (...) of S = 1 / (1 + L) and T = 1 / (1 + 1 / L), from responses, their inverses and a controller."""
+    one, gain = np.eye(responses.shape[-1]), controller[..., None, None]
+    return 1.0 / singular_values(one + gain * responses)[1], 1.0 / singular_values(one + inverses / gain)[1]
+
+
+def _notes(plants: Plants, known: float, error: float, dynamic: bool, reached: bool) -> tuple[str, ...]:
+    """Sentences on what the margins rest on: the band that the model tells of, and whether the loop reaches beyond it."""
+    found = []
+    greatest, least = (float(size[0, 0]) for size in plants.sizes)
+    if plants.mixed and least < error * greatest:
+        found.append(
+            f"The axes have {least / greatest:.2g} of their greatest gain in the direction in which they move least. The model error is a "
+            "share of the motion: one of this share of the greatest gain can reverse that direction, which no integral action survives."
+        )
+    if not dynamic:
+        kept = f": the loop's gain is kept below {UNKNOWN:g} there" if plants.unknown.any() else ""
+        found.append(
+            f"The model has no dynamics and tells nothing beyond {known:.4g} Hz{kept}. For a faster loop identify dynamics from faster "
+            "commands."
+        )
+    elif reached:
+        found.append(
+            f"The margins rest on the model's response beyond {known:.4g} Hz, of which its records tell nothing: identify it from faster "
+            "commands."
+        )
+    return tuple(found)
+
+
+def _points(poles: Complex, mode_spread: float, sample_time: float, lowest: float) -> Complex:
     """Points of the unit circle up to half the sampling rate: evenly, and close by every resonance, the first one where it may be."""
-    angles = [np.geomspace(1e-5, 1.0, 1500) * np.pi]
+    angles = [np.geomspace(LOWEST, 1.0, 1500) * np.pi]
+    if lowest < LOWEST:
+        angles.append(np.geomspace(lowest, LOWEST, 2 + int(300 * np.log10(LOWEST / lowest))) * np.pi)
     for index, pole in enumerate(poles):
         steps = np.geomspace(min(0.1 * abs(pole.real) / abs(pole), 0.1) + 1e-9, 0.1, AROUND)
         places = np.concatenate([1.0 - steps, [1.0], 1.0 + steps]) * pole.imag * sample_time
@@ -254,14 +399,14 @@ Limits = tuple[float, float, float, float]
 """Least gain margin as a factor, phase margin in rad, greatest peak of the sensitivity, relative model error."""
 
 
-def _greatest_integral(plants: Complex, static: float, sample_time: float, shape: Shape, z: Complex, limits: Limits) -> PI | None:
-    """The law of a shape with the greatest ki that keeps the limits for all plants (M, F); None where there is none."""
-    unit = shape.law(0.0, 0.0, 0.0, sample_time)
+def _greatest_integral(plants: Plants, static: float, sample_time: float, shape: Shape, limits: Limits) -> PI | None:
+    """The law of a shape with the greatest ki that keeps the limits for all plants; None where there is none."""
+    unit, z = shape.law(0.0, 0.0, 0.0, sample_time), plants.z
     before, beside = law_sections(unit)
-    rolled = plants * np.prod([response(section, z) for section in before], axis=0)
-    fixed = rolled * sum(response(section, z) for section in beside)  # damping alone
+    passed = np.prod([np.ones_like(z), *(response(section, z) for section in before)], axis=0)
+    fixed = passed * sum(response(section, z) for section in beside)  # damping alone
     filtered = bool(before)
-    if unit.filters.damping_gain and not _damped(fixed, limits):
+    if unit.filters.damping_gain and not _damped(plants, fixed, limits):
         return None
     (derivative,) = Filters(kd=1.0, derivative_corner=shape.derivative_corner).beside(sample_time)
     best: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -270,11 +415,11 @@ def _greatest_integral(plants: Complex, static: float, sample_time: float, shape
     for time in times:
         advance = shape.derivative * time**2
         scaled = (time + sample_time * z / (z - 1.0) + advance * response(derivative, z)) / (static * sample_time)
-        loops, above = rolled * scaled, best[1] * static * sample_time
+        controller, above = passed * scaled, best[1] * static * sample_time
         compared = filtered and above and not shape.damping_gain
-        if compared and _phase_margin(_courses(loops), limits[3], above).min() < limits[1]:
+        if compared and _phase_margin(_courses(plants.loci * controller), limits[3], above).min() < limits[1]:
             continue  # no greater integral gain than the best so far
-        scale = _largest_scale(loops, limits, above, fixed if shape.damping_gain else None)
+        scale = _largest_scale(plants, controller, limits, above, fixed if shape.damping_gain else None)
         slope = static * sample_time
         gains = (scale * time / slope, scale / slope, scale * advance / slope)
         if gains[1] > best[1]:
@@ -282,13 +427,14 @@ def _greatest_integral(plants: Complex, static: float, sample_time: float, shape
     return shape.law(float(best[0]), float(best[1]), float(best[2]), sample_time) if best[1] > 0.0 else None
 
 
-def _damped(fixed: Complex, limits: Limits) -> bool:
-    """True when the loops (M, F) of the damping alone keep the limits at every gain up to theirs."""
+def _damped(plants: Plants, damping: Complex, limits: Limits) -> bool:
+    """True when the loops of the damping (F,) alone keep the limits at every gain up to theirs."""
     gain_margin, phase_margin, peak, error = limits
+    fixed = plants.loci * damping
     crossing = np.maximum(_crossing_180(fixed), -fixed.real[:, 0]).max() * (1.0 + error) * gain_margin
     return bool(
         crossing <= 1.0
-        and 1.0 <= peak * _min_distance(fixed, error)
+        and 1.0 <= peak * plants.distance(damping, error)
         and _phase_margin(_courses(fixed), error).min() >= phase_margin
     )
 
@@ -303,20 +449,18 @@ def controller_response(law: PI, z: Complex) -> Complex:
 def spread_responses(
     model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
 ) -> Complex:
-    """Responses (cases · A, F) of every axis at points of the z plane, the nominal model first, measurement unit per V.
+    """Responses (K, F, A, A) at points of the z plane, the nominal model first, measurement unit per V.
 
-    Of axes that are mixed the characteristic loci. The others are at the ends of the relative spreads of the gain and of the first
-    resonance's frequency.
+    The other cases are at the ends of the relative spreads of the gain and of the first resonance's frequency.
     """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
     stages = linearized(model, greatest)
     responses = []
     for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
-        response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z)
-        response = _loci(response) * z**-loop_delay
+        response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z) * (z**-loop_delay)[:, None, None]
         responses += [gain * response for gain in (1.0, 1.0 - gain_spread, 1.0 + gain_spread)]
-    return np.concatenate(responses)
+    return np.array(responses)
 
 
 def _loci(responses: Complex) -> Complex:
@@ -333,21 +477,25 @@ def _loci(responses: Complex) -> Complex:
     return np.asarray(found.T, dtype=np.complex128)
 
 
-def _largest_scale(loops: Complex, limits: Limits, above: float, fixed: Complex | None) -> float:
-    """The largest factor on loops (M, F), added to `fixed` ones, up to which all keep the margins; 0 when not larger than `above`."""
+def _largest_scale(plants: Plants, controller: Complex, limits: Limits, above: float, fixed: Complex | None) -> float:
+    """The largest factor on a controller (F,), beside a `fixed` one, up to which loops keep the margins; 0 if not more than `above`."""
     gain_margin, phase_margin, peak_sensitivity, error = limits
+    loops = plants.loci * controller
     ultimate = _crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
     if fixed is not None:  # the damping may allow more than the plant does
         highest *= 10.0
-    courses = _courses(loops)
+    if plants.unknown.any():
+        highest = min(highest, UNKNOWN / float(np.abs(loops[:, plants.unknown]).max()))
+    courses, enough = _courses(loops), 1.0 / peak_sensitivity
 
     def kept(scale: float) -> bool:
-        scaled = scale * loops if fixed is None else scale * loops + fixed
-        if 1.0 > peak_sensitivity * _min_distance(scaled, error):
+        whole = scale * controller if fixed is None else scale * controller + fixed
+        if 1.0 > peak_sensitivity * plants.distance(whole, error, enough):
             return False
         if fixed is None:
             return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
+        scaled = plants.loci * whole
         if _crossing_180(scaled).max() * (1.0 + error) * gain_margin > 1.0:
             return False
         return bool(_phase_margin(_courses(scaled), error).min() >= phase_margin)
@@ -356,9 +504,11 @@ def _largest_scale(loops: Complex, limits: Limits, above: float, fixed: Complex 
         return 0.0
     # A resonance may take the phase margin or the sensitivity long before the gain margin: begin where everything is kept.
     lowest = 1e-2
+    # How much mixed axes amplify remains the same at less gain: it is not looked for below the frequencies.
+    least = 1.0 / (highest * np.abs(loops[:, 0]).min()) if plants.mixed else LOWEST_SCALE
     while not kept(highest * lowest):
         lowest *= 0.1
-        if lowest < LOWEST_SCALE:
+        if lowest < least:
             return 0.0
     last = 0.0
     for scale in highest * np.geomspace(lowest, 1.0, 25 + int(round(12 * np.log10(1e-2 / lowest)))):

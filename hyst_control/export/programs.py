@@ -102,7 +102,9 @@ class FeedforwardOptions:
 
 def is_model(path: str | Path) -> bool:
     """Tell a model file from a file of nodes' parameters."""
-    document = read_yaml(path, "give a model file or a file of nodes' parameters (YAML)")
+    document = read_yaml(
+        path, "give a model file or a file of nodes' parameters (YAML), or --to csv, mat, mcap or parquet for a bag"
+    )
     return isinstance(document, Mapping) and document.get("format") == FORMAT
 
 
@@ -232,7 +234,7 @@ def _controller(document: Any, path: Path, real: str, name: str, reference_ahead
     known: dict[str, Any] = {item.name: given[item.name] for item in fields(FaultResponse) if item.name in given}
     for key in known:
         if key == "safe_command":
-            known[key] = tuple(map(float, np.atleast_1d(np.asarray(known[key], dtype=float))))
+            known[key] = _numbers(known, key)
         elif key not in ("recovery", "axis_fault"):
             known[key] = _number(known, key, 0.0)
     feeding = [key for key in nodes if key.endswith("_feedforward")]
@@ -305,7 +307,11 @@ def _fed(given: Mapping[str, Any], node: str, axes: Sequence[str], time: float, 
 
 def _beside(path: Path, name: str) -> str:
     """A file that another one names: from the present folder, as for the nodes, or else beside that one."""
-    return name if Path(name).exists() else str(path.parent / name)
+    places = (Path(name), path.parent / name)
+    for place in places:
+        if place.exists():
+            return str(place)
+    raise InputError(f"{name}: is neither in the present folder nor in {path.parent}: put it there, or give its path")
 
 
 def _nodes(document: Any) -> dict[str, dict[str, Any]]:
@@ -329,12 +335,16 @@ def _filters(given: Mapping[str, Any]) -> Filters:
         if item.name not in given:
             continue
         if isinstance(item.default, tuple):
-            rows = given[item.name]
-            rows = rows if isinstance(rows, Sequence) and not isinstance(rows, str) else [rows]
-            values[item.name] = tuple(_number({item.name: row}, item.name, 0.0) for row in rows)
+            values[item.name] = _numbers(given, item.name)
         else:
             values[item.name] = _number(given, item.name, 0.0)
     return Filters(**values)
+
+
+def _numbers(given: Mapping[str, Any], name: str) -> tuple[float, ...]:
+    rows = given[name]
+    rows = rows if isinstance(rows, Sequence) and not isinstance(rows, str) else [rows]
+    return tuple(_number({name: row}, name, 0.0) for row in rows)
 
 
 def _number(given: Mapping[str, Any], name: str, default: float) -> float:

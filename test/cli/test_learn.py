@@ -60,6 +60,14 @@ def test_a_reference_beyond_the_stroke_is_told(capsys):
     assert "limits" not in capsys.readouterr().out
 
 
+def test_a_loop_that_oscillates_is_told(capsys):
+    """Four times the gain at which the mirror's loop is stable: the command jumps between its limits, though they hold the reference."""
+    oscillating = ["--rate", "5000", "--kp", "0", "--ki", "800000"]
+    assert main(["learn", MODEL, "--plant", "fsm", "--trials", "2", *oscillating, *SINE]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "stood at its limits" in told and "so the loop oscillates" in told and "lower the gains" in told
+
+
 def test_gain_and_lag_of_a_truth_plant(capsys):
     arguments = ["learn", MODEL, "--plant", "fsm", "--gain-error", "0.1", *LOOP, *SINE, "--feedback-error", "1", "--json", "-"]
     assert main(arguments) == 0

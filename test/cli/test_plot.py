@@ -12,10 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from scipy.signal import cont2discrete
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.memoryless import Gain
 from hyst_control.cli import main
 from hyst_control.control.model_figures import bode_of, poles_and_zeros
 from hyst_control.identify.assess.choice_figure import choice_panels
@@ -219,6 +221,26 @@ def test_poles_are_those_of_the_stage(frequency, damping, lag):
     due = np.array([-1 / lag, w * (-damping + 1j * np.sqrt(1 - damping**2)), w * (-damping - 1j * np.sqrt(1 - damping**2))])
     for pole in due:
         assert np.abs(poles.x + 2j * np.pi * poles.y - pole).min() < 1e-3 * abs(pole)
+
+
+def test_zeros_of_the_sampling_are_drawn_with_their_conjugates():
+    """The zero of a sampled second-order lag is real and negative in z: by scipy, at plus and minus half the rate in s."""
+    num, den = [1e6], [1.0, 300.0, 1e6]
+    model = Model("m", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain((TransferFunction(num, den),)))
+    zeros = poles_and_zeros(model)[0].lines[1]
+    sampled, *_ = cont2discrete((num, den), 1 / RATE)
+    root = np.roots(sampled[0][1:])
+    assert root[0] < 0.0
+    np.testing.assert_allclose(zeros.x, np.repeat(np.log(-root) * RATE, 2), rtol=1e-6)
+    np.testing.assert_allclose(sorted(zeros.y), [-RATE / 2, RATE / 2])
+    assert "half the rate" in zeros.name
+
+
+def test_a_static_model_has_no_poles_to_draw(tmp_path, capsys):
+    units = {"command": "V", "measurement": "um"}
+    save_model(Model("still", ("x",), units, 1 / RATE, Chain((Gain(0.1), Delay(3.4 / RATE)))), tmp_path / "m.yaml")
+    assert main(["plot", str(tmp_path / "m.yaml"), "--poles", "--output", str(tmp_path / "m.png")]) == 2
+    assert "still: has neither poles nor zeros to draw" in capsys.readouterr().err and not (tmp_path / "m.png").exists()
 
 
 def test_what_was_chosen_among_is_drawn_with_its_errors():

@@ -10,7 +10,7 @@ from scipy import signal
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.control.feedforward.inverse_dynamics import (
     METHODS,
     DiscreteSystem,
@@ -181,7 +181,7 @@ def test_stage_in_series_with_the_plant_answers_as_the_polynomials_say(system, s
     assume(np.all(np.abs(inverse.systems[0].poles) < 0.98))
     n = np.arange(3000)
     feed = np.cos(2 * np.pi * frequency * n)[:, None]
-    first = Chain((inverse.stage,)).filter(Sampling(sample_time, 1, "foh"))
+    first = Chain(inverse.stages).filter(Sampling(sample_time, 1, "foh"))
     second = Chain((Delay(delay), system)).filter(sampling)
     first.settle(feed[0])
     start = second.settle(first.settle(feed[0]))
@@ -197,11 +197,28 @@ def test_axes_share_the_longest_preview():
     inverse = invert_dynamics([Delay([0.0, 3.2e-4]), slow], Sampling(1e-4, 2))
     alone = invert_dynamics([Delay(3.2e-4), TransferFunction([1e4], [1.0, 1e4])], Sampling(1e-4, 1))
     assert inverse.preview == alone.preview
-    running = Chain((inverse.stage,)).filter(Sampling(1e-4, 2, "foh"))
+    running = Chain(inverse.stages).filter(Sampling(1e-4, 2, "foh"))
     running.settle(np.zeros(2))
     step = running.process(np.concatenate([np.zeros((1, 2)), np.ones((20, 2))]))
     first = [int(np.flatnonzero(step[:, axis])[0]) for axis in range(2)]
     assert first[0] > first[1], "the axis without delay waits for the other one"
+
+
+def test_a_delay_of_many_samples_takes_no_states_and_is_made_up_for():
+    """An inverse of an axis that is late by 503 samples, beside one that is not: both answer to the reference at the same tick."""
+    mode = TransferFunction([1e6], [1.0, 600.0, 1e6])
+    inverse = invert_dynamics([Delay([0.0503, 1e-4]), mode], Sampling(1e-4, 2))
+    states = sum(len(stage.A) for stage in inverse.stages if isinstance(stage, StateSpace))
+    assert inverse.preview > 503 and states <= 2 * 6
+    n = np.arange(3000)
+    reference = np.repeat((1.0 - np.cos(2 * np.pi * n / 500))[:, None], 2, axis=1)
+    command = Chain(inverse.stages).filter(Sampling(1e-4, 2, "foh"))
+    plant = Chain((Delay([0.0503, 1e-4]), mode)).filter(Sampling(1e-4, 2))
+    command.settle(reference[0])
+    plant.settle(reference[0])
+    measurement = plant.process(command.process(reference))  # at the ticks after the commands
+    ahead = inverse.preview - 1
+    np.testing.assert_allclose(measurement[ahead + 500 :], reference[500 : len(n) - ahead], atol=2e-4)
 
 
 @pytest.mark.parametrize(

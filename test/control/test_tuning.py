@@ -20,7 +20,7 @@ from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.linear_step import linear_step
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
-from hyst_control.control.tuning import _largest_scale, margins, tune
+from hyst_control.control.tuning import Plants, _largest_scale, margins, tune
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
 
@@ -251,7 +251,8 @@ def test_a_loop_whose_gain_margin_is_no_limit_is_scaled_to_its_phase_margin():
     """k / (s (s + 1)), s = (z - 1) / (z + 1): -180 degrees at |L| = 0 alone; 45 degrees are left at w = 1, where k = √2."""
     z = np.exp(1j * np.geomspace(1e-5, 1.0, 4000)[:-1] * np.pi)  # s is infinite at half the sampling rate
     s = (z - 1.0) / (z + 1.0)
-    found = _largest_scale((1.0 / (s * (s + 1.0)))[None], (2.0, np.pi / 4, 2.0, 0.0), 0.0, None)
+    plant = Plants(z, (1.0 / (s * (s + 1.0)))[None, :, None, None], np.zeros(len(z), bool))
+    found = _largest_scale(plant, np.ones_like(z), (2.0, np.pi / 4, 2.0, 0.0), 0.0, None)
     assert found == pytest.approx(np.sqrt(2.0), rel=2e-3)
 
 
@@ -434,3 +435,80 @@ def test_a_model_with_200_poles_is_tuned():
     model = Model("long", ("x",), {"command": "V", "measurement": "um"}, 2e-4, Chain(stages))
     found = tune(model)
     assert found.ki > 0.0 and found.worst.phase_margin > 44.9 and np.isfinite(found.settling_time)
+
+
+SKEW = np.array([[0.5, 2.0], [0.02, 0.5]])  # Axes of which one drives the other much: far from normal
+
+
+def skew_loop(found, frequency, gain=SKEW, error=None):
+    """L (F, 2, 2) of a mode at 600 Hz that drives both axes through a gain, sampled at 10 kHz, from its sampled state space."""
+    w, z = 2 * np.pi * 600.0, np.exp(2j * np.pi * np.asarray(frequency) * 1e-4)
+    parts = [[0.0, 1.0], [-w * w, -0.1 * w]], [[0.0], [w * w]], [[1.0, 0.0]], [[0.0]]
+    a, b, c, *_ = cont2discrete(tuple(map(np.array, parts)), 1e-4)
+    mode = np.array([(c @ np.linalg.solve(each * np.eye(2) - a, b))[0, 0] for each in z])
+    pi = found.kp + found.ki * 1e-4 * z / (z - 1.0)
+    return (mode * pi)[:, None, None] * (gain if error is None else (np.eye(2) + error) @ gain)
+
+
+@pytest.fixture(scope="module")
+def skew():
+    w = 2 * np.pi * 600.0
+    each = [[0.0, 1.0], [-w * w, -0.1 * w]], [[0.0], [w * w]], [[1.0, 0.0]]
+    a, b, c = (np.kron(np.eye(2), part) for part in each)
+    stage = StateSpace(a.tolist(), b.tolist(), (SKEW @ c).tolist(), np.zeros((2, 2)).tolist())
+    return Model("skew", ("x", "y"), {"command": "V", "measurement": "mrad"}, 1e-4, Chain((stage,)))
+
+
+def test_sensitivities_of_mixed_axes_are_singular_values_and_hold_for_every_error_of_the_motion(skew):
+    """Errors (I + E) P with a greatest singular value of E of 15 %, and with the spread of the gain."""
+    found = tune(skew, peak_sensitivity=4.0, mode_spread=0.0)
+    frequency = np.union1d(np.geomspace(0.05, 5000.0, 300), np.linspace(560.0, 640.0, 200))
+
+    def greatest(loops):
+        return np.linalg.norm(np.linalg.inv(np.eye(2) + loops), 2, axis=(1, 2))
+
+    np.testing.assert_allclose(found.sensitivity(skew, [1.0, 5.0]), greatest(skew_loop(found, [1.0, 5.0])), rtol=1e-6)
+    assert found.sensitivity(skew, [5.0])[0] > 1.2, "it grows, where the eigenvalues say that it falls"
+    assert found.nominal.peak_sensitivity == pytest.approx(greatest(skew_loop(found, frequency)).max(), rel=1e-3)
+    random, worst = np.random.default_rng(3), 0.0
+    for _ in range(300):
+        error = random.normal(size=(2, 2)) + 1j * random.normal(size=(2, 2))
+        error *= 0.15 / np.linalg.norm(error, 2)
+        worst = max(worst, greatest(skew_loop(found, frequency, random.choice([0.9, 1.1]) * SKEW, error)).max())
+    assert 0.75 * found.worst.peak_sensitivity < worst <= found.worst.peak_sensitivity
+    assert found.worst.peak_sensitivity <= 4.0
+
+
+def test_a_plant_whose_weak_direction_is_within_the_error_is_noted_or_refused(skew):
+    least, greatest = np.linalg.svd(SKEW, compute_uv=False)[[1, 0]]
+    assert f"have {least / greatest:.2g} of their greatest gain" in tune(skew, peak_sensitivity=4.0, mode_spread=0.0).notes[0]
+    with pytest.raises(InputError, match="decouple the axes"):
+        tune(skew, mode_spread=0.0)  # |S| is above 2 at any gain
+
+
+def test_a_loop_of_a_millionth_of_its_rate_crosses_over_where_its_integral_says():
+    """Far below a mode at 50 Hz with damping 0.002, sampled at 50 kHz, L is ki g / s."""
+    w = 2 * np.pi * 50.0
+    found = tune(replace(plain(TransferFunction([0.5], [1.0 / w**2, 0.004 / w, 1.0])), sample_time=2e-5))
+    crossover = 0.5 * found.ki / (2 * np.pi)
+    assert crossover < 0.1
+    assert found.nominal.crossover == pytest.approx(crossover, rel=0.01)
+    assert found.nominal.bandwidth == pytest.approx(crossover, rel=0.02)
+    assert found.nominal.phase_margin == pytest.approx(90.0, abs=0.2) and found.worst.phase_margin < 82.0
+
+
+@pytest.mark.parametrize("rate", [5e3, 1e5])
+def test_a_model_without_dynamics_is_tuned_for_the_band_that_it_is_known_in(rate):
+    """The loop stays stable at twice its gain around a stage with a resonance beyond the band, whatever the rate is."""
+    model = replace(plain(Gain(0.1), Delay(3e-5)), sample_time=2e-4, valid={"frequency": [0.0, 190.0]})
+    found = tune(model, sample_time=1.0 / rate)
+    assert 0.5 < 0.1 * 1.1 * found.ki / (2 * np.pi * 190.0) / 0.1 <= 1.01, "a tenth at 190 Hz"
+    twice = replace(found, kp=1.99 * found.kp, ki=1.99 * found.ki)
+    assert growth(twice, {(0, 0): (0.11, 200.0, 0.1)}) < 1.0
+    assert "no dynamics" in found.notes[0] and "190 Hz" in found.notes[0] and found.notes[0] in found.table(model).text()
+
+
+def test_margins_that_rest_on_a_response_nobody_has_seen_are_noted():
+    """At 100 kHz the loop of a model of 5 kHz has half its gain, and more, beyond 2.5 kHz."""
+    assert tune(MHL, sample_time=2e-4).notes == ()
+    assert "beyond 2500 Hz" in tune(MHL, sample_time=1e-5).notes[0]

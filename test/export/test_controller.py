@@ -16,6 +16,7 @@ from hyst_control.control.feedforward.compensator import build_compensator
 from hyst_control.export.c_source import Program
 from hyst_control.export.compiled import CompiledProgram
 from hyst_control.export.controller import Controller, FaultResponse
+from hyst_control.export.programs import controller
 from hyst_control.model_file import load_model
 
 RATE = 20000.0
@@ -142,3 +143,28 @@ def test_unusable_settings_are_one_line():
         FaultResponse(recovery="never")
     with pytest.raises(InputError, match="axis_fault: 'none' is not one of all, own"):
         FaultResponse(axis_fault="none")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("safe_command: [x]", "pi_feedback.safe_command: must be a number, got 'x'"),
+        ("safe_command: ['1.0']", "pi_feedback.safe_command: must be a number, got '1.0'"),
+        ("safe_command: true", "pi_feedback.safe_command: must be a number, got True"),
+    ],
+)
+def test_a_safe_command_that_is_no_number_is_one_line(wrong, told, tmp_path):
+    (tmp_path / "loop.yaml").write_text(f"pi_feedback: {{ros__parameters: {{kp: 1.0, {wrong}}}}}")
+    with pytest.raises(InputError, match=told):
+        controller(tmp_path / "loop.yaml")
+
+
+def test_a_model_that_is_nowhere_is_told_with_both_places(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "nodes").mkdir()
+    nodes = "pi_feedback: {ros__parameters: {kp: 1.0}}\nhampi_feedforward: {ros__parameters: {model: hampi.yaml}}"
+    (tmp_path / "nodes" / "loop.yaml").write_text(nodes)
+    with pytest.raises(
+        InputError, match="hampi.yaml: is neither in the present folder nor in nodes: put it there, or give its path"
+    ):
+        controller("nodes/loop.yaml")

@@ -72,6 +72,20 @@ def test_a_compensator_compiles_and_equals_python(name, tmp_path):
     compared(tmp_path, *{"hampi": (), "whole inverse": (FIRST,)}.get(name, (FIRST, "REALS=0")))
 
 
+def test_the_feedforward_of_a_late_plant_is_small(tmp_path):
+    """A delay of 503 samples on one of two axes: no matrix of as many states, and the same numbers as from Python."""
+    mode = "{stage: transfer_function, num: [0.5], den: [1.583e-5, 2.387e-3, 1.0]}"
+    (tmp_path / "late.yaml").write_text(
+        "{format: hyst_control/model, version: 1, name: late, axes: [x, y], units: {command: V, measurement: um}, sample_time: 1.0e-4, "
+        f"valid: {{command: [0.0, 100.0]}}, chain: [{{stage: delay, tau: [0.0503337, 1.0e-4]}}, {mode}]}}"
+    )
+    assert (
+        main(["export", str(tmp_path / "late.yaml"), "--kind", "hampi", "--reference-ahead", "--output", str(tmp_path / "c")]) == 0
+    )
+    assert (tmp_path / "c" / "late_hampi.c").stat().st_size < 20_000
+    compared(tmp_path / "c", FIRST)
+
+
 def tracking(folder: Path, filters: str) -> str:
     """File of a controller with learned rows."""
     model = str(config_path("models/pea_hampi.yaml"))
@@ -160,6 +174,18 @@ def test_an_arm_gives_the_same_bits(case, tmp_path):
 def test_misra_finds_no_more_than_the_listed_deviations(case, tmp_path):
     export(*FEEDFORWARDS[case], output=tmp_path)
     make(tmp_path, "misra")
+
+
+def test_a_tool_that_is_not_installed_is_left_out(tmp_path):
+    export("pea_hampi.yaml", output=tmp_path)
+    words = [shutil.which("make"), "-C", str(tmp_path), "arm", "misra", "ARM=arm-gcc-that-is-nowhere"]
+    (tmp_path / "bin").mkdir()
+    for tool in ("sh", "mkdir"):
+        (tmp_path / "bin" / tool).symlink_to(shutil.which(tool))
+    ended = subprocess.run(words, capture_output=True, text=True, env={"PATH": str(tmp_path / "bin")})
+    assert ended.returncode == 0, ended.stderr
+    assert "arm-gcc-that-is-nowhere is not installed: left out\n" in ended.stdout
+    assert "cppcheck is not installed: left out\n" in ended.stdout
 
 
 def test_what_cannot_be_exported_is_refused_with_the_reason(tmp_path, capsys):

@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
+from hyst_control.hardware import StageNode
 from hyst_control.hardware.simulated_converter import SimulatedStage
 from hyst_control.nodes.execution import command_line
 from hyst_control.nodes.execution.ending_node import EndingNode
@@ -350,18 +351,36 @@ def test_a_parameter_file_of_another_form_is_one_line(text, said, tmp_path, caps
     assert said in error and error.count("\n") == 1
 
 
-def test_a_section_for_no_node_is_told(tmp_path):
+class MyStage(StageNode):
+    """A stage of a user, as in docs/hardware.md."""
+
+    NAME = "my_stage"
+
+
+def test_a_misspelt_section_of_a_node_is_refused_where_it_runs_and_told_elsewhere(tmp_path, capsys):
     """Limits of a loop are in such sections: with a misspelled name they would act nowhere."""
     file = tmp_path / "p.yaml"
     file.write_text("/**: {ros__parameters: {}}\n/**/pi_feedbak: {ros__parameters: {}}\nlab: {second: {ros__parameters: {}}}\n")
     given = ["--ros-args", "--params-file", str(file)]
-    assert command_line.check(given) == [
-        f"{file}: /**/pi_feedbak: no node of this package has this name: did you mean pi_feedback?",
-        f"{file}: lab/second: no node of this package has this name",
-    ]
-    assert len(command_line.check([*given, "-r", "__node:=second"])) == 1
+    told = f"--params-file {file}: /**/pi_feedbak: no node has this name: did you mean pi_feedback?"
+    assert command_line.check(given, [Recorder]) == [told]
+    for nodes in ([PiFeedback], [Recorder, PiFeedback]):
+        assert main(*nodes, args=["pi_feedback", *given]) == 2
+        assert capsys.readouterr().err == told + "\n"
+    assert command_line.check([*given, "-p", "pi_feedback:kp:=1.0"], [PiFeedback]) == [], "its section is another one"
     for shipped in sorted(config_path("nodes/tracking.yaml").parent.glob("*.yaml")):
         assert command_line.check(["--params-file", str(shipped)]) == []
+
+
+def test_a_stage_of_a_user_has_a_section(tmp_path):
+    """The node itself is known, others take it for one of another process."""
+    file = tmp_path / "p.yaml"
+    file.write_text("/**/my_stage: {ros__parameters: {}}\n/**/pi_feedback: {ros__parameters: {}}\n")
+    for node in (MyStage, PiFeedback, Recorder):
+        assert command_line.check(["--params-file", str(file)], [node]) == []
+    file.write_text("/**/my_stag: {ros__parameters: {}}\n")
+    with pytest.raises(InputError, match="my_stag: no node has this name: did you mean my_stage"):
+        command_line.check(["--params-file", str(file)], [MyStage])
 
 
 def test_a_feedforward_that_looks_ahead_says_what_lead_it_waits_for(bench):

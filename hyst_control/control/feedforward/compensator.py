@@ -348,7 +348,7 @@ def dynamics_inverse(
         whole = at_rest(linear, np.stack([np.zeros(axes), np.ones(axes)]))
         return [*stages, Gain((1.0 / (whole[1] - whole[0])).tolist())], 0
     inverted = invert_dynamics(linear, sampling, method, discretisation, restored=restored)
-    return [*stages, inverted.stage], inverted.preview
+    return [*stages, *inverted.stages], inverted.preview
 
 
 def core_inverse(model: Model, limits: Array, kind: str, sampling: Sampling, iterations: int | None) -> list[Stage]:

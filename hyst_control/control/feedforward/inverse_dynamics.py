@@ -28,6 +28,7 @@ from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import Delay, LinearFilter, LinearStage, StateSpace, linear_filter
 from hyst_control.chain.linear.symmetric_filter import flat_weights, weighted_sum
+from hyst_control.chain.memoryless import Gain
 from hyst_control.chain.stage import Sampling, Stage
 
 METHODS = ("zpetc", "zmetc", "npz_ignore")
@@ -57,9 +58,9 @@ class DiscreteSystem:
 
 @dataclass(frozen=True)
 class InverseDynamics:
-    """An inverse delayed by `preview` samples as a filter of its own, per axis, and as one stage for all axes."""
+    """An inverse delayed by `preview` samples as a filter of its own, per axis, and as stages for all axes."""
 
-    stage: StateSpace
+    stages: tuple[Stage, ...]
     preview: int
     systems: tuple[DiscreteSystem, ...]
 
@@ -89,7 +90,9 @@ def invert_dynamics(
         DiscreteSystem(inverse.zeros, np.append(inverse.poles, np.zeros(preview - ahead)), inverse.gain)
         for inverse, ahead in inverses
     )
-    return InverseDynamics(discrete_stage(systems, sampling.sample_time), preview, systems)
+    late = [(preview - ahead) * sampling.sample_time for _, ahead in inverses]
+    stage = discrete_stage([inverse for inverse, _ in inverses], sampling.sample_time)
+    return InverseDynamics((Delay(late), stage) if any(late) else (stage,), preview, systems)
 
 
 def invert_system(plant: DiscreteSystem, method: str, restored: bool = False) -> tuple[DiscreteSystem, int]:
@@ -175,10 +178,12 @@ def tustin_systems(run: Sequence[Stage], sampling: Sampling) -> list[DiscreteSys
     return [DiscreteSystem(one.zeros, np.append(one.poles, np.zeros(whole[axis])), one.gain) for axis, one in enumerate(systems)]
 
 
-def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> StateSpace:
-    """Digital filters side by side as one `state_space` stage; realized in second-order sections, which keep slow poles exact."""
+def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> Stage:
+    """Digital filters side by side as one stage; realized in second-order sections, which keep slow poles exact."""
     parts = [_state_space(system) for system in systems]
     a, b, c, d = (block_diag(*(part[i] for part in parts)) for i in range(4))
+    if not len(a):
+        return Gain(np.diag(d).tolist())
     return StateSpace(a.tolist(), b.tolist(), c.tolist(), d.tolist(), sample_time=float(sample_time))
 
 
@@ -247,7 +252,14 @@ def _conjugated(roots: Complex) -> Complex:
 
 
 def _state_space(system: DiscreteSystem) -> tuple[Array, Array, Array, Array]:
-    """A biproper discrete system as its second-order sections in series."""
+    """A biproper discrete system as its second-order sections in series, without poles and zeros at the origin that cancel."""
+    delays = min(np.count_nonzero(system.zeros == 0.0), np.count_nonzero(system.poles == 0.0))
+    if delays:  # of a plant that is late by many samples, which its preview makes up for
+        zeros, poles = (
+            np.append(roots[roots != 0.0], np.zeros(np.count_nonzero(roots == 0.0) - delays))
+            for roots in (system.zeros, system.poles)
+        )
+        system = DiscreteSystem(zeros, poles, system.gain)
     if not len(system.poles):
         return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[system.gain]])
     padding = np.zeros(len(system.poles) - len(system.zeros))

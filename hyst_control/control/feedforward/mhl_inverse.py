@@ -98,7 +98,7 @@ def composite(
     return [Parallel(((hysteresis,), tuple(lead)))]
 
 
-def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None, sampling: Sampling) -> StateSpace:
+def tustin_lead(correction: RateCorrection, rate_filter: Sequence[float] | None, sampling: Sampling) -> Stage:
     """(k1 s + b1) / (k2 s + b2) times N(s), discretized by Tustin's rule for all axes."""
     values = per_axis_scalars(correction, sampling.axes, "k1", "b1", "k2", "b2")
     denominator = [1.0] if rate_filter is None else [float(value) for value in rate_filter]

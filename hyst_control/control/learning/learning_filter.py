@@ -28,7 +28,7 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.base.errors import InputError
 from hyst_control.control.linearization import first_mode, linearized, sampled_response
-from hyst_control.control.tuning import spread_responses
+from hyst_control.control.tuning import Plants, singular_values, spread_responses
 from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model
 
@@ -93,9 +93,13 @@ def model_filter(
     mode = first_mode(stages, axes)
     if mode is None or abs(mode) * sample_time > np.pi or -mode.real > MIN_RESONANT * abs(mode):
         mode_spread = 0.0  # poles that belong to a delay or a filter do not move as a resonance does
-    cases = spread_responses(model, sample_time, 0, GAIN_SPREAD, mode_spread, z)
-    ratio = (cases.reshape(-1, axes, len(z)) / cases[:axes]).reshape(-1, len(z))
-    error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)
+    plants = Plants(z, spread_responses(model, sample_time, 0, GAIN_SPREAD, mode_spread, z), np.zeros(len(z), bool))
+    if plants.mixed:  # sizes are greatest singular values then
+        ratio = plants.responses @ plants.inverses[0]
+        error = (singular_values(np.eye(axes) - ratio)[0] + model_error * singular_values(ratio)[0]).max(axis=0)
+    else:
+        ratio = (plants.loci.reshape(-1, axes, len(z)) / plants.loci[:axes]).reshape(-1, len(z))
+        error = (np.abs(1.0 - ratio) + model_error * np.abs(ratio)).max(axis=0)
     inverse: Complex = np.asarray(np.linalg.inv(response), dtype=np.complex128)
     error[amplified(inverse)] = np.inf
     return LearningFilter(period, inverse, robustness(error))

@@ -52,7 +52,7 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Values that differ from Python: in any bit in double, by more than 1e-5 of the column's range in float. */
+/* Values that differ from Python: in any bit in double, by more than 1e-5 of the column's range, or a fifth of its size, in float. */
 static int wrong_values(int exact)
 {
     int wrong = 0;
@@ -62,9 +62,10 @@ static int wrong_values(int exact)
             low = fmin(low, golden_out[row][column]);
             high = fmax(high, golden_out[row][column]);
         }
+        const double size = fmax(high - low, 0.2 * fmax(fabs(low), fabs(high)));
+        const double most = exact ? 0.0 : ({{ upper }}_FLOAT ? 1e-5 : 1e-9) * size;
         for (int row = 0; row < ROWS; row++) {
             const double x = golden_out[row][column], y = (double)found[row][column];
-            const double most = exact ? 0.0 : ({{ upper }}_FLOAT ? 1e-5 : 1e-9) * (high > low ? high - low : fabs(high));
             if (!(fabs(x - y) <= most) && !(isnan(x) && isnan(y))) {
                 if (wrong == 0) {
                     printf("row %d, output %d: %a, Python has %a\n", row, column, y, x);

@@ -14,10 +14,11 @@ from typing import Any
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import shown
 from hyst_control.base.yaml_files import read_yaml
-from hyst_control.nodes.signal_node.parameters import Setting, nearest
+from hyst_control.nodes.signal_node.parameters import Setting, matches, nearest
 from hyst_control.processes.node_list import NODES
 
 WIDTH = 100  # Columns of the help
+MISSPELT = 0.85  # Likeness from which the name of a section is that of a node, misspelt
 USAGE = """usage: {name} [--help] --ros-args [--params-file FILE.yaml] [-p PARAMETER:=VALUE] [-r __ns:=NAMESPACE] ..."""
 
 
@@ -35,8 +36,7 @@ def help_text(program: str, node_classes: Sequence[Any]) -> str:
         title = (inspect.getdoc(node_class) or "").split("\n\n")[0].replace("\n", " ")
         own = {setting.name: setting for setting in node_class.SETTINGS}
         common |= {setting.name: setting for setting in node_class.COMMON_SETTINGS if setting.name not in own}
-        name = inspect.signature(node_class).parameters["name"].default or node_class.NAME
-        parts += [f"\n{name}: {title}", "parameters:", _listed(own.values())]
+        parts += [f"\n{name_of(node_class)}: {title}", "parameters:", _listed(own.values())]
         if node_class.FURTHER:
             parts.append(node_class.FURTHER)
     if common:
@@ -44,10 +44,19 @@ def help_text(program: str, node_classes: Sequence[Any]) -> str:
     return "\n".join(parts)
 
 
-def check(arguments: Sequence[str]) -> list[str]:
-    """Refuse a parameter file that is missing or has another form, before ROS says less about it; warnings of sections for no node."""
-    warnings = []
-    renamed = [value.rpartition(":=")[2] for value in arguments if value.startswith("__node:=")]
+def name_of(node_class: Any) -> str:
+    """Name of a node without a remap."""
+    own = inspect.signature(node_class).parameters.get("name")
+    return str((own and own.default) or getattr(node_class, "NAME", ""))
+
+
+def check(arguments: Sequence[str], node_classes: Iterable[Any] = ()) -> list[str]:
+    """Refuse a parameter file that is missing or has another form, before ROS says less about it, or names a node of this process wrongly.
+
+    Warnings of misspelt sections of others. Any other name is a node's of the user.
+    """
+    own = [value.rpartition(":=")[2] for value in arguments if value.startswith("__node:=")] or [*map(name_of, node_classes)]
+    unknown = []
     for option, value in zip(arguments, arguments[1:]):
         if option == "--params-file":
             if not Path(value).is_file():
@@ -55,9 +64,16 @@ def check(arguments: Sequence[str]) -> list[str]:
             for section, content in _sections(value):
                 if not isinstance(content, dict) or "ros__parameters" not in content:
                     raise InputError(f"--params-file {value}: {section}: has no ros__parameters: put the parameters below it")
-                name = section.rpartition("/")[2]
-                if name not in (*NODES, *renamed, "*", "**"):
-                    warnings.append(f"{value}: {section}: no node of this package has this name{nearest(name, NODES, '')}")
+                if section.rpartition("/")[2] not in (*NODES, *own):
+                    unknown.append((value, section))
+    warnings, given = [], given_by_name(arguments)
+    left = [name for name in (*own, *NODES) if name not in given]
+    for value, section in unknown:
+        if meant := matches(section.rpartition("/")[2], left, MISSPELT):
+            told = f"--params-file {value}: {section}: no node has this name: did you mean {meant[0]}?"
+            if meant[0] in own:  # limits of a loop are in such a section: it must not run without them
+                raise InputError(told)
+            warnings.append(told)
     return warnings
 
 

@@ -140,7 +140,7 @@ def main(*factories: Callable[[], EndingNode], args: Sequence[str] | None = None
         return 0
     exposed = environment.exposure()
     try:
-        for warning in command_line.check(given):
+        for warning in command_line.check(given, _classes(factories)):
             print(warning, file=sys.stderr)
     except InputError as error:
         print(error, file=sys.stderr)
@@ -185,8 +185,11 @@ def _parameters_of(factories: Sequence[Any]) -> frozenset[str]:
     """Names of the parameters of all nodes of a process with several, since `-p NAME:=VALUE` reaches every one of them."""
     if len(factories) < 2:
         return frozenset()
-    classes = [factory for factory in factories if isinstance(factory, type) and issubclass(factory, EndingNode)]
-    return frozenset(setting.name for each in classes for setting in (*each.COMMON_SETTINGS, *each.SETTINGS))
+    return frozenset(setting.name for each in _classes(factories) for setting in (*each.COMMON_SETTINGS, *each.SETTINGS))
+
+
+def _classes(factories: Sequence[Any]) -> list[type[EndingNode]]:
+    return [factory for factory in factories if isinstance(factory, type) and issubclass(factory, EndingNode)]
 
 
 def _secured() -> bool:

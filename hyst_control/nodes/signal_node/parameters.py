@@ -169,8 +169,13 @@ def _refuse_unknown(node: Node, elsewhere: Collection[str]) -> None:
             raise InputError(f"{node.get_name()}: parameter {name}: there is no such parameter{nearest(name, declared)}")
 
 
+def matches(name: str, known: Iterable[str], likeness: float = 0.6) -> list[str]:
+    """The known name that a name is most like, at least this much; none where there is no such one."""
+    plain = {each.lower().replace("_", ""): each for each in known}
+    return [plain[found] for found in difflib.get_close_matches(name.lower().replace("_", ""), plain, 1, likeness)]
+
+
 def nearest(name: str, known: Iterable[str], otherwise: str = ": --help lists them") -> str:
     """Question after the name that was meant."""
-    plain = {each.lower().replace("_", ""): each for each in known}
-    found = difflib.get_close_matches(name.lower().replace("_", ""), plain, 1)
-    return f": did you mean {plain[found[0]]}?" if found else otherwise
+    found = matches(name, known)
+    return f": did you mean {found[0]}?" if found else otherwise
