@@ -198,7 +198,9 @@ class SearchSettings:
     spent_floor: float = 0.5  # practical sizes squared: the same, of what is too small to be named
     # nats: cost of every parameter of an effect beyond the first, where the model states an error of its own
     own_error_parameter: float = 3.0
-    inflation: float = 5.0  # tolerances: how far nominal coefficients may be off in the hypothesis by coefficients alone
+    # tolerances: how far nominal coefficients may be off in the hypothesis by coefficients alone, at first and at most
+    inflation: float = 5.0
+    most_inflation: float = 1e4
 
 
 @dataclass(frozen=True)

@@ -52,3 +52,13 @@ def test_what_is_told_as_off_lies_outside_its_interval(gap):
         assert not row["ci90"][0] <= row["nominal"] <= row["ci90"][1]
         assert row["z"] * (row["value"] - row["nominal"]) > 0.0
     assert strain(gap.diagnosis) == gap.document["strain"] > max(abs(row["z"]) for row in told) * 0.5
+
+
+def test_a_number_may_be_far_off_that_an_identification_told_exactly():
+    """A mode half a percent higher, of a model that knows it to a millionth: no other effect, and nothing unknown."""
+    model = hc.identify(record(100.0, 1), "linear", verbose=False)
+    away = ["added_mass", "softening_modes", "resonance", "delay", "cubic_stiffness"]
+    gap = hc.diagnose(record(100.5, 2), model, without=away, verbose=False)
+    assert gap.document["verdict"] == "parameters"
+    (row,) = [row for row in gap.document["parameters"] if row["name"] == "frequency[0]"]
+    assert row["value"] == pytest.approx(100.5, abs=0.01) and row["z"] > 1000.0

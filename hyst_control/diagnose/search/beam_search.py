@@ -35,6 +35,8 @@ from hyst_control.diagnose.search.starts import Begun, begin, gone_on, misfit_at
 from hyst_control.records.correlation import correlation_length
 
 RENEWED = 20  # Most times that the columns of the coefficients alone are renewed
+FAR_BESIDE, GROWTH = 2.0, 10.0
+"""Distance of a coefficient, in tolerances times a factor, from which a larger factor is looked at, and how much larger it is."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,10 @@ def search(
     configuration: Configuration = CONFIGURATION,
 ) -> Found:
     """Fit and weigh all candidates."""
-    settings, thresholds, inflation = configuration.search, configuration.policy, configuration.search.inflation
-    none, wide = FittedHypothesis(None, settled(linearized), 0.0), inflated(linearized, inflation)
+    settings, thresholds = configuration.search, configuration.policy
+    none = FittedHypothesis(None, settled(linearized), 0.0)
     # The coefficients alone are needed when all is weighed.
-    with beside(lambda: settled(wide, none.solution.z / inflation)) as alone:
+    with beside(lambda: beyond_tolerance(linearized, none.solution, settings)) as alone:
         beam, depth = settings.beam, settings.depth
         whitened = linearized.problem.own_spectrum is not None
         if leaves >= thresholds.own_error_energy or whitened:
@@ -178,19 +180,43 @@ def search(
         def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[FittedHypothesis, ...]:
             return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
 
-        wider = (
-            0.5
-            * (
-                np.linalg.slogdet(np.eye(wide.count) + temper * wide.gram)[1]
-                - np.linalg.slogdet(np.eye(wide.count) + temper * linearized.gram)[1]
-            )
-            if wide.count
-            else 0.0
+        def freedom(factor: float) -> float:
+            """½ log of the room that the coefficients have, with their tolerances multiplied, to what the data leave of it."""
+            gram = inflated(linearized, factor).gram
+            return 0.5 * float(np.linalg.slogdet(np.eye(len(gram)) + temper * gram)[1]) if len(gram) else 0.0
+
+        wider = alone.result()
+        cost = float(freedom(1.0) - alternatives - np.log(len(wider)))  # a size is as likely as any other that was looked at
+        parameters = max(
+            (
+                FittedHypothesis(
+                    None,
+                    fitted,
+                    temper * float(nothing - weighed(linearized.problem, fitted)) + cost - freedom(factor),
+                    True,
+                    factor,
+                )
+                for factor, fitted in wider
+            ),
+            key=lambda one: one.score,
         )
-        fitted = alone.result()
-        score = temper * (nothing - weighed(linearized.problem, fitted)) - wider - alternatives
-        parameters = FittedHypothesis(None, fitted, float(score), True, inflation)
         return Found(linearized, none, parameters, ranked(fits), ranked(combinations), temper)
+
+
+def beyond_tolerance(linearized: Linearized, none: Solution, settings: SearchSettings) -> list[tuple[float, Solution]]:
+    """Fits of coefficients alone, each with the factor of their tolerances: larger ones as long as a coefficient is far off beside it.
+
+    What an identification tells to a millionth may be off by a per cent once the machine has been moved.
+    """
+    found: list[tuple[float, Solution]] = []
+    factor, z = settings.inflation, none.z
+    own = linearized.scatter.companions == 0.0
+    while True:
+        fitted = settled(inflated(linearized, factor), z / (factor / found[-1][0] if found else factor))
+        found.append((factor, fitted))
+        if np.abs(fitted.z[own]).max(initial=0.0) <= FAR_BESIDE or factor >= settings.most_inflation:
+            return found
+        factor, z = GROWTH * factor, fitted.z
 
 
 def _screened(linearized: Linearized, members: Sequence[Member], most: int) -> list[Member]:

@@ -197,7 +197,8 @@ def _columns(
             moved = centre.copy()
             moved[k] += step
             try:
-                column = (_simulated(problem, scatter, moved, unknowns, x) - nominal) / step
+                with np.errstate(over="ignore", invalid="ignore"):  # far from the model it may run away
+                    column = (_simulated(problem, scatter, moved, unknowns, x) - nominal) / step
             except InputError:
                 continue
             if is_bounded(column):
