@@ -254,10 +254,10 @@ class Record:
         earlier = self.start.memory if isinstance(self.start, Beginning) else np.zeros((0, 1))
         signal = self.signals.get("command")
         if signal is not None and earlier is not None and self.start != "unknown" and len(signal.time) > 1:
-            rows = signal.time < first
+            rows = slice(int(np.count_nonzero(signal.time < first)))  # no copy: it may be an hour
             before = replace(signal, time=signal.time[rows], values=signal.values[rows])
-            if np.isfinite(before.values).all() and before.consecutive_ticks(commonest_step(signal.time)) is not None:
-                memory = np.concatenate([earlier.reshape(-1, len(signal.axes)), before.values])
+            if all_finite(before.values) and before.consecutive_ticks(commonest_step(signal.time)) is not None:
+                memory = np.concatenate([earlier, before.values]) if earlier.size else before.values
                 if len(memory):
                     return Beginning(FOLLOWS, memory, 0)
         return "auto" if self.start == "auto" else "unknown"
