@@ -233,7 +233,7 @@ def missing_rows(bag: Path) -> tuple[dict[str, int], int]:
     Under the timer these are also the ticks that the node which publishes it has missed: a stage has no sample of them, while the feedback
     publishes the command that it held.
     """
-    signals = read_bag(bag, topics=SIGNALS).signals
+    signals = {topic: signal for topic, signal in read_bag(bag).signals.items() if topic in SIGNALS}
     steps = {topic: float(np.median(np.diff(signal.time))) for topic, signal in signals.items()}
     due = {topic: round((signal.time[-1] - signal.time[0]) / steps[topic]) + 1 for topic, signal in signals.items()}
     return {topic: due[topic] - len(signal.time) for topic, signal in signals.items()}, sum(due.values())

@@ -87,7 +87,7 @@ def parameters(around: Surroundings) -> tuple[Parameter, ...]:
     begin = lower
     if around.beside_error:
         lower = min(max(3.0 / around.duration, 5.0), 0.05 * nyquist)
-        begin = max(min(200.0, 0.04 * nyquist), lower)
+        begin = max(min(200.0, 0.2 * nyquist), lower)
     count = 1 + int(np.ceil(np.log(0.8 * nyquist / begin) / np.log(STEP)))
     starts = tuple(np.geomspace(begin, 0.8 * nyquist, count))
     return (

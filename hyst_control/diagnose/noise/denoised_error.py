@@ -13,9 +13,6 @@ from hyst_control.records.session_zero import without_zero
 
 NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
-QUIETEST, TOO_LOW, MOST = 0.2, 0.81, 1.5
-"""Quantile of the averaged power that is taken for the noise's; what that quantile is of the noise's mean, and what hardly any average
-exceeds: chi-square with 2 `NOISE_REACH` + 1 degrees of freedom, 20 and 98 %."""
 
 
 def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> tuple[Array, Array]:
@@ -27,8 +24,8 @@ def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) 
     # as noise
     rest, _ = without_zero(error)
     spectrum, smooth, floor = _floor_of(rest)
-    floor = np.minimum(floor / TOO_LOW, 2 * len(rest) * most**2)
-    kept = np.clip(1.0 - MOST * floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
+    floor = np.minimum(floor, 2 * len(rest) * most**2)
+    kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
     smoothed = np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)]
     # Near the lines of a periodic command all of it is left.
     left = np.sqrt(np.mean(kept**2, axis=0) * floor / (2 * len(rest)))
@@ -48,5 +45,5 @@ def _floor_of(rest: Array) -> tuple[Complex, Array, Array]:
     power = np.abs(spectrum) ** 2
     window = np.ones(2 * NOISE_REACH + 1) / (2 * NOISE_REACH + 1)
     smooth = np.stack([np.convolve(np.pad(column, NOISE_REACH, mode="reflect"), window, "valid") for column in power.T], axis=1)
-    quiet = np.asarray(np.quantile(smooth[len(smooth) // 2 :], QUIETEST, axis=0), dtype=np.float64)
+    quiet = np.asarray(np.quantile(smooth[len(smooth) // 2 :], 0.2, axis=0), dtype=np.float64)
     return np.asarray(spectrum, dtype=np.complex128), smooth, quiet
