@@ -140,6 +140,12 @@ def test_behind_a_stop_of_the_process_the_command_is_approached(step):
     assert voltages[-1] == 15.0 and actuator.watchdog.following and stub.warned == ["stood still"]
 
 
+def test_a_stop_before_the_first_command_changes_nothing():
+    actuator, stub = made(axes=1)
+    assert actuator.voltage(0).tolist() == actuator.voltage(40).tolist() == [LOWER]
+    assert not stub.warned and not actuator.watchdog.armed
+
+
 @pytest.mark.parametrize("late", range(2, 5))
 def test_a_short_stop_is_within_what_a_command_may_be_old(late):
     actuator, stub = made(axes=1)
