@@ -10,7 +10,8 @@ from hyst_control.base.arrays import Complex
 from hyst_control.base.errors import InputError
 from hyst_control.control.feedback.loop import Plant, run_loop
 from hyst_control.control.feedback.pi import PI
-from hyst_control.control.tuning import Margins, Tuning, controller_response, margins
+from hyst_control.control.loop_margins import Margins, margins
+from hyst_control.control.tuning import Tuning, controller_response
 from hyst_control.records.excitation.excitation import cosine_ramp, multisine
 from hyst_control.reporting.tables import Table
 from hyst_plant_sim.physics import load_plant

@@ -11,8 +11,9 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.control.linearization import linearized, sampled_response
+from hyst_control.control.plant_cases import Plants
 from hyst_control.control.state_space import Discrete, state_space
-from hyst_control.control.tuning import Plants, Tuning, controller_response
+from hyst_control.control.tuning import Tuning, controller_response
 from hyst_control.identify.assess.fit_report import residual
 from hyst_control.identify.validation import check_pair, compared_stretches
 from hyst_control.model_file import Model

@@ -24,14 +24,11 @@ nothing of either where the plant is not normal; gain and phase margin are those
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import pairwise
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
-from hyst_control.base.arrays import Array, Complex, Mask
+from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
 from hyst_control.control.feedback.filters import Filters, response
@@ -39,15 +36,9 @@ from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedback_shapes import STRUCTURES, Shape, shapes
 from hyst_control.control.linear_step import Step, law_sections, linear_step
-from hyst_control.control.linearization import (
-    first_mode,
-    has_dynamics,
-    hysteresis_slopes,
-    linearized,
-    modes,
-    sampled_response,
-    with_first_mode,
-)
+from hyst_control.control.linearization import first_mode, has_dynamics, hysteresis_slopes, linearized, modes
+from hyst_control.control.loop_margins import Margins, courses_of, crossing_180, phase_margin_of
+from hyst_control.control.plant_cases import Plants, spread_responses
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
 
@@ -59,21 +50,6 @@ AROUND = 60
 """Points of a response on either side of a resonance, in equal ratios from a tenth of its half width to a tenth of its frequency."""
 LOWEST_SCALE = 1e-15
 """Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""
-
-
-@dataclass(frozen=True)
-class Margins:
-    """Stability of one loop.
-
-    gain_margin dB, phase_margin degrees, peak_sensitivity (max |1 / (1 + L)|; of mixed axes the greatest singular value), crossover and
-    bandwidth Hz (-3 dB of L / (1 + L), half the sampling rate when it stays above).
-    """
-
-    gain_margin: float
-    phase_margin: float
-    peak_sensitivity: float
-    crossover: float
-    bandwidth: float
 
 
 @dataclass(frozen=True)
@@ -277,88 +253,6 @@ def known_band(model: Model) -> float:
     return min(float(excited.min()), 0.5 / model.sample_time)
 
 
-@dataclass(frozen=True)
-class Plants:
-    """Cases of a plant, the model first."""
-
-    z: Complex  # Points (F,) of the unit circle, in order of frequency
-    responses: Complex  # (K, F, A, A)
-    unknown: Mask  # (F,), points at which |L| is at most `UNKNOWN`
-
-    @classmethod
-    def nominal(cls, model: Model, sample_time: float, loop_delay: int, z: Complex) -> Plants:
-        """The model itself."""
-        return cls(z, spread_responses(model, sample_time, loop_delay, 0.0, 0.0, z)[:1], np.zeros(len(z), bool))
-
-    def part(self, cases: int | None = None, every: int = 1) -> Plants:
-        """The first cases, at every so many points."""
-        return Plants(self.z[::every], self.responses[:cases, ::every], self.unknown[::every])
-
-    @cached_property
-    def mixed(self) -> bool:
-        """True where an axis drives another."""
-        return bool(np.any(self.responses * (1.0 - np.eye(self.responses.shape[-1]))))
-
-    @cached_property
-    def loci(self) -> Complex:
-        """Characteristic loci (K · A, F); of axes that are not mixed their responses."""
-        return np.concatenate([_loci(case) for case in self.responses])
-
-    @cached_property
-    def sizes(self) -> tuple[Array, Array]:
-        """Greatest and least singular value (K, F) of the responses."""
-        return singular_values(self.responses)
-
-    @cached_property
-    def inverses(self) -> Complex:
-        """Inverses (K, F, A, A) of the responses."""
-        return np.asarray(np.linalg.pinv(self.responses), dtype=np.complex128)
-
-    def sensitivities(self, controller: Complex) -> tuple[Array, Array]:
-        """|S| and |T| of the loops with a controller (F,): (M, F) of every axis or, of mixed ones, greatest singular values (K, F)."""
-        if not self.mixed:
-            loops = self.loci * controller
-            return np.abs(1.0 / (1.0 + loops)), np.abs(loops / (1.0 + loops))
-        return closed_loop(self.responses, self.inverses, controller)
-
-    def distance(self, controller: Complex, error: float = 0.0, enough: float = np.inf) -> float:
-        """The least 1 / |S| of the loops with a controller (F,), over all relative errors up to `error`; `enough` at most."""
-        if not self.mixed:
-            return _min_distance(self.loci * controller, error)
-        # Bounds tell that a loop of little or much gain is far from -1.
-        greatest, least = (size * np.abs(controller) for size in self.sizes)
-        near = ((1.0 + error) * greatest > 1.0 - enough) & ((1.0 - error) * (least - 1.0) - error < enough)
-        at = np.nonzero(near)
-        sensitivity, complementary = closed_loop(self.responses[at], self.inverses[at], controller[at[1]])
-        return float(((1.0 - error * complementary) / sensitivity).min(initial=enough))
-
-    def margins(self, controller: Complex, sample_time: float, error: float = 0.0) -> Margins:
-        """Worst margins of the loops with a controller (F,)."""
-        loops = self.loci * controller
-        return replace(
-            _worst([margins(loop, self.z, sample_time, error) for loop in loops]),
-            peak_sensitivity=1.0 / self.distance(controller, error),
-        )
-
-
-def singular_values(matrices: Complex) -> tuple[Array, Array]:
-    """Greatest and least singular value (...) of matrices (..., A, A)."""
-    if matrices.shape[-1] != 2:
-        found = np.asarray(np.linalg.svd(matrices, compute_uv=False), dtype=np.float64)
-        return found[..., 0], found[..., -1]
-    (a, b), (c, d) = np.moveaxis(matrices, (-2, -1), (0, 1))  # a closed form is ten times as fast
-    size = (np.abs(matrices) ** 2).sum(axis=(-2, -1))
-    product: Array = np.abs(a * d - b * c)
-    greatest: Array = np.sqrt(0.5 * (size + np.sqrt(np.maximum(size**2 - 4.0 * product**2, 0.0))))
-    return greatest, product / np.maximum(greatest, 1e-300)
-
-
-def closed_loop(responses: Complex, inverses: Complex, controller: Complex) -> tuple[Array, Array]:
-    """Greatest singular values (...) of S = 1 / (1 + L) and T = 1 / (1 + 1 / L), from responses, their inverses and a controller."""
-    one, gain = np.eye(responses.shape[-1]), controller[..., None, None]
-    return 1.0 / singular_values(one + gain * responses)[1], 1.0 / singular_values(one + inverses / gain)[1]
-
-
 def _notes(plants: Plants, known: float, error: float, dynamic: bool, reached: bool) -> tuple[str, ...]:
     """Sentences on what the margins rest on: the band that the model tells of, and whether the loop reaches beyond it."""
     found = []
@@ -417,7 +311,7 @@ def _greatest_integral(plants: Plants, static: float, sample_time: float, shape:
         scaled = (time + sample_time * z / (z - 1.0) + advance * response(derivative, z)) / (static * sample_time)
         controller, above = passed * scaled, best[1] * static * sample_time
         compared = filtered and above and not shape.damping_gain
-        if compared and _phase_margin(_courses(plants.loci * controller), limits[3], above).min() < limits[1]:
+        if compared and phase_margin_of(courses_of(plants.loci * controller), limits[3], above).min() < limits[1]:
             continue  # no greater integral gain than the best so far
         scale = _largest_scale(plants, controller, limits, above, fixed if shape.damping_gain else None)
         slope = static * sample_time
@@ -431,11 +325,11 @@ def _damped(plants: Plants, damping: Complex, limits: Limits) -> bool:
     """True when the loops of the damping (F,) alone keep the limits at every gain up to theirs."""
     gain_margin, phase_margin, peak, error = limits
     fixed = plants.loci * damping
-    crossing = np.maximum(_crossing_180(fixed), -fixed.real[:, 0]).max() * (1.0 + error) * gain_margin
+    crossing = np.maximum(crossing_180(fixed), -fixed.real[:, 0]).max() * (1.0 + error) * gain_margin
     return bool(
         crossing <= 1.0
         and 1.0 <= peak * plants.distance(damping, error)
-        and _phase_margin(_courses(fixed), error).min() >= phase_margin
+        and phase_margin_of(courses_of(fixed), error).min() >= phase_margin
     )
 
 
@@ -446,59 +340,28 @@ def controller_response(law: PI, z: Complex) -> Complex:
     return np.asarray(passed * np.sum([response(section, z) for section in beside], axis=0))
 
 
-def spread_responses(
-    model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
-) -> Complex:
-    """Responses (K, F, A, A) at points of the z plane, the nominal model first, measurement unit per V.
-
-    The other cases are at the ends of the relative spreads of the gain and of the first resonance's frequency.
-    """
-    axes = len(model.axes)
-    _, greatest = hysteresis_slopes(model)
-    stages = linearized(model, greatest)
-    responses = []
-    for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
-        response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z) * (z**-loop_delay)[:, None, None]
-        responses += [gain * response for gain in (1.0, 1.0 - gain_spread, 1.0 + gain_spread)]
-    return np.array(responses)
-
-
-def _loci(responses: Complex) -> Complex:
-    """Eigenvalues (A, F) of responses (F, A, A), each continued from point to point; the diagonal where no axis drives another."""
-    axes = responses.shape[1]
-    diagonal = responses[:, np.arange(axes), np.arange(axes)]
-    if not np.any(responses * (1.0 - np.eye(axes))):
-        return diagonal.T
-    from scipy.optimize import linear_sum_assignment  # only here: nodes of the loop load this module
-
-    found = np.linalg.eigvals(responses)
-    for before, here in pairwise(found):
-        here[:] = here[linear_sum_assignment(np.abs(before[:, None] - here))[1]]
-    return np.asarray(found.T, dtype=np.complex128)
-
-
 def _largest_scale(plants: Plants, controller: Complex, limits: Limits, above: float, fixed: Complex | None) -> float:
     """The largest factor on a controller (F,), beside a `fixed` one, up to which loops keep the margins; 0 if not more than `above`."""
     gain_margin, phase_margin, peak_sensitivity, error = limits
     loops = plants.loci * controller
-    ultimate = _crossing_180(loops).max() * (1.0 + error)
+    ultimate = crossing_180(loops).max() * (1.0 + error)
     highest = 1.0 / (max(ultimate, 1e-12) * gain_margin)
     if fixed is not None:  # the damping may allow more than the plant does
         highest *= 10.0
     if plants.unknown.any():
         highest = min(highest, UNKNOWN / float(np.abs(loops[:, plants.unknown]).max()))
-    courses, enough = _courses(loops), 1.0 / peak_sensitivity
+    courses, enough = courses_of(loops), 1.0 / peak_sensitivity
 
     def kept(scale: float) -> bool:
         whole = scale * controller if fixed is None else scale * controller + fixed
         if 1.0 > peak_sensitivity * plants.distance(whole, error, enough):
             return False
         if fixed is None:
-            return bool(_phase_margin(courses, error, scale).min() >= phase_margin)
+            return bool(phase_margin_of(courses, error, scale).min() >= phase_margin)
         scaled = plants.loci * whole
-        if _crossing_180(scaled).max() * (1.0 + error) * gain_margin > 1.0:
+        if crossing_180(scaled).max() * (1.0 + error) * gain_margin > 1.0:
             return False
-        return bool(_phase_margin(_courses(scaled), error).min() >= phase_margin)
+        return bool(phase_margin_of(courses_of(scaled), error).min() >= phase_margin)
 
     if highest <= above:
         return 0.0
@@ -524,83 +387,3 @@ def _largest_scale(plants: Plants, controller: Complex, limits: Limits, above: f
         middle = 0.5 * (last + high)
         last, high = (middle, high) if kept(middle) else (last, middle)
     return last
-
-
-def _crossing_180(loops: Complex) -> Array:
-    """The greatest |L| (M,) where each of loops (M, F) crosses the negative real axis; 0 where it never does."""
-    real, imaginary = loops.real, loops.imag
-    change = imaginary[:, :-1] - imaginary[:, 1:]
-    share = imaginary[:, :-1] / np.where(change == 0.0, 1.0, change)
-    at = real[:, :-1] + share * (real[:, 1:] - real[:, :-1])
-    crossed = (imaginary[:, :-1] * imaginary[:, 1:] <= 0.0) & (at < 0.0)
-    # At half the sampling rate L is real, whatever its sign.
-    return np.asarray(np.maximum(np.where(crossed, -at, 0.0).max(axis=1), -real[:, -1].clip(max=0.0)))
-
-
-def _min_distance(loops: Complex, error: float) -> float:
-    """The least |1 + L (1 + d)| over loops and all relative errors |d| up to `error`."""
-    return float((np.abs(1.0 + loops) - error * np.abs(loops)).min())
-
-
-class _Courses(NamedTuple):
-    """Loops (M, F) between neighboring points: ln |L| (M, F) at all of them, arg L (M, F - 1) and what it turns by up to the next."""
-
-    size: Array
-    phase: Array
-    turn: Array
-
-
-def _courses(loops: Complex) -> _Courses:
-    return _Courses(np.log(np.abs(loops)), np.angle(loops[:, :-1]), np.angle(loops[:, 1:] / loops[:, :-1]))
-
-
-def _phase_margin(courses: _Courses, error: float, scale: float = 1.0) -> Array:
-    """Least distance (M,) in rad of the phase from -180 degrees where |L| of `scale` times the loops crosses 1; pi where it never does."""
-    # A relative error turns the phase by its arc sine, and moves the crossing to where |L| is 1 / (1 + error) to 1 / (1 - error).
-    least = np.full(len(courses.size), np.pi)
-    for factor in (1.0 - error, 1.0, 1.0 + error) if error else (1.0,):
-        size = courses.size + np.log(factor * scale)
-        loop, at = np.nonzero(size[:, :-1] * size[:, 1:] <= 0.0)
-        before = size[loop, at]
-        change = before - size[loop, at + 1]
-        phase = courses.phase[loop, at] + courses.turn[loop, at] * before / np.where(change == 0.0, 1.0, change)
-        np.minimum.at(least, loop, np.abs(np.mod(phase, 2.0 * np.pi) - np.pi))
-    return np.asarray(least - np.arcsin(error))
-
-
-def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:
-    """Margins of a stable loop, the worst over a relative error of its response.
-
-    Parameters
-    ----------
-    loop
-        Response of the open loop (F,).
-    z
-        Points (F,) exp(j w T) of the response, in order of frequency.
-    sample_time
-        Sample time T, s.
-    error
-        Relative error of the response.
-
-    Returns
-    -------
-    Margins
-        Gain margin in dB, phase margin in degrees, peak sensitivity, and crossover and bandwidth in Hz.
-    """
-    frequency = np.angle(z) / (2.0 * np.pi * sample_time)
-    crossing = float(_crossing_180(loop[None])[0]) * (1.0 + error)
-    above = np.flatnonzero(np.abs(loop) >= 1.0)
-    closed = np.abs(loop / (1.0 + loop))
-    below = np.flatnonzero(closed < np.sqrt(0.5))
-    return Margins(
-        gain_margin=-20.0 * float(np.log10(crossing)) if crossing > 0.0 else np.inf,
-        phase_margin=float(np.degrees(_phase_margin(_courses(loop[None]), error)[0])),
-        peak_sensitivity=1.0 / _min_distance(loop, error),
-        crossover=float(frequency[above[-1]]) if len(above) else 0.0,
-        bandwidth=float(frequency[below[0]]) if len(below) else 0.5 / sample_time,
-    )
-
-
-def _worst(cases: list[Margins]) -> Margins:
-    least = {name: min(getattr(case, name) for case in cases) for name in vars(cases[0])}
-    return Margins(**{**least, "peak_sensitivity": max(case.peak_sensitivity for case in cases)})

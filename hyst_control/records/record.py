@@ -112,7 +112,7 @@ def regular_times(count: int, step: float, first: int = 0) -> Array:
 
 
 FOLLOWS = "amid a motion: behind the commands before the cut"
-"""How a part of a record begins."""
+"""Beginning of a part of a record whose earlier commands are known."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes of the first hour: each is told in one line that names what helps."""
+"""Mistakes of a first hour end in one line that names the remedy."""
 
 from __future__ import annotations
 

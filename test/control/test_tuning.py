@@ -20,7 +20,9 @@ from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.linear_step import linear_step
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
-from hyst_control.control.tuning import Plants, _largest_scale, margins, tune
+from hyst_control.control.loop_margins import margins
+from hyst_control.control.plant_cases import Plants
+from hyst_control.control.tuning import _largest_scale, tune
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
 

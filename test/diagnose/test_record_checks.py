@@ -111,7 +111,7 @@ def test_no_gap_is_not_said_to_lie_within_tolerances_that_the_fit_leaves_far_beh
     }
     far = sentence(report)
     assert far.startswith("No gap beyond the 0.14 um rms that the model leaves on baseline records and the noise")
-    assert far.endswith("The best fit moves the model's coefficients by 20 σ together, which the model's own error can cause.")
+    assert far.endswith("The best fit moves the model's coefficients by 20 σ together, which the model discrepancy can cause.")
     assert "by 12 σ together" in sentence(report | {"parameters": [], "strain": 12.0})
     named = sentence(report | {"baseline": report["baseline"] | {"of_model": True}})
     assert "leaves on the records it was identified from" in named

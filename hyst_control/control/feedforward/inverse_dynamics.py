@@ -190,7 +190,7 @@ def discrete_stage(systems: Sequence[DiscreteSystem], sample_time: float) -> Sta
 def zero_phase_low_pass(order: int, axes: int, sample_time: float) -> StateSpace:
     """`flat_weights` without phase, delayed by `order` samples, the same for every axis.
 
-    It takes off a reference what jumps and kinks ask for near half the sampling rate, where a sampled model knows least.
+    It removes from a reference what jumps and kinks ask for near half the sampling rate, where a sampled model knows least.
     """
     return weighted_sum(flat_weights(order), axes, sample_time)
 

@@ -24,7 +24,7 @@ from hyst_control.reporting.quantities import quantity
 
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
-FAR_OFF = 5.0  # Standard deviations beyond which the coefficients are told as the reason why an explanation is not believed
+FAR_OFF = 5.0  # Standard deviations from which the coefficients are named as the reason for doubt
 SAID = {"kind": "simple curve", "none of these": "no simple curve"}
 """Words of the document, where a line of text has no room to explain them."""
 DISTORTED_BY = {
@@ -237,7 +237,7 @@ def sentence(report: dict[str, Any]) -> str:
         known = _known_error(report)
         if strained > FAR_OFF and known:
             moved = (
-                f"The best fit moves the model's coefficients by {strained:.0f} σ together, which the model's own error can cause."
+                f"The best fit moves the model's coefficients by {strained:.0f} σ together, which the model discrepancy can cause."
             )
             return f"No gap beyond {known.strip(', ')} and the noise: simulation and record differ by {size}. {moved}"
         return f"No gap beyond the model's tolerances{known} and the noise: simulation and record differ by {size}."

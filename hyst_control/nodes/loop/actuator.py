@@ -136,6 +136,8 @@ class Actuator:
     @property
     def _present_limits(self) -> CommandLimits:
         """The limits, the slope in time where this write follows a late one."""
+        if not math.isfinite(self.limits.step):
+            return self.limits
         share = (self.node.timer.now - self._last_written) / self.node.period
         return self.limits if share >= BUNCHED else replace(self.limits, step=self.limits.step * max(share, 0.0))
 
