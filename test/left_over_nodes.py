@@ -33,4 +33,4 @@ def destroyed() -> Iterator[None]:
     finally:
         for node in list(nodes):
             with suppress(AttributeError, InvalidHandle), node.handle:  # it never came to be, or is destroyed
-                Node.destroy_node(node)
+                node.destroy_node()

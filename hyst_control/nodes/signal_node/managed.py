@@ -119,6 +119,11 @@ class ManagedNode(LifecycleNodeMixin, SignalNode):
         self.every(0.01, self._end)
         return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """Destroy the node with its states, for which the middleware would keep it until somebody collects the garbage."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def _reset(self) -> str:
         if self.state == UNCONFIGURED and self.settings.autostart:
             self.begin()
