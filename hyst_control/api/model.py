@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -305,8 +306,24 @@ class Inverse(Shown):
         """Command (N, A), V, of a reference (N,) or (N, A) in the measurement unit that begins at rest."""
         rows = rows_for("reference", reference, self.model.axes)
         if self.compensator is None:
-            return lifted_inverse(self.model, rows, sample_time=self.sample_time, limits=self.limits).command
-        return feedforward_rows(rows, self.compensator)
+            command = lifted_inverse(self.model, rows, sample_time=self.sample_time, limits=self.limits).command
+        else:
+            command = feedforward_rows(rows, self.compensator)
+        self._warn_of_limits(rows, command)
+        return command
+
+    def _warn_of_limits(self, reference: Array, command: Array) -> None:
+        """Warn of commands (N, A) at their limits while the reference (N, A) is away from where it rests at the beginning."""
+        lower, upper = drive_limits(self.model, self.limits)
+        held = np.any(((command <= lower) | (command >= upper)) & (reference != reference[0]), axis=1)
+        if held.any():
+            logging.getLogger("hyst_control").warning(
+                "inverse of %s: the command stands at its limits in %d of %d samples: change offset or amplitude of the reference, or "
+                "give limits",
+                self.model.name,
+                np.count_nonzero(held),
+                len(held),
+            )
 
 
 def identify(

@@ -72,7 +72,9 @@ def run(arguments: argparse.Namespace) -> CommandResult | Kinds:
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     unit, duration = arguments.unit, len(rows) / arguments.rate
     slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
-    line = f"{len(rows)} samples, {duration:g} s, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"
+    asked = float(spec.get("duration", duration))
+    longer = f" (duration={asked:g} s does not count ramps and steps)" if abs(duration - asked) * arguments.rate > 1 else ""
+    line = f"{len(rows)} samples, {duration:g} s{longer}, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"
     made = Artifacts("excite", [arguments.output], lines=[line])
     made.add("", "samples", "", len(rows))
     made.add("", "duration", "s", duration)

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--strict",
         action="store_true",
-        help="exit status 3 where the model explains less than a constant and a gain, or the records disagree under it",
+        help="exit status 3 unless the verdict is explains: explains_poorly, explains_nothing, records_disagree and invalid_record fail",
     )
     add_bag_options(parser)
     _add_when_needed(parser)

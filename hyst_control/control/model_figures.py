@@ -51,7 +51,10 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
         return bode(model_responses(model, frequencies(model.sample_time)), unit)
     check_pair(model.name, model, record)
     step = record.sample_time
-    return bode([*measured_responses(record), *model_responses(model, frequencies(step), step)], unit)
+    measured = measured_responses(record)
+    shown = np.concatenate([each.frequency for each in measured])
+    frequency = np.geomspace(shown.min(), shown.max(), LINES) if len(shown) else frequencies(step)
+    return bode([*measured, *model_responses(model, frequency, step)], unit)
 
 
 def poles_and_zeros(model: Model) -> list[Panel]:

@@ -76,13 +76,26 @@ def validate_record(
     """Score models by name on a record; the table is that of `validate_bags` with `strict`."""
     table = Table(source)
     for name, model in models.items():
-        for data in compared_stretches(record, model, hold, start, name):
+        stretches, compared = compared_stretches(record, model, hold, start, name), 0
+        for data in stretches:
             progress.step(f"{name} on {data.name}")
-            add_rows(table, name, model, data)
+            compared += add_rows(table, name, model, data)
             faults = _remarks(table, name, model, data)
             table.notes += [*check_pair(name, model, data), *faults]
             table.exit_status = 3 if faults else table.exit_status
+        table.notes += _left_out(name, record, sum(map(len, stretches)), compared)
     return table
+
+
+def _left_out(name: str, record: Record, usable: int, compared: int) -> list[str]:
+    """A sentence on the rows of a record that are not compared with a model, with the reasons."""
+    rows = len(record.signal("measurement").time)
+    reasons = {
+        "before the hysteresis memory is known": usable - compared,
+        "without a command at the same time, while the actuator did not follow it, or between close gaps": rows - usable,
+    }
+    listed = "; ".join(f"{count} {words}" for words, count in reasons.items() if count > 0)
+    return [f"{record.source}: {rows - compared} of {rows} samples are not compared with {name}: {listed}"] if listed else []
 
 
 def _remarks(table: Table, name: str, model: Model, data: Record) -> list[str]:
@@ -133,8 +146,8 @@ def check_pair(name: str, model: Model, data: Record) -> list[str]:
     return [] if own == theirs else [f"{data.name}: its axes {theirs} are taken for the axes {own} of {name}, in this order"]
 
 
-def add_rows(table: Table, name: str, model: Model, data: Record) -> None:
-    """Add the figures of one model on one record: the whole record, then each motion between rests by frequency and amplitude."""
+def add_rows(table: Table, name: str, model: Model, data: Record) -> int:
+    """Add the figures of one model on one record, as a whole and by frequency and amplitude; return the number of rows compared."""
     error = residual(model, data)
     skipped = len(data.command) - len(error)
     rest, _ = without_zero(error)
@@ -148,6 +161,7 @@ def add_rows(table: Table, name: str, model: Model, data: Record) -> None:
             table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=row["samples"])
         for words, error_share, rows in by_motion(_motions(data, axis, rest[:, axis], skipped)):
             table.add("by frequency and amplitude", f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
+    return len(error)
 
 
 def _motions(data: Record, axis: int, error: Array, skipped: int) -> list[Motion]:
@@ -164,24 +178,30 @@ def _motions(data: Record, axis: int, error: Array, skipped: int) -> list[Motion
 
 
 def by_motion(motions: Sequence[Motion]) -> list[tuple[str, float, int]]:
-    """Errors of motions one by one, or, where there are more than `MAX_MOTIONS`, by octave of frequency and of amplitude."""
+    """Errors of motions of one frequency and amplitude, or, where there are more than `MAX_MOTIONS`, of one octave of each."""
+    groups: dict[str, list[Motion]] = {}
     if len(motions) <= MAX_MOTIONS:
-        return [(f"{one.frequency:.4g} Hz, {one.amplitude:.4g} V", one.error / one.span, one.rows) for one in motions]
-    groups: dict[tuple[int, int], list[Motion]] = {}
-    for one in motions:
-        groups.setdefault((_octave(one.frequency), _octave(one.amplitude)), []).append(one)
+        for one in motions:
+            groups.setdefault(f"{one.frequency:.4g} Hz, {one.amplitude:.4g} V", []).append(one)
+    else:
+        for one in sorted(motions, key=lambda each: (_octave(each.frequency), _octave(each.amplitude))):
+            groups.setdefault(f"{_octave_text(one.frequency)} Hz, {_octave_text(one.amplitude)} V", []).append(one)
     found = []
-    for (frequency, amplitude), alike in sorted(groups.items()):
+    for words, alike in groups.items():
         rows = np.array([one.rows for one in alike])
         share = np.sqrt(rows @ np.array([(one.error / one.span) ** 2 for one in alike]) / rows.sum())
-        words = f"{2.0**frequency:.3g}-{2.0 ** (frequency + 1):.3g} Hz, {2.0**amplitude:.3g}-{2.0 ** (amplitude + 1):.3g} V"
-        found.append((f"{words} ({len(alike)} motions)", float(share), int(rows.sum())))
+        found.append((words + f" ({len(alike)} motions)" * (len(alike) > 1), float(share), int(rows.sum())))
     return found
 
 
 def _octave(value: float) -> int:
     """Power of two at or below a size."""
     return int(np.floor(np.log2(max(value, 1e-300))))
+
+
+def _octave_text(value: float) -> str:
+    """The octave of a size, from and to."""
+    return f"{2.0 ** _octave(value):.3g}-{2.0 ** (_octave(value) + 1):.3g}"
 
 
 def fraction_outside(model: Model, data: Record, axis: int) -> float:

@@ -98,10 +98,11 @@ def fit_text(report: Report) -> str:
     """Summarize a fit in a few lines."""
     lines = [", ".join([f"{report['family']} ({report['method']})", *report.get("structure", [])])]
     for row in report["records"]:
+        rms = row["rmse"] * row["nrmse_own_zero"] / (row["nrmse"] or 1.0)
         lines.append(
-            f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse_own_zero']:.3f} % of range ({row['nrmse']:.3f} % with the "
-            f"session's offset {row['zero']:.4g} and drift {row['drift']:.4g} {row['unit']}), NME {row['nme']:.3f} %, "
-            f"RMSE {row['rmse']:.4g} {row['unit']} over {row['samples']} samples"
+            f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse_own_zero']:.3f} % of range, RMSE {rms:.4g} {row['unit']} over "
+            f"{row['samples']} samples, without the session's offset {row['zero']:.4g} {row['unit']} and drift {row['drift']:.4g} "
+            f"{row['unit']}; NME {row['nme']:.3f} % of range with them"
         )
     lines += [
         f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])

@@ -126,6 +126,15 @@ def test_the_inverse_of_a_mirror_has_its_dynamics(frequency):
     assert np.sqrt(np.mean(error[2000 : len(error) - ahead] ** 2)) < 0.01 * np.std(reference)
 
 
+@pytest.mark.parametrize(("amplitude", "lines"), [(0.5, 0), (20.0, 1)])
+def test_an_inverse_at_its_limits_warns_once(amplitude, lines, caplog):
+    stage = hc.load_model("pea_hampi")
+    reference = 2.0 + amplitude * (1.0 - np.cos(2 * np.pi * 50 * np.arange(2000) * stage.sample_time))
+    command = stage.inverse()(reference)
+    assert [each.levelname for each in caplog.records] == ["WARNING"] * lines
+    assert all(f"limits in {np.count_nonzero(command == 50.0)} of 2000 samples" in each.getMessage() for each in caplog.records)
+
+
 def test_what_has_no_compensator_is_inverted_over_the_whole_reference():
     stage = hc.load_model("fsm_cubespec")
     inverse = stage.inverse()

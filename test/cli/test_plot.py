@@ -141,6 +141,7 @@ def test_a_frequency_response_is_that_of_the_stage(stage):
     # A held command and a sample later: the transform of exp(-t / 1 ms) sampled.
     pole, z = np.exp(-1.0 / (RATE * 1e-3)), np.exp(1j * w / RATE)
     np.testing.assert_allclose(computed.y, np.abs(0.1 * (1.0 - pole) / (z - pole)), rtol=1e-9)
+    assert computed.x[[0, -1]] == pytest.approx(measured.x[[0, -1]], rel=1e-9), "one range of frequencies"
     near = np.interp(measured.x, computed.x, computed.y)
     assert measured.dots and np.median(np.abs(measured.y / near - 1.0)) < 0.03
 

@@ -3,6 +3,7 @@
 """A fit is held against a constant and a gain; one that explains less says so, and writes no model unless it is told to."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.cli import main
 from hyst_control.identify import estimators, workflow
-from hyst_control.identify.assess.attainable import poorly_explained
-from hyst_control.identify.assess.explained_share import explained_shares, useless
+from hyst_control.identify.assess.attainable import Poor, poorly_explained
+from hyst_control.identify.assess.explained_share import DISAGREE, EXPLAINS, INVALID, NOTHING, POORLY, explained_shares, useless
 from hyst_control.identify.data.fit import Fit
 from hyst_control.identify.families.estimator import every_option
 from hyst_control.identify.workflow import identify_bags
@@ -117,6 +118,13 @@ def test_a_model_that_explains_nothing_is_said_and_not_written(wrong, options, s
     assert ("no model is written (--force writes it)" in said) != kept
 
 
+def test_the_help_names_every_verdict_that_strict_fails(capsys):
+    with pytest.raises(SystemExit):
+        main(["identify", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert all(verdict in told for verdict in (DISAGREE, INVALID, NOTHING, POORLY)) and f"unless the verdict is {EXPLAINS}:" in told
+
+
 def test_a_caller_that_needs_the_model_is_told(wrong, tmp_path):
     result = identify_bags([bag(tmp_path / "bag", 0.4 * HELD)], "linear", tmp_path / "model.yaml")
     with pytest.raises(InputError, match="x: the model explains -300.0"):
@@ -186,6 +194,13 @@ def test_what_a_model_without_dynamics_leaves_follows_the_frequency(tmp_path, ca
     assert "a linear model of order" in document["notes"][0] and "follows the command's frequency" in document["notes"][0]
     assert main([*words, "--model", "linear", "--strict"]) == 0
     assert json.loads(json_path.read_text())["verdict"] == "explains"
+
+
+def test_a_model_is_not_praised_beside_poor_references():
+    poor = Poor("x", 0.07, 0.09, "a linear model of order 8", "rate", 0.4, False, True)
+    left = "x: explains poorly: 7 % of the range is left on the worst rows"
+    assert poor.text() == f"{left}: what is left follows the command's rate (40 % of it)"
+    assert f"{left}, where a linear model of order 8 leaves 3 %: what" in replace(poor, reference=0.03).text()
 
 
 def test_the_references_are_held_against_the_rows_where_the_model_is_worst():

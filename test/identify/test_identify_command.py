@@ -113,8 +113,13 @@ def test_auto_shows_what_it_tried(bag, tmp_path, capsys):
     assert chosen["held_out_nrmse"] <= 1.0101 * min(row["held_out_nrmse"] for row in rows)
     assert all(row["seconds"] > 0 and row["parameters"] > 3 for row in rows)
     assert all(each["held_out_nrmse"] > 0 for row in rows if row["family"] == "hapi" for each in row["structures"])
+    for row in rows[1::2]:  # those with dynamics
+        assert [each["parameters"] for each in row["structures"] if each["chosen"]] == [row["parameters"]]
     told = capsys.readouterr().out
     assert f"* {chosen['family']} " in told and "held-out NRMSE" in told
+    [row] = json.loads(out.read_text())["records"]
+    rms = row["nrmse_own_zero"] / row["nrmse"] * row["rmse"]
+    assert told.count(" RMSE ") == 1 and f"NRMSE {row['nrmse_own_zero']:.3f} % of range, RMSE {rms:.4g} um over" in told
     assert figure.read_text().lstrip().startswith("<?xml") and ">parameters<" in figure.read_text()
 
 

@@ -62,6 +62,19 @@ def test_a_mode_that_rings_from_before_is_found_and_explained_to_the_noise():
     assert table.value("cut", "m", "rmse") == pytest.approx(row["rmse"], rel=1e-9)
 
 
+def test_a_linear_model_counts_all_rows_where_a_hysteresis_would_forget():
+    """A command that meets its extremes after 40 % of the rows: play operators count from there, a linear model has no such memory."""
+    time = np.arange(6000) * PERIOD
+    command = 20 + np.sin(2 * np.pi * 25 * time + 1) * (3 + 6 * np.exp(-(((time - 0.5) / 0.1) ** 2)))
+    data, _ = cut_out(SLOW_LAG, command, 6000)
+    rows = {}
+    for family, options in (("linear", {"order": 1}), ("pi", {"operators": 3})):
+        report = identify([data], family, **options).report
+        rows[family] = report["records"][0]["samples"]
+        assert (report["beginnings"][0]["first_row"] == 0) == (family == "linear")
+    assert rows["linear"] == len(data) and rows["pi"] < 0.7 * len(data)
+
+
 def test_a_slow_lag_cut_out_is_no_useless_model():
     data, sigma = cut_out(SLOW_LAG, stairs(3000, 25, 5), 1500)
     fit = identify([data], "linear")

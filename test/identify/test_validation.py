@@ -4,6 +4,11 @@
 
 from __future__ import annotations
 
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -14,6 +19,11 @@ from hyst_control.identify.validation import MAX_MOTIONS, Motion, by_motion
 
 def test_few_motions_are_told_one_by_one():
     assert by_motion([Motion(1.0, 20.0, 10.0, 0.1, 200)]) == [("1 Hz, 20 V", pytest.approx(0.01), 200)]
+
+
+def test_motions_of_one_name_are_one_row():
+    found = by_motion([Motion(1.0, 20.0, 10.0, 0.1, 200), Motion(2.0, 20.0, 10.0, 0.1, 50), Motion(1.0, 20.0, 10.0, 0.3, 200)])
+    assert found == [("1 Hz, 20 V (2 motions)", pytest.approx(0.05**0.5 / 10), 400), ("2 Hz, 20 V", pytest.approx(0.01), 50)]
 
 
 def test_many_motions_are_told_by_octaves_and_none_is_lost():
@@ -39,3 +49,30 @@ def test_a_record_whose_axes_have_other_names_is_no_fault_of_it(words, tmp_path,
     rest = ["record", "--strict"] if words[0] != "plot" else ["--output", "drawn.png"]
     assert main([*words, "model.yaml", *rest]) == 0
     assert "record: its axes tip are taken for the axes x of" in capsys.readouterr().out
+
+
+def test_rows_that_are_left_out_are_told(tmp_path, monkeypatch, capsys):
+    """Both extremes are met late, and the measurement lacks its last rows."""
+    monkeypatch.chdir(tmp_path)
+    stage = hc.load_model("pea_hampi")
+    time = np.arange(20_000) * stage.sample_time
+    command = 25 + np.sin(2 * np.pi * 50 * time + 1) * (12 + 10 * np.exp(-(((time - 0.1) / 0.05) ** 2)))
+    whole = stage.simulate(command, seed=1)
+    late = int(np.argmax(command >= command.max() - 0.01 * np.ptp(command)))
+    stage.save("model.yaml")
+    whole.save("whole")
+    signals = {**whole.signals, "command": replace(whole.signal("command"), **rows_of(whole.signal("command"), 19_900))}
+    replace(whole, signals=signals).save("record")
+    assert main(["validate", "model.yaml", "record", "--start", "unknown", "--json", "scores.json"]) == 0
+    [told] = json.loads(Path("scores.json").read_text())["notes"]
+    assert told in capsys.readouterr().out
+    missed, before = (int(number) for number in re.findall(r": (\d+) (?:of|before)", told))
+    assert before >= late and missed == before + 100
+    assert f"{before} before the hysteresis memory is known; 100 without a command" in told
+    assert main(["validate", "model.yaml", "whole", "--start", "settled"]) == 0
+    assert "not compared" not in capsys.readouterr().out
+
+
+def rows_of(signal, count):
+    """Its first rows, as `replace` takes them."""
+    return {"time": signal.time[:count], "values": signal.values[:count]}

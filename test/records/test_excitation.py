@@ -166,13 +166,14 @@ def test_a_staircase_with_long_holds_keeps_any_rate(levels, most):
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_the_diagnostic_record_is_bounded_for_the_plant_at_hand(name, tmp_path):
+def test_the_diagnostic_record_is_bounded_for_the_plant_at_hand(name, tmp_path, capsys):
     """`hyst excite --plant`: within rating and slew limit, on the plant's axes; what is beyond the rating is refused."""
     plant = load_plant(name)
     low, high = plant.rating
     words = ["excite", "diagnostic", f"lowest={low}", "duration=0.5", f"highest={high}", "--plant", name]
     assert main([*words, "--output", str(tmp_path / "record.npy")]) == 0
     rows = np.load(tmp_path / "record.npy")
+    assert f" {len(rows) / 20000:g} s (duration=0.5 s does not count ramps and steps), " in capsys.readouterr().out
     assert rows.shape[1] == len(plant.axes) and rows.min() == low and rows.max() == pytest.approx(high)
     assert np.abs(np.diff(rows, axis=0)).max() * 20000 <= plant.slew_limit * (1 + 1e-9)
     for more in ([f"highest={2 * high}"], ["highest=1", "--unit", "um"], ["highest=1", "--axes", "3"]):

@@ -26,6 +26,7 @@ from hyst_control.identify.assess.fit_report import (
     noise_sigma,
     residual_from,
     with_offset,
+    with_own_rows,
     with_state,
 )
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
@@ -151,7 +152,7 @@ def fit_of(
     sizes = np.concatenate([np.ones(len(axis.vector)) if axis.sizes is None else axis.sizes for axis in axes])
     known = uncertainty_of(stages_of, vector, block_diag(*(axis.covariance for axis in axes)), first.axes, sizes)
     model = chain_model(records, [*stages_of(vector), *behind], name or family)
-    begun = [with_state(model, data) for data in records]
+    begun = [with_state(model, with_own_rows(model, data)) for data in records]
     residuals = [residual_from(model, data) for data in begun]
     travel = np.max([data.span for data in records], axis=0)
     if offset is not None:

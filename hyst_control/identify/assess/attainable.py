@@ -45,11 +45,10 @@ class Poor:
     def text(self) -> str:
         """As one line."""
         rest = f"the command's {self.follows} ({100 * self.share:.0f} % of it)" if self.follows else "nothing that the command does"
-        where = " on the worst rows," if self.worst else ""
-        return (
-            f"{self.axis}: explains poorly: {100 * self.left:.2g} % of the range is left{where} where {self.reference_name} leaves "
-            f"{100 * self.reference:.2g} %: what is left follows {rest}"
-        )
+        where = " on the worst rows" if self.worst else ""
+        if self.left > BETTER * self.reference:  # a poor reference says nothing of what is possible
+            where += f"{',' * self.worst} where {self.reference_name} leaves {100 * self.reference:.2g} %"
+        return f"{self.axis}: explains poorly: {100 * self.left:.2g} % of the range is left{where}: what is left follows {rest}"
 
 
 def poorly_explained(records: Sequence[Record], errors: Sequence[Array]) -> list[Poor]:

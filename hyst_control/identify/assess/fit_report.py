@@ -12,7 +12,8 @@ import numpy as np
 from scipy.fft import rfft
 
 from hyst_control.base.arrays import Array
-from hyst_control.chain.memoryless import Offset
+from hyst_control.chain.linear.linear_stages import Delay
+from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.free_motion import ROWS as MOTION_ROWS
 from hyst_control.identify.assess.free_motion import without_free_motion
 from hyst_control.identify.data.fit import RecordRow
@@ -29,6 +30,7 @@ NOISE_ROWS, SPECTRUM_ROWS = 2**21, 2**22
 
 JUMP = "at rest at 0 V, from which the first command jumps"
 MOVING = "amid a motion: state of the dynamics estimated"
+AT_FIRST = "at rest at the first command"
 BEGINNING_ROWS, AT_REST_SHARE, OTHER_SHARE = 4096, 0.5, 0.8
 """First rows that tell whether a record begins so, and the share of their square error, beside a drift, that may be left at most.
 
@@ -42,7 +44,13 @@ def residual(model: Model, data: Record) -> Array:
 
     Rows before the hysteresis memory is filled are left out where the record's start is unknown.
     """
-    return residual_from(model, with_state(model, data))
+    return residual_from(model, with_state(model, with_own_rows(model, data)))
+
+
+def with_own_rows(model: Model, data: Record) -> Record:
+    """The record with all its rows for a linear model, which has no hysteresis memory to be filled."""
+    linear = all(stage.linear or isinstance(stage, Delay | Gain | Offset) for stage in model.chain.stages)
+    return replace(data, start=Beginning(AT_FIRST, None, 0)) if linear and before(data)[1] else data
 
 
 def residual_from(model: Model, data: Record) -> Array:

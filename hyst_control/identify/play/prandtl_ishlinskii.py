@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -141,6 +141,9 @@ def axis_fit(
     power = np.sqrt(np.maximum(np.diag(solution.grams.fitted + solution.grams.held_out), 0.0))
     sizes = power[-1] / np.maximum(power[:linear], 1e-12 * power[:linear].max()) / linear
 
+    def numbers(at: Array, structure: Structure = structure) -> list[Number]:
+        return _numbers(operators, structure, at, unit)
+
     def notes(rows: Sequence[ParameterRow]) -> list[str]:
         told = _unresolved_weights(name, rows)
         if dynamics and not structure.modes and np.isfinite(structure.highest):
@@ -154,11 +157,11 @@ def axis_fit(
         lambda at: [_hysteresis(operators, at[:linear]), *structure.stages(at[linear:])],
         vector,
         spread,
-        lambda at: _numbers(operators, structure, at, unit),
+        numbers,
         held_out,
         np.concatenate([sizes, np.ones(structure.size)]),
         structure=structure.describe(),
-        structures=_structure_rows(solution, tried, name, span),
+        structures=_structure_rows(solution, tried, name, span, numbers),
         notes=notes,
     )
 
@@ -194,8 +197,10 @@ def _numbers(operators: Operators, structure: Structure, vector: Array, unit: st
     return found + structure.numbers(vector[operators.columns :])
 
 
-def _structure_rows(solution: Solution, tried: Sequence[Solution], name: str, span: float) -> list[StructureRow]:
-    """The structures of G(s) that were compared, each with its best solution."""
+def _structure_rows(
+    solution: Solution, tried: Sequence[Solution], name: str, span: float, numbers: Callable[[Array, Structure], Sequence[Number]]
+) -> list[StructureRow]:
+    """The structures of G(s) that were compared, each with its best solution; `numbers`: those that the report has of one."""
     best: dict[Structure, Solution] = {}
     for each in tried:
         known = best.get(each.structure)
@@ -205,7 +210,7 @@ def _structure_rows(solution: Solution, tried: Sequence[Solution], name: str, sp
         {
             "axis": name,
             "structure": structure.describe(),
-            "parameters": len(each.theta) + structure.size,
+            "parameters": len(numbers(np.concatenate([each.theta, each.parameters]), structure)),
             "held_out_nrmse": 100.0 * float(np.sqrt(each.held_out)) / span,
             "chosen": structure == solution.structure,
         }
