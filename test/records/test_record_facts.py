@@ -75,6 +75,18 @@ def test_rows_lost_of_the_measurement_are_a_lead_that_grows():
     assert names(command[:-24], np.delete(measured, lost)) == [set(), {"lost_rows"}]
 
 
+@pytest.mark.parametrize("rate", [2e-4, -2e-4])
+def test_a_shift_that_grows_evenly_is_a_difference_of_clocks(rate):
+    random = np.random.default_rng(3)
+    time = STEP * np.arange(60000)
+    command = 50.0 + sosfilt(butter(4, 0.04, output="sos"), 100.0 * random.standard_normal(len(time)))
+    measured = np.interp((1.0 + rate) * time, time, answer(command, lag=1e-3)) + 2e-3 * random.standard_normal(len(time))
+    measured, command = measured[:59900], command[:59900]
+    [finding] = examined([trial(command, measured)])[1]
+    assert finding.name == "clock_difference" and finding.value == pytest.approx(1e6 * rate, rel=0.05)
+    assert f"is the {'slower' if rate > 0 else 'faster'} one" in finding.text()
+
+
 @pytest.mark.parametrize("frequencies", [(2.0, 7.1, 13.3), (1.0, 1.9, 31.0)])
 def test_three_sines_tell_no_direction(frequencies):
     command = 50.0 + sum(10.0 * np.sin(2 * np.pi * each * TIME) for each in frequencies)

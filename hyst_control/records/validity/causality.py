@@ -40,7 +40,7 @@ from hyst_control.records.validity.rows import (
     CondensedRows,
 )
 from hyst_control.records.validity.sensor import unexpected_share
-from hyst_control.records.validity.time_shift import growing_lead, time_shifts
+from hyst_control.records.validity.time_shift import clock_difference, growing_lead, time_shifts
 
 FAR_LESS = 0.05  # Ratio of what an arrangement of few sines leaves to what it leaves at another time
 
@@ -67,7 +67,7 @@ def direction_findings(trial: Trial, left: CondensedRows, index: int) -> list[Fi
     whole = held_samples(trial.command[:, index]) == 1 and rails(trial.command[:, index], trial.measurement[:, index]) is None
     if whole and not (in_no_order(trial.command[:, index]) and coherent_share(trial, index) < EXPLAINED):
         informative = independent_sines(left.command[:, index]) >= MIN_SINES
-        if informative and (shifts := growing_lead(trial, index)):
+        if shifts := clock_difference(trial, index) or (growing_lead(trial, index) if informative else []):
             return shifts
         delayed, own, lead, shifts = time_shifts(trial, left, index, ahead)
         if fast is not left and quick.unexplained < SOUND:

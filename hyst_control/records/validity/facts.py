@@ -22,6 +22,7 @@ EXACT = 1.5
 MIN_GAPS = 5  # Simultaneous jumps of command and measurement that are gaps
 ALONE = 6  # Rows on both sides of a gap in which a smooth command has no other jump
 JUMP = 8.0  # Size of a jump relative to the median second difference of its neighborhood
+ALIKE = 2.0  # Ratio of the two jumps, each in its signal's range
 MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
 """Fewest outliers that are reported, and the share of the samples from which they count as something else."""
 MIN_STAND, MOVES_FAR = 10, 0.05
@@ -126,7 +127,7 @@ def copied_gain(command: Array, measured: Array) -> float | None:
 def simultaneous_gaps(command: Array, measured: Array) -> int:
     """Rows between which a smooth command and its measurement (N,) jump together, as where rows of both were lost and closed up."""
     # A plant answers a step of its command in a later sample, and a step begins and ends with another slope.
-    jumps = []
+    jumps, sizes = [], []
     for values in (command[:LONGEST], measured[:LONGEST]):
         steps = np.diff(values)
         # Beside a gap both slopes are those of the motion: the step between them is several of it.
@@ -137,11 +138,14 @@ def simultaneous_gaps(command: Array, measured: Array) -> int:
         rough = np.concatenate([np.zeros(0), *(_median_around(np.abs(own[part.start : part.stop + 12])) for part in parts)])
         rows = np.zeros(len(own), bool)
         rows[6 : len(own) - 6] = np.abs(own[6 : len(own) - 6]) > JUMP * rough + 1e-6 * np.ptp(values)
-        rows &= own * around > 0.0
+        rows &= own * around > 0.5 * around**2
         jumps.append(rows)
+        sizes.append(np.abs(own) / max(float(np.ptp(values)), 1e-300))
     # A command that jumps in neighboring rows is rough there: a plant without dynamics follows each of its jumps.
     near = np.convolve(jumps[0], np.ones(2 * ALONE + 1, dtype=int), mode="same")
     both = jumps[0] & jumps[1] & (near == 1)
+    # Both lost the same rows of one motion; a converter's steps that a controller passes on to the command have other sizes there.
+    both &= (sizes[0] < ALIKE * sizes[1]) & (sizes[1] < ALIKE * sizes[0])
     chance = float(jumps[0].mean() * jumps[1].mean() * len(both))
     count = int(both.sum())
     return count if count >= max(MIN_GAPS, 5.0 * chance) else 0

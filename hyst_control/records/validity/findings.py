@@ -59,7 +59,7 @@ NAMES: dict[str, list[str]] = read_yaml(Path(__file__).with_name("findings.yaml"
 """Text of each finding, and the remedy."""
 
 NOTES = (
-    *("late_measurement", "lost_rows", "at_range_end", "clipped_command", "copied_command", "held_command", "implausible_range"),
-    *("single_outliers", "stuck_measurement", "slow_sampling"),
+    *("late_measurement", "clock_difference", "lost_rows", "at_range_end", "clipped_command", "copied_command", "held_command"),
+    *("implausible_range", "single_outliers", "stuck_measurement", "slow_sampling"),
 )
 """Findings with which a record is used all the same."""

@@ -8,7 +8,16 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.records.validity.findings import Finding, Trial
-from hyst_control.records.validity.reference_model import Reference, continued, independent_sines, shift_curve, surely_better
+from hyst_control.records.validity.reference_model import (
+    MAX_ROWS,
+    Reference,
+    averaged,
+    continued,
+    independent_sines,
+    reference,
+    shift_curve,
+    surely_better,
+)
 from hyst_control.records.validity.rows import CLEAR, CLEAR_LEAD, HALF, MAX_PAIRED, MIN_SINES, SOUND, CondensedRows
 from hyst_control.records.validity.sensor import MODELED
 
@@ -17,6 +26,10 @@ SMALL_LEAD, MAX_SMALL_LEAD = 2, 8  # Rows of a lead that is always tried, and up
 
 SECTIONS, MAX_SECTION, MIN_SECTIONS, MIN_SECTION_SINES = 8, 8192, 3, 3.0
 """Sections of a record in which a lead is sought that grows, the rows of one, how many must show it, and by how many sines each."""
+
+MAX_RATE = 5e-3  # Difference of two clocks at most: oscillators are off by a ten-thousandth, timers in software by a thousandth
+CLOCK_STEPS = 4  # Fits, each with the times corrected by what the one before found
+EVEN = 0.25  # Variance about a straight line, in that of rows lost at random times, up to which a shift grows as between two clocks
 
 
 def in_words(seconds: float) -> str:
@@ -92,6 +105,58 @@ def growing_lead(trial: Trial, index: int) -> list[Finding]:
         return []
     lead = -earliest * trial.sample_time
     return [Finding("lost_rows", trial.name, trial.axes[index], lead, 0.0, grown_lead_in_words(lead))]
+
+
+def clock_difference(trial: Trial, index: int) -> list[Finding]:
+    """A shift that grows evenly through the record, as where command and measurement were sampled by different clocks."""
+    count = len(trial.command)
+    together = -(-count // MAX_ROWS)  # the whole record: its ends are furthest apart
+    command = trial.command if trial.command.shape[1] <= MAX_PAIRED else trial.command[:, [index]]
+    rows, measured = averaged(command, together), averaged(trial.measurement[:, [index]], together)[:, 0]
+    first = reference(rows, measured)
+    fit, corrected, rate = first, measured, 0.0
+    for _ in range(CLOCK_STEPS):
+        step, sure = _rate(fit.predicted, corrected)
+        if not sure:
+            break
+        rate += step
+        corrected = _at_rate(measured, rate)
+        fit = continued(rows, corrected, fit)
+    grown = abs(rate) * count
+    departures = together * _section_shifts(fit.predicted, corrected)
+    # Of a fit that stopped early, a further one leaves less without a correction, too.
+    own = min(first, continued(rows, measured, fit), key=lambda each: each.unexplained)
+    # The shift of rows lost at random times departs from a line as a random walk does that comes back.
+    even = abs(rate) < MAX_RATE and np.var(departures) < EVEN * grown / 6.0
+    if not even or fit.unexplained > HALF or not surely_better(fit, own, CLEAR):
+        return []
+    seconds = grown * trial.sample_time
+    detail = f"by {1e6 * abs(rate):.3g} ppm (the measurement's clock is the {'slower' if rate > 0 else 'faster'} one)"
+    detail += f", {in_words(seconds)} over the record"
+    return [Finding("clock_difference", trial.name, trial.axes[index], 1e6 * rate, 0.0, detail)]
+
+
+def _rate(expected: Array, measured: Array) -> tuple[float, bool]:
+    """Rows by which a measurement (N,) gets earlier from row to row than expected, to first order, and whether they are no chance."""
+    slope = np.gradient(expected)
+    columns = np.column_stack([slope * np.linspace(-0.5, 0.5, len(slope)), slope, np.ones(len(slope))])
+    found, left = np.linalg.lstsq(columns, measured - expected, rcond=None)[:2]
+    deviation = np.sqrt(np.linalg.pinv(columns.T @ columns)[0, 0] * float(np.sum(left)) / len(slope))
+    return float(found[0]) / len(slope), bool(abs(found[0]) > 3.0 * deviation)
+
+
+def _at_rate(measured: Array, rate: float) -> Array:
+    """A measurement (N,) as if its clock had not been slower by a rate, from a common beginning on."""
+    from scipy.interpolate import CubicSpline  # takes long to import
+
+    place = np.arange(len(measured))
+    return np.asarray(CubicSpline(place, measured)(np.minimum(place / (1.0 + rate), place[-1])), dtype=np.float64)
+
+
+def _section_shifts(expected: Array, measured: Array) -> Array:
+    """Rows by which each section of a measurement (N,) is earlier than expected, to first order."""
+    sections = zip(np.array_split(np.gradient(expected), SECTIONS), np.array_split(measured - expected, SECTIONS), strict=True)
+    return np.array([slope @ left / max(float(slope @ slope), 1e-300) for slope, left in sections])
 
 
 def _continued_at(shift: int, command: Array, measured: Array, begun: Reference) -> Reference:
