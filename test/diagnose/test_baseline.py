@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.fft import dct
 from scipy.interpolate import CubicSpline
 from scipy.signal import bilinear, lfilter, lfilter_zi
 
@@ -22,12 +21,11 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.diagnose.configuration import CONFIGURATION
 from hyst_control.diagnose.model_error.same_command import matching
 from hyst_control.diagnose.noise.denoised_error import without_noise
-from hyst_control.diagnose.problem.per_record_stages import CarriedError, DoubtfulError, SessionZero
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, SessionZero
 from hyst_control.diagnose.problem.problem import Piece
 from hyst_control.diagnose.report.document import sentence
 from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.workflow import diagnosed
-from hyst_control.effects import insert
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record, Signal
 from test.diagnose.conftest import all_but
@@ -345,24 +343,10 @@ def test_a_carried_error_loses_its_noise_and_keeps_what_follows_the_command():
     """The best linear filter of a known spectrum: what the error loses of its lines is a part of the noise in their bins."""
     time, noise = np.arange(10000) * 1e-3, np.random.default_rng(4).standard_normal((10000, 1))
     lines = sum(np.sin(2 * np.pi * f * time + f) for f in (3.0, 7.0, 31.0))[:, None]
-    found, _, left = without_noise(lines + 0.2 * noise)
+    found, left = without_noise(lines + 0.2 * noise)
     assert np.sqrt(np.mean((found - lines) ** 2)) < 0.4 * 0.2
     assert np.sqrt(np.mean(without_noise(noise)[0] ** 2)) < 0.5
     assert np.mean(without_noise(noise + 3.0)[0]) == pytest.approx(np.mean(noise) + 3.0, abs=1e-9)
-
-
-def test_what_may_be_noise_of_a_baseline_record_is_nothing_that_a_sensor_could_take_off():
-    """The lines go through a low-pass of the sensor, as they would in the machine; the noise between them and above does not."""
-    time, noise = np.arange(10000) * 1e-3, np.random.default_rng(4).standard_normal((10000, 1))
-    lines = sum(np.sin(2 * np.pi * f * time + f) for f in (3.0, 7.0, 31.0))[:, None]
-    found, noisy, _ = without_noise(lines + 0.2 * noise)
-    clear = found - noisy
-    assert np.max(np.abs(dct(clear, norm="ortho", axis=0)[5000:])) < 1e-6 < np.max(np.abs(dct(noisy, norm="ortho", axis=0)[5000:]))
-    stages = insert((Gain(1.0), CarriedError((clear,)), DoubtfulError((noisy,))), "sensor", Gain(0.5))
-    output = Chain(stages).filter(Sampling(1e-3, 1, "foh")).process(np.zeros((10000, 1)))
-    np.testing.assert_allclose(output, 0.5 * clear + noisy, atol=1e-12)
-    [later] = [stage.delayed(np.array([1.0])) for stage in stages if isinstance(stage, DoubtfulError)]
-    assert later.series[0] is noisy
 
 
 @pytest.mark.parametrize("half_width, verdict", [(0.0, "no_gap"), (0.05, "effect")])

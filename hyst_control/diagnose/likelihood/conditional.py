@@ -38,10 +38,11 @@ def conditioned(baseline: Baseline, settings: BaselineSettings) -> Baseline:
     """The baseline of the same command with the conditional mean as its carried error, and the spectrum of what that leaves open."""
     problem = baseline.problem
     stages = problem.model.chain.stages
-    carried = [stage for stage in stages if isinstance(stage, CarriedError)]
-    if not carried or baseline.clean is None:
+    place = next((i for i, stage in enumerate(stages) if isinstance(stage, CarriedError)), None)
+    if place is None or baseline.clean is None:
         return baseline
-    error = [np.sum(rows, axis=0) for rows in zip(*(stage.series for stage in carried), strict=True)]
+    carried = stages[place]
+    assert isinstance(carried, CarriedError)
     count = max(len(baseline.clean.pieces) // len(problem.pieces), 1)
     longest = max(problem.counts)
     slowest = problem.surroundings.lowest_frequency
@@ -49,27 +50,23 @@ def conditioned(baseline: Baseline, settings: BaselineSettings) -> Baseline:
     def spectrum(series: list[Array]) -> Array:
         return ErrorSpectrum.of(series, problem.sample_time, longest, slowest).power
 
-    repeating = spectrum([without_zero(piece.counted(rows))[0] for piece, rows in zip(problem.pieces, error, strict=True)])
+    repeating = spectrum([without_zero(piece.counted(rows))[0] for piece, rows in zip(problem.pieces, carried.series, strict=True)])
     if isinstance(problem.own_spectrum, ErrorSpectrum):
         between = problem.own_spectrum.power / (1.0 + 1.0 / count)
     else:  # a single record of a command without periods: only a usual share of the motion is known
         between = settings.usual_repeatability**2 * spectrum([_motion(piece) for piece in problem.pieces])
     varying = between + problem.sigma**2
     frequencies = 0.5 / problem.sample_time * np.arange(longest) / longest
-
-    def expected(rows: Array) -> Array:
+    series = []
+    for rows in carried.series:
         rest, _ = without_zero(rows)
         at = 0.5 / problem.sample_time * np.arange(len(rows)) / len(rows)
         kept, new = (np.stack([np.interp(at, frequencies, column) for column in power.T], axis=1) for power in (repeating, varying))
         mean, _ = conditional(dct(rest, norm="ortho", axis=0), kept, new, count)
-        return np.asarray(rows - rest + idct(mean, norm="ortho", axis=0), dtype=np.float64)
-
+        series.append(np.asarray(rows - rest + idct(mean, norm="ortho", axis=0), dtype=np.float64))
     _, variance = conditional(np.zeros_like(repeating), repeating, varying, count)
     own = ErrorSpectrum(frequencies, np.maximum(variance - problem.sigma**2, 0.0), np.zeros(len(problem.sigma)))
-    stages = tuple(
-        one.with_series([expected(rows) for rows in one.series]) if isinstance(one, CarriedError) else one for one in stages
-    )
-    model = problem.model.with_stages(stages)
+    model = problem.model.with_stages((*stages[:place], CarriedError(tuple(series), carried.index), *stages[place + 1 :]))
     return replace(baseline, problem=replace(problem, model=model, own_spectrum=own))
 
 

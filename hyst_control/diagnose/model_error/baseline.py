@@ -37,7 +37,7 @@ from hyst_control.diagnose.model_error.same_command import Match, matching, peri
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
-from hyst_control.diagnose.problem.per_record_stages import CarriedError, DoubtfulError, SessionZero
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
@@ -191,7 +191,6 @@ def _carried(
 ) -> Baseline:
     pieces: list[Piece] = []
     series: list[Array] = []
-    doubtful: list[Array] = []
     differences: list[Array] = []
     run_to_run: list[Array] = []
     zeros: list[Array] = []
@@ -221,9 +220,8 @@ def _carried(
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
-        quiet, noisy, left = without_noise(mean, np.fmin(repeating, differing))
+        quiet, left = without_noise(mean, np.fmin(repeating, differing))
         series.append(quiet)
-        doubtful.append(noisy)
         lefts.append(without_zero(mean[kept])[0])
         noises.append(left)
         if apart := max(_apart(piece.command, match, settings) for match in found):
@@ -246,8 +244,7 @@ def _carried(
     noise = np.hypot(alone, np.max(noises, axis=0)) if differences else alone
     kept_rows = replace(problem, pieces=tuple(pieces))
     memory = initial_memory(kept_rows, settings.memory_share)
-    clear = tuple(quiet - noisy for quiet, noisy in zip(series, doubtful, strict=True))
-    stages = (*problem.model.chain.stages, CarriedError(clear), *memory, DoubtfulError(tuple(doubtful)))
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
     floor, motions = settings.same_floor * repeatability, []
     if (

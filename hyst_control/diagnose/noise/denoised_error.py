@@ -15,15 +15,10 @@ NOISE_REACH = 20
 """Bins of the spectrum to either side over which the power of a carried error is averaged to tell its noise."""
 
 
-CLEAR, CLEAR_AROUND = 25.0, 3.0
-"""Power of one bin, and mean power of those around it, in that of the noise, beyond which none of thousands of bins is noise alone."""
+def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> tuple[Array, Array]:
+    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter); noise (A,) that is left.
 
-
-def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> tuple[Array, Array, Array]:
-    """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter).
-
-    The noise of the baseline records is not that of the new one. Returned are the error, what of it may still be noise, in which no effect
-    of the sensor must be sought, since a low-pass would take it off, and the noise (A,) that is left.
+    The noise of the baseline records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
     """
     # most: noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough
     # as noise
@@ -32,12 +27,9 @@ def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) 
     floor = np.minimum(floor, 2 * len(rest) * most**2)
     kept = np.clip(1.0 - floor / np.maximum(smooth, 1e-300), 0.0, 1.0)
     smoothed = np.fft.irfft(kept * spectrum, 2 * len(rest), axis=0)[: len(rest)]
-    clear = (np.abs(spectrum) ** 2 > CLEAR * floor) | (smooth > CLEAR_AROUND * floor)
-    doubtful = np.where(clear, 0.0, kept * spectrum)
-    noisy = np.asarray(np.fft.irfft(doubtful, 2 * len(rest), axis=0)[: len(rest)], dtype=np.float64)
     # Near the lines of a periodic command all of it is left.
     left = np.sqrt(np.mean(kept**2, axis=0) * floor / (2 * len(rest)))
-    return np.asarray(error - rest + smoothed, dtype=np.float64), noisy, left
+    return np.asarray(error - rest + smoothed, dtype=np.float64), left
 
 
 def white_noise(rows: Annotated[Array, "N A"]) -> Annotated[Array, "A"]:

@@ -106,11 +106,7 @@ class CarriedError(Stage):
         return {"sha256": digest_of(self.series)}
 
     def for_record(self, index: int | None) -> Stage:
-        return type(self)((np.zeros((1, self.series[0].shape[1])),)) if index is None else type(self)(self.series, index)
-
-    def with_series(self, series: Sequence[Array]) -> CarriedError:
-        """The same of other series."""
-        return type(self)(tuple(series), self.index)
+        return CarriedError((np.zeros((1, self.series[0].shape[1])),)) if index is None else CarriedError(self.series, index)
 
     def filter(self, sampling: Sampling) -> Filter:
         return SeriesAdder(self.series[self.index], sampling)
@@ -130,18 +126,7 @@ class CarriedError(Stage):
                 moved.append(np.asarray(spline(times[:, 0]), dtype=np.float64))
             else:
                 moved.append(np.stack([spline(column)[:, axis] for axis, column in enumerate(times.T)], axis=1))
-        return self.with_series(moved)
-
-
-class DoubtfulError(CarriedError):
-    """The part of a carried error that may be the baseline record's noise: the sensor's effects act before it, not on it."""
-
-    name: ClassVar[str] = "doubtful_error"
-    place: ClassVar[str] = "adc"
-
-    def delayed(self, samples: Annotated[Array, "A"]) -> CarriedError:
-        """As it is: noise has no delay."""
-        return self
+        return CarriedError(tuple(moved), self.index)
 
 
 def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float, axes: int) -> tuple[Stage, ...]:
