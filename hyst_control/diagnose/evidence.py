@@ -181,6 +181,7 @@ class Evidence:
     # True where the fits know the spectrum of the model discrepancy: energies are then in units of it and the noise together
     whitened: bool = False
     repeating: frozenset[str] = frozenset()  # Names of the effects that repeat values by themselves
+    lines: frozenset[str] = frozenset()  # Names of the effects that are fitted only where a line stands out of a spectrum
     # True where the model discrepancy is carried over from a baseline record of the same command, so that it is in no residual
     carried: bool = False
     # Effects that become a simpler one at an end of their ranges, each with that one

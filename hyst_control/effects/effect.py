@@ -155,6 +155,8 @@ class Effect:
     # Whether a realization differs from a simpler effect on these commands, each (N, A)
     distinct: Callable[[Mapping[str, float], Sequence[Array]], bool] = lambda *_: True
     summary: Callable[[Values], dict[str, float]] = lambda _: {}  # What the gap report has of parameters that are not told
+    # The values that the gap report has, beside the model's stages: where the same number is another effect in each realization
+    reported: Callable[[Values, Surroundings, Sequence[Stage]], Values] = lambda values, *_: values
     line: Line | None = None  # Of an effect that is one in the spectrum
     further_lines: tuple[Line, ...] = ()  # Other shapes that it may have there
     # The check that finds an effect without a waveform, and measures its one parameter; of an effect with a waveform the

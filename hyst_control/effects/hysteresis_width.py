@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -11,14 +12,16 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.chain.memoryless import Offset
 from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import Modifier, Stage, frozen, per_axis_scalar, per_axis_scalars, register, replaced
-from hyst_control.effects.effect import Effect, Parameter
+from hyst_control.effects.effect import Effect, Parameter, Surroundings, Values
 from hyst_control.effects.placement import hysteresis_index
 
 OPERATORS, DENSER = 8, 1.5  # the exponent: a measured stack's nested loops
+LEG = 200  # Rows from one end of the loop that the gap report's width is read from to the other
 
 
 @register
@@ -80,6 +83,29 @@ def _memory(width: Array, span: Array, centre: Array) -> tuple[Stage, ...]:
     )
 
 
+def _growth(values: Values, around: Surroundings, stages: Sequence[Stage]) -> Values:
+    """The growth of the quasi-static loop over the command's range: thresholds beyond half the amplitude narrow it where they grow."""
+    if not values.get("scaled"):
+        return values
+    index = hysteresis_index(stages)
+    assert index is not None, "operators that were scaled"
+    before = tuple(stages[: index + 1])
+    changed = HysteresisWidth(values["width"], scaled=values["scaled"]).applied(before, around.axes)
+    usual, new = _loop(before, around), _loop(changed, around)
+    return {**values, "width": float(np.mean(new / usual)) - 1.0} if np.all(usual > 0.0) else values
+
+
+def _loop(stages: Sequence[Stage], around: Surroundings) -> Array:
+    """Area (A,) of the second loop over the range of the command, driven slowly."""
+    low, high = around.command
+    drive = np.interp(np.arange(4 * LEG + 1), LEG * np.arange(5), [low, high, low, high, low])
+    running = Chain(tuple(stages)).filter(Sampling(1.0, around.axes, "foh"))
+    rows = np.repeat(drive[:, None], around.axes, axis=1)
+    running.settle(rows[0])
+    made = running.process(rows)[2 * LEG :]
+    return np.abs(0.5 * (made[1:] + made[:-1]).T @ np.diff(drive[2 * LEG :]))
+
+
 EFFECT = Effect(
     "hysteresis_width",
     "hysteresis",
@@ -92,5 +118,6 @@ EFFECT = Effect(
         values["width"], max(around.command[1] - around.command[0], 1e-300), sum(around.command) / 2, values.get("scaled", 0.0)
     ),
     variants=lambda around: ({"scaled": 0.0}, {"scaled": 1.0}, {"scaled": 2.0}),
+    reported=_growth,
     phrase="a change of the hysteresis width by {width}",
 )

@@ -273,6 +273,14 @@ ROWS = (
         (R.BELOW_PRACTICAL_SIZE,),
     ),
     Row(
+        "a line that small, which stands out of the frequencies around",
+        evidence(effect("a", left=60.0), stated=95.0, lines=frozenset({"a"})),
+        V.EFFECT,
+        (R.ONE_EXPLANATION,),
+        ("a",),
+        remainder=0.0,
+    ),
+    Row(
         "coefficients beside clean records, where one known effect does the same",
         evidence(effect("a"), coefficients(1010.0), whitened=True),
         V.EFFECT,

@@ -15,7 +15,7 @@ import pytest
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
-from hyst_control.diagnose.report.document import in_words, named, sentence
+from hyst_control.diagnose.report.document import in_words, named, reduction, sentence
 from hyst_control.diagnose.report.page import actions, taken_off, write_page
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
@@ -64,6 +64,14 @@ def test_an_effect_that_widens_the_gap_does_not_stand_as_sure(page, verdict, shr
     effect = {**document["effects"][0], "probability": 1.0, "shrink": shrink, "shrink_reidentified": shrink}
     said = in_words({**document, "verdict": verdict, "unexplained_share": 1.0, "effects": [effect]})
     assert "probability 1.00" in said and ("it widens the gap" in said) == told
+
+
+def test_a_reduction_below_zero_is_told_in_words(page):
+    _, document = page
+    effect = {**document["effects"][0], "shrink": -7.87, "shrink_ci90": (-10.0, 0.2), "shrink_reidentified": 0.03}
+    told = in_words({**document, "effects": [effect]})
+    assert "reduction none (worse on held-out rows), of what re-fitting the model leaves 3.0 %" in told
+    assert reduction(0.2, (-8.0, 0.3)) == "20.0 % [below 0 … 30.0]"
 
 
 def test_the_page_of_no_gap_is_written_too(few, tmp_path):

@@ -145,6 +145,17 @@ def test_width_scales_thresholds_or_weights_of_operators():
     np.testing.assert_allclose(weights, run([PrandtlIshlinskii([0.0, 3.0, 9.0], [0.5, 0.36, 0.24])], u), rtol=1e-12)
 
 
+@pytest.mark.parametrize("threshold, scaled, width", [(3.0, 1.0, 0.2), (20.0, 1.0, 0.2), (20.0, 1.0, -0.2), (20.0, 2.0, 0.2)])
+def test_the_report_has_the_growth_of_the_loop_whatever_is_scaled(threshold, scaled, width):
+    """A play operator's loop over an amplitude A has the area 4 r (A - r)."""
+    around = Surroundings(1e-3, 1.0, (0.0, 50.0), 1.0, (0.0, 5.0), 1)
+    operators = PrandtlIshlinskii([0.0, threshold], [0.5, 0.3])
+    told = EFFECTS["hysteresis_width"].reported({"width": width, "scaled": scaled}, around, [operators])
+    factor = 1.0 + width
+    areas = [r * (25.0 - r) for r in (threshold, factor * threshold)]
+    assert told["width"] == pytest.approx(areas[1] / areas[0] - 1.0 if scaled == 1.0 else width, abs=5e-3)
+
+
 def test_only_operators_have_thresholds_to_scale():
     with pytest.raises(InputError, match="scaled"):
         run([Gain(2.0), HysteresisWidth(0.2, scaled=1)], walk())

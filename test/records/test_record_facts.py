@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import bilinear, butter, lfilter, sosfilt
+from scipy.signal import bilinear, butter, cont2discrete, lfilter, sosfilt
 
 from hyst_control import excitation
 from hyst_control.records.record import Record, Signal
@@ -193,6 +193,21 @@ def test_gaps_of_both_signals_are_counted():
     rows = np.delete(np.arange(len(TIME)), (np.arange(300, 5500, 400)[:, None] + np.arange(20)).ravel())
     assert simultaneous_gaps(COMMAND, MEASURED) == 0
     assert 5 <= simultaneous_gaps(COMMAND[rows], MEASURED[rows]) <= 14
+
+
+def test_steps_of_a_converter_that_a_controller_passes_on_are_no_lost_rows():
+    step, angular = 5e-5, 2 * np.pi * 420.0
+    free, driven = np.array([[0.0, 1.0], [-(angular**2), -0.06 * angular]]), np.array([[0.0], [angular**2]])
+    move, drive = cont2discrete((free, driven, np.eye(2), np.zeros((2, 1))), step)[:2]
+    wanted = 4.0 + 3.0 * np.sin(2 * np.pi * 5.0 * step * np.arange(8000))
+    command, measured = np.empty(8000), np.empty(8000)
+    integral, state = 40.0, np.array([40.0, 0.0])
+    for row, place in enumerate(wanted):
+        measured[row] = 1e-3 * np.round(100.0 * state[0])
+        integral += 600.0 * step * (place - measured[row])
+        command[row] = integral + 3.0 * (place - measured[row])
+        state = move @ state + drive[:, 0] * command[row]
+    assert simultaneous_gaps(command[:-1], measured[1:]) == 0
 
 
 def test_a_plant_without_dynamics_that_follows_a_rough_command_lost_no_rows():

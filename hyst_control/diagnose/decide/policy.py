@@ -186,9 +186,10 @@ def _beats_null(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresho
 def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thresholds) -> bool:
     """It takes off more than the practical size, or relieves coefficients that had to leave their tolerance for it."""
     # A model that states an error of its own leaves all kinds of it: an effect has to take off what goes beyond, unless the weight of
-    # the samples has that error in it already.
+    # the samples has that error in it already. A line is looked for where it stands out of the frequencies around, with that error there.
     unweighted = evidence.weight == 1.0
-    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if unweighted else 0.0)
+    hidden = unweighted and not (one.names and evidence.lines.issuperset(one.names))
+    least = max(evidence.floor**2, thresholds.own_error_share * (evidence.stated - 1.0) if hidden else 0.0)
     before = evidence.hypotheses[0].energy
     # Coefficients can fit any residual: beside a known model discrepancy they explain only a gap that exceeds it.
     if one.coefficients_alone and _has_own_error(evidence) and before <= evidence.stated:

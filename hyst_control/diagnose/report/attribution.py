@@ -201,12 +201,15 @@ def _values(part: AxisDiagnosis, scored: FittedHypothesis, index: int, settings:
     lower, upper, _ = member.bounds()
     freedom = _freedom(part, settings)
     draws = np.clip(centre + deviations(covariance, settings.draws, freedom), lower, upper)
-    drawn = [member.values(x) for x in draws]
+    told = [
+        member.effect.reported(member.values(x), part.problem.surroundings, part.problem.model.chain.stages)
+        for x in (centre, *draws)
+    ]
     found = {}
-    for name, value in member.values(centre).items():
+    for name, value in told[0].items():
         if name in member.untold:
             continue
-        low, high = _quantiles([one[name] for one in drawn])
+        low, high = _quantiles([one[name] for one in told[1:]])
         least = settings.interval * abs(value)
         found[name] = (
             float(value),

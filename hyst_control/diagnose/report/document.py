@@ -280,12 +280,12 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
             return f"; it would take {together} at once, and an effect outside the catalogue is more likely"
     if not names:
         return ""
-    reduction = max(
+    best = max(
         (row["shrink_reidentified"] for row in report["effects"] if row.get("shrink_reidentified") is not None), default=None
     )
-    if reduction is None:  # an effect without a waveform takes nothing off
+    if best is None:  # an effect without a waveform takes nothing off
         return f"; the nearest, {together}, leaves {100 * report['unexplained_share']:.0f} % of it"
-    far = f"explains {100 * reduction:.0f} % of what re-fitting the model leaves" if reduction > 0.0 else "explains nothing of it"
+    far = f"explains {100 * best:.0f} % of what re-fitting the model leaves" if best > 0.0 else "explains nothing of it"
     return f"; the nearest, {together}, {far}"
 
 
@@ -334,10 +334,9 @@ def in_words(report: dict[str, Any]) -> str:
         axes = f" on {', '.join(effect['axis'])}" if effect["axis"] else ""
         lines.append(f"  {effect['name']}{axes}: probability {effect['probability']:.2f}; {values}")
         if effect["shrink_reidentified"] is not None:
-            low, high = effect["shrink_ci90"]
             lines.append(
-                f"      reduction {100 * effect['shrink']:.1f} % [{100 * low:.1f} … {100 * high:.1f}], "
-                f"{100 * effect['shrink_reidentified']:.1f} % of what re-fitting the model leaves"
+                f"      reduction {reduction(effect['shrink'], effect['shrink_ci90'])}, "
+                f"of what re-fitting the model leaves {reduction(effect['shrink_reidentified'])}"
             )
             if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
                 lines.append(
@@ -367,10 +366,19 @@ def in_words(report: dict[str, Any]) -> str:
         ahead, unit = report["foreseen"], report["gap"]["unit"]
         lines.append(
             f"  on {ahead['command']}: a gap of {ahead['rms_before']:.3g} {unit} rms, with what was found added "
-            f"{ahead['rms_after']:.3g} {unit}: a reduction of {100 * ahead['shrink']:.1f} %"
+            f"{ahead['rms_after']:.3g} {unit}: "
+            + (f"a reduction of {100 * ahead['shrink']:.1f} %" if ahead["shrink"] > 0.0 else "no reduction")
         )
     lines += [f"  note: {note}" for note in report["notes"]]
     return "\n".join(lines)
+
+
+def reduction(value: float | None, ci90: Sequence[float] | None = None) -> str:
+    """Write a reduction with its interval; one below zero has no size of its own: it is relative to a gap that may be small."""
+    if value is None or value < 0.0:
+        return "–" if value is None else "none (worse on held-out rows)"
+    interval = [f"{100 * end:.1f}" if end >= 0.0 else "below 0" for end in ci90 or ()]
+    return f"{100 * value:.1f} %" + (f" [{' … '.join(interval)}]" if interval else "")
 
 
 def _predictable(found: dict[str, Any]) -> list[str]:

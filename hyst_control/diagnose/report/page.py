@@ -21,7 +21,7 @@ from hyst_control.base.signals import averaged_periodogram
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
 from hyst_control.diagnose.report.coefficient_changes import LIKELY, coefficient_changes
-from hyst_control.diagnose.report.document import plain, sentence, within
+from hyst_control.diagnose.report.document import plain, reduction, sentence, within
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
@@ -350,14 +350,13 @@ def _effect_row(effect: Mapping[str, Any]) -> tuple[str, ...]:
         f"{name} {_number(row['value'], row['unit'])} [{_number(row['ci90'][0], row['unit'])} … {_number(row['ci90'][1], row['unit'])}]"
         for name, row in effect["parameters"].items()
     )
-    spread = effect["shrink_ci90"]
     return (
         effect["name"].replace("_", " "),
         ", ".join(effect["axis"]),
         f"{effect['probability']:.2f}",
         values,
-        _share(effect["shrink"]) + (f" [{_share(spread[0])} … {_share(spread[1])}]" if spread else ""),
-        _share(effect["shrink_reidentified"]),
+        reduction(effect["shrink"], effect["shrink_ci90"]),
+        reduction(effect["shrink_reidentified"]),
         ", ".join(effect["equivalent"]) or "–",
     )
 
@@ -385,7 +384,3 @@ def _number(value: float | None, unit: str) -> str:
 def _percent(share: float) -> str:
     digits = 0 if abs(share) >= 0.1 else 1 if abs(share) >= 0.01 else 2
     return f"{100 * share:.{digits}f} %"
-
-
-def _share(value: float | None) -> str:
-    return "–" if value is None else f"{100 * value:.1f} %"

@@ -58,6 +58,7 @@ def collect(found: Found, null: float, prepared: Prepared, configuration: Config
         problem.beside_error and problem.own_error is None,
         problem.own_spectrum is not None,
         frozenset(name for name, effect in EFFECTS.items() if effect.repeats_values),
+        frozenset(name for name, effect in EFFECTS.items() if effect.line is not None),
         problem.is_carried,
         tuple((name, effect.ends_as) for name, effect in EFFECTS.items() if effect.ends_as is not None),
         tuple(
