@@ -34,7 +34,8 @@ class HysteresisWidth(Modifier):
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
 
-    A chain without hysteresis gets one behind what is before: u + c (mean of H_r[u] - u + 2 mean of r (u - centre) / span) over the
+    A chain without hysteresis gets one behind what is before, one whose hysteresis has no width to scale (a Python function) another
+    before that: u + c (mean of H_r[u] - u + 2 mean of r (u - centre) / span) over the
     play operators of `OPERATORS` thresholds r up to half of `span` (V), denser toward 0, with c such that a drive over the span, up
     and down about `centre` (V), gives a loop that opens by width span at its middle. Its ends stay where they were: they are what a
     model without hysteresis was fitted to.
@@ -63,11 +64,11 @@ class HysteresisWidth(Modifier):
             if not width.any():
                 return before
         changed = replaced(before, lambda stage: stage.with_loop_width(width))
-        if changed is None and hysteresis_index(before) is None:
+        if changed is None:  # no loop, or none that can be changed within: more of it goes before what has the hysteresis
+            index = hysteresis_index(before)
+            begin = len(before) if index is None else index
             span, centre = per_axis_scalars(self, axes, "span", "centre")
-            changed = (*before, *_memory(width, span, centre))
-        if changed is None:
-            raise InputError("hysteresis_width: no hysteresis before it whose width could change: put it behind one")
+            changed = (*before[:begin], *_memory(width, span, centre), *before[begin:])
         return changed if np.any(width) else before
 
 

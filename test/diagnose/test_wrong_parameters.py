@@ -94,3 +94,25 @@ def test_a_wrong_parameter_is_no_resonance():
     found = diagnosis_of(record_of(voice_coil, command, 1.0, 1 / 20e3, **truth), voice_coil, VOICE_COIL)
     assert found.decision.verdict is Verdict.PARAMETERS
     assert np.argmax(np.abs(found.coefficients)) == list(VOICE_COIL).index("damping")
+
+
+def test_hysteresis_is_named_where_a_linear_simulator_has_none():
+    """A stack of ten play operators with thresholds up to 40 V, before a mode at 420 Hz that its simulator knows."""
+    rate, angular, random = 5e3, 2.0 * np.pi * 420.0, np.random.default_rng(1)
+    command = np.repeat(random.uniform(5.0, 75.0, 20), 200)
+    states, driven, thresholds = np.full(10, command[0]), np.empty(len(command)), np.linspace(2.0, 40.0, 10)
+    for row, value in enumerate(command):
+        states = np.clip(states, value - thresholds, value + thresholds)
+        driven[row] = 0.85 * value + 0.15 * states.mean()
+
+    def stage(command, sample_time, gain):
+        moved = second_order(command - command[0], sample_time, gain * angular**2, 1.0, 0.06 * angular, angular**2)
+        return moved + gain * command[0]
+
+    time, noise = np.arange(len(command)) / rate, 0.01 * random.standard_normal(len(command))
+    signals = {"command": (command, "V"), "measurement": (stage(driven, 1.0 / rate, 0.1) + noise, "um")}
+    record = Record(
+        {name: Signal(time, rows[:, None], ("x",), unit) for name, (rows, unit) in signals.items()}, "record", hold="zoh"
+    )
+    found = diagnosis_of(record, stage, {"gain": [0.1, 0.005]})
+    assert found.decision.verdict is Verdict.EFFECT and "hysteresis_width" in found.chosen.names

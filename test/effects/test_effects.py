@@ -14,6 +14,7 @@ from scipy.signal import welch
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Parallel, Sampling
+from hyst_control.chain.external_simulator import external_simulator
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.hysteresis.softening_modal import SofteningModal
@@ -480,5 +481,16 @@ def test_a_stage_with_dynamics_of_its_own_sees_no_lag_of_infinite_cutoff():
     lag = STAGES["amplifier_lowpass"](np.inf)
     assert insert(stages, "drive", lag)[0] is lag
     np.testing.assert_allclose(run([lag, *stages], u), run(stages, u), rtol=0, atol=1e-12)
-    with pytest.raises(InputError, match="hysteresis_width"):
-        run([structure, HysteresisWidth(0.1)], u)
+
+
+def test_hysteresis_that_cannot_be_changed_within_gets_more_of_it_before():
+    """As of a Python function: its loops are those of the command that it is given."""
+
+    def doubled(command, sample_time):
+        return 2.0 * command
+
+    function, u = external_simulator(doubled, {})[0], command("linear")
+    wider = HysteresisWidth(0.1, span=100.0, centre=50.0)
+    moved = run([wider, function], u)
+    np.testing.assert_array_equal(run([function, wider], u), moved)
+    assert np.ptp(moved - run([function], u)) > 1.0

@@ -7,7 +7,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, dlsim, dlti
+from scipy.signal import chirp, cont2discrete, dlsim, dlti, lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.identify import identify
@@ -239,6 +239,23 @@ def test_a_long_record_is_taken_in_parts(monkeypatch):
     found = entries(identify([data], "linear", order=2).report)
     for name, true in (("frequency[0]", FREQUENCY), ("damping[0]", DAMPING)):
         assert abs(found[name]["value"] - true) < 5 * found[name]["standard_error"] + 1e-4 * true
+
+
+def test_modes_that_a_long_sweep_passes_in_a_few_rows_are_found():
+    """Parts that are spread evenly over the record hold neither of them."""
+    rate, rows = 20e3, 120_000
+    time = np.arange(rows) / rate
+    command = 50.0 + 5.0 * chirp(time, 1.0, time[-1], 1500.0, phi=-90)
+    measurement = 0.05 * np.random.default_rng(0).normal(size=rows) + command[0]
+    for frequency, share in ((310.0, 0.8), (1230.0, 0.2)):
+        w = 2 * np.pi * frequency
+        num, den, _ = cont2discrete(([share * w**2], [1.0, 0.01 * w, w**2]), 1.0 / rate, "zoh")
+        measurement += lfilter(num[0], den, command - command[0])
+    record = sampled_record("sweep", command[:, None], measurement[:, None], 1.0 / rate, ("x",), "um", "zoh", start="settled")
+    found = identify([record], "linear")
+    assert found.report["states"] == 4
+    known = entries(found.report)
+    assert [known[f"frequency[{i}]"]["value"] for i in range(2)] == pytest.approx([310.0, 1230.0], rel=1e-3)
 
 
 def test_the_mean_of_residuals_is_that_of_all_their_rows(monkeypatch):

@@ -27,8 +27,9 @@ from hyst_control.identify.solve.simulation_error import Parametrization, Simula
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 LEAST_ROWS = 8  # Rows for each state of a model
-SEARCH_ROWS, SEARCH_PARTS = 40_000, 4
-"""Rows on which structures are compared: of longer records as many parts, evenly spread."""
+SEARCH_ROWS, SEARCH_PARTS, CANDIDATES = 40_000, 4, 100
+"""Rows on which structures are compared: of longer records as many parts, half of them evenly spread and the others where the measurement
+departs most from a gain, of so many: a sweep passes each mode in a few rows."""
 WHOLE_ROWS = 2**22  # Rows of a record to which the chosen structure is fitted, from the middle of a longer one
 STALE, FALLEN = 2, 2.25
 """Orders without a gain after which growing ends, and ratio to the least square error from which a variant grows no further."""
@@ -39,6 +40,7 @@ DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 2
 """Delays (samples) with which a search begins."""
 PASSES = 12  # Of a fit while structures are compared
 MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
+IDLE = 1e-3  # Delay (samples) that is none
 MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
@@ -182,7 +184,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
-        variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
+        variants = [each for each in variants if each not in smaller or _may_grow(smaller[each], least, sample_time)]
         gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
         known = min(tried, key=lambda each: each.held_out, default=None)
         stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
@@ -197,6 +199,13 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     if final is None:
         return search(windows, options)
     return replace(chosen, solution=final, search_error=chosen.held_out), table
+
+
+def _may_grow(candidate: Candidate, least: float, sample_time: float) -> bool:
+    """False for a variant far behind the best one, and for one with a delay of nothing: with more states it needs none either."""
+    sections, vector = candidate.sections, candidate.solution.parameters
+    idle = sections.delay and sections.tau(vector) < IDLE * sample_time
+    return candidate.held_out <= FALLEN * least and not idle
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:
@@ -328,15 +337,24 @@ def _parts(windows: Sequence[Window]) -> list[Window]:
         n = len(window.command)
         count = SEARCH_PARTS if share < 1.0 else 1
         size = max(int(share * n / count), 64)
-        cuts = (
-            [slice(int(begin), int(begin) + size) for begin in np.linspace(0, n - size, count)]
-            if size * count < n
-            else [slice(0, n)]
-        )
+        cuts = [slice(begin, begin + size) for begin in _begins(window, size, count)] if size * count < n else [slice(0, n)]
         parts = [replace(window, command=window.command[cut], measurement=window.measurement[cut]) for cut in cuts]
         moving = [part for part in parts if np.ptp(part.command) > 0]
         found += [replace(part, group=len(found) + number) for number, part in enumerate(moving)]
     return found
+
+
+def _begins(window: Window, size: int, count: int) -> list[int]:
+    """First rows of parts of a long record, in order."""
+    n = len(window.command)
+    found = [int(begin) for begin in np.linspace(0, n - size, count // 2)]
+    slope, zero = np.polyfit(window.command, window.measurement, 1)
+    square = np.cumsum(np.append(0.0, (window.measurement - slope * window.command - zero) ** 2))
+    begins = np.linspace(0, n - size, CANDIDATES).astype(int)
+    for begin in begins[np.argsort(square[begins] - square[begins + size], kind="stable")]:
+        if len(found) < count and min(abs(begin - other) for other in found) >= size:
+            found.append(int(begin))
+    return sorted(found)
 
 
 def _middle(window: Window) -> Window:

@@ -146,40 +146,33 @@ class Decay:
     """Free motion of a linear system: what each of its states (n,), 1 at the beginning, adds to the output row by row."""
 
     def __init__(self, transition: Array, output: Array) -> None:
-        self._transition, self._output = np.ascontiguousarray(transition), np.ascontiguousarray(output)
-        self._state = np.eye(len(transition))
+        self._transition, self._row = np.ascontiguousarray(transition), np.array(output, dtype=float)
+        self._least = NEGLIGIBLE * float(np.max(np.abs(self._row), initial=0.0))
         self.states = len(transition)
 
     def rows(self, count: int) -> Array:
         """The next `count` rows (count, n)."""
         found = np.zeros((count, self.states))
         if self.states:
-            decayed(self._transition, self._output, self._state, found)
+            decayed(self._transition, self._row, self._least, found)
         return found
 
 
 @njit(cache=True, error_model="numpy")
-def decayed(transition: Array, output: Array, state: Array, found: Array) -> None:
-    """Write rows (N, n) of the free motion of every column of `state` (n, n), which is updated; none once it has died away."""
-    n = len(output)
-    following = np.empty((n, n))
-    for row in range(len(found)):
+def decayed(transition: Array, row: Array, least: float, found: Array) -> None:
+    """Write rows (N, n): `row` (n,), which is updated, times each power of `transition` (n, n); none once it has died away."""
+    n = len(row)
+    for line in found:
         largest = 0.0
-        for i in range(n):
-            for j in range(n):
-                value = 0.0
-                for k in range(n):
-                    value += transition[i, k] * state[k, j]
-                following[i, j] = value
         for j in range(n):
             value = 0.0
             for i in range(n):
-                state[i, j] = following[i, j]
-                largest = max(largest, abs(following[i, j]))
-                value += output[i] * following[i, j]
-            found[row, j] = value
-        if largest < NEGLIGIBLE:
-            state[:] = 0.0
+                value += row[i] * transition[i, j]
+            line[j] = value
+            largest = max(largest, abs(value))
+        row[:] = line
+        if largest <= least:
+            row[:] = 0.0
             return
 
 
