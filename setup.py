@@ -26,7 +26,6 @@ REQUIRED = [
     "numba",
     "PyYAML",
     "matplotlib",
-    "pillow",
     "plotly",
     "tqdm",
     "jinja2",
@@ -41,7 +40,7 @@ REQUIRED = [
 setup(
     name=NAME,
     version=VERSION,
-    description="Identification, feedforward control and gap diagnosis of piezoelectric actuators with hysteresis",
+    description="Identification, control and gap diagnosis of piezo stages and fast steering mirrors with hysteresis",
     license="Apache-2.0",
     python_requires=">=3.10",
     install_requires=REQUIRED,

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""hyst_control: identification, control and sim-to-real diagnosis of piezo stages and fast steering mirrors.
+"""hyst_control: identification, control and gap diagnosis of piezo stages and fast steering mirrors.
 
 `import hyst_control as hc` gives the names of `__all__`, each loaded when it is first used; docs/api.md has an example of each.
 """

@@ -50,16 +50,16 @@ class PlantNode(ManagedNode):
 
     REMEDIES = {"recorded": "is a recorder running? wait_for_recorder is true"}
     SETTINGS = (
-        Setting("plant", "", "", "truth plant: a name in config/plants or a file"),
-        Setting("model", "", "", "model file, run instead of a truth plant"),
+        Setting("plant", "", "", "reference simulation: a name in config/plants or a file"),
+        Setting("model", "", "", "model file, run instead of a reference simulation"),
         Setting(
             "parameters",
             "",
             "",
-            "parameters of the truth plant that replace those of its file, as YAML: '{mode_frequency: 1180.0}'",
+            "parameters of the reference simulation that replace those of its file, as YAML: '{mode_frequency: 1180.0}'",
         ),
-        Setting("effects", "", "", "effects in the truth plant, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
-        Setting("seed", 0, "number", "seed of the plant's noise", 0, 2**31 - 1),
+        Setting("effects", "", "", "effects in the reference simulation, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
+        Setting("seed", 0, "1", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
         Setting(
             "start",
@@ -251,7 +251,7 @@ class PlantNode(ManagedNode):
         try:
             if given.model:
                 if given.parameters or given.effects:
-                    raise InputError("parameters and effects belong to a truth plant: write them into the model file instead")
+                    raise InputError("parameters and effects belong to a reference simulation: write them into the model file instead")
                 plant: Any = Simulator(load_model(given.model), self.period)
             else:
                 from hyst_plant_sim.physics import load_plant

@@ -17,8 +17,8 @@ SHARE = get_package_share_directory("hyst_control")
 ARGUMENTS = {
     "namespace": ("", "namespace of the nodes"),
     "params": (os.path.join(SHARE, "config", "nodes", "timer.yaml"), "parameter file of all nodes"),
-    "plant": ("", "truth plant in place of that of the parameter file: a name in config/plants, or a file"),
-    "model": ("", "model file that the plant runs, in place of a truth plant"),
+    "plant": ("", "reference simulation in place of that of the parameter file: a name in config/plants, or a file"),
+    "model": ("", "model file that the plant runs, in place of a reference simulation"),
     "feedforward": ("hampi_feedforward", "executable of the feedforward"),
     "bag": ("", "folder to record to; empty: no recorder"),
 }

@@ -89,7 +89,7 @@ def _searched(name: str) -> str:
     """Parameters of an effect in the gap report, with the range in which the diagnosis of `RECORD` searches."""
     effect = CATALOGUE[name]
     rows = [
-        (f"`{each.name}`", each.unit.replace("unit", "um") or "-", f"{each.lower:.3g}", f"{each.upper:.3g}")
+        (f"`{each.name}`", each.unit.replace("unit", "um").replace("command", "V") or "-", f"{each.lower:.3g}", f"{each.upper:.3g}")
         for each in effect.parameters(replace(RECORD, axes=2) if effect.couples else RECORD)
         if each.told
     ]

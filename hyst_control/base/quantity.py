@@ -43,12 +43,12 @@ def _unchanged(value: object, kind: type[T]) -> T:
 
 
 def list_of(kind: Kind[T], name: str) -> Kind[tuple[T, ...]]:
-    """Kind of a list, whose every value is of another kind."""
+    """Kind of a list, whose every value is of another kind; a single value is a list of one."""
 
     def convert(value: object) -> tuple[T, ...]:
         if isinstance(value, (str, bytes)):
             raise TypeError
-        return tuple(kind.convert(item) for item in cast("Iterable[object]", value))
+        return tuple(kind.convert(item) for item in (value if isinstance(value, Iterable) else [value]))
 
     return Kind(name, convert)
 

@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--baseline",
         nargs="+",
         default=[],
-        metavar="CLEAN",
-        help="baseline records of the same plant: what the model leaves on them is its discrepancy; best with the same command",
+        metavar="BASELINE",
+        help="baseline records of the same machine: the model's residual on them is its discrepancy; best with the same command",
     )
     add("--report", metavar="OUT.html", help="HTML page to write")
     add("--augmented", metavar="OUT.yaml", help="model file to write: the model with the effects added")
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--on",
         metavar="COMMAND",
-        help="bag or .npy file (rows by axes, V) with the command of a future run: predict how far the gap will shrink on it",
+        help="bag or .npy file (rows by axes, V) with the command of a future run: print the predicted reduction of the gap on it",
     )
     add(
         "--warm-up",

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--plant",
         metavar="PLANT",
-        help="truth plant (a name in config/plants or a file) whose axes are used, "
+        help="reference simulation (a name in config/plants or a file) whose axes are used, "
         "and whose rating and slew limit bound an excitation in V",
     )
     add("--axes", type=int, help="number of axes (default 1, or the plant's)")
@@ -56,8 +56,6 @@ def run(arguments: argparse.Namespace) -> CommandResult | Kinds:
         return Kinds()
     if not arguments.signal:
         raise InputError("give a kind of signal: hyst excite --list shows them")
-    if not arguments.output:
-        raise InputError("--output: give the file to write")
     if not np.isfinite(arguments.rate) or arguments.rate <= 0:
         raise InputError(f"--rate: must be > 0 Hz, got {arguments.rate!r}")
     if arguments.axes is not None and not 1 <= arguments.axes <= 100:
@@ -69,12 +67,14 @@ def run(arguments: argparse.Namespace) -> CommandResult | Kinds:
             raise InputError(f"--axes: must be {axes} for the plant {arguments.plant}, got {arguments.axes}: leave it out")
         spec = {**limits, **spec}
     rows = build(spec, 1.0 / arguments.rate, axes)
+    if not arguments.output:
+        raise InputError("--output: give the file to write")
     write_excitation(arguments.output, spec, rows, 1.0 / arguments.rate, arguments.unit)
     unit, duration = arguments.unit, len(rows) / arguments.rate
     slope = np.abs(np.diff(rows, axis=0)).max(initial=0.0) * arguments.rate
     asked = float(spec.get("duration", duration))
     longer = f" (duration={asked:g} s does not count ramps and steps)" if abs(duration - asked) * arguments.rate > 1 else ""
-    line = f"{len(rows)} samples, {duration:g} s{longer}, {rows.min():.6g} to {rows.max():.6g} {unit}, at most {slope:.4g} {unit}/s"
+    line = f"{len(rows)} samples, {duration:g} s{longer}, {rows.min():.4g} to {rows.max():.4g} {unit}, at most {slope:.4g} {unit}/s"
     made = Artifacts("excite", [arguments.output], lines=[line])
     made.add("", "samples", "", len(rows))
     made.add("", "duration", "s", duration)

@@ -90,7 +90,9 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if arguments.columns is None and not is_bag:
         lines, suggestion = listed_columns(Path(arguments.file), arguments.variable, arguments.skip)
         print("\n".join(lines))
-        raise InputError(f"--columns: is missing: name the columns listed above, such as {suggestion}")
+        raise InputError(
+            f"--columns is required. Name the columns found and their units (UNIT where none is known): try {suggestion}"
+        )
     if arguments.output is None:
         raise InputError("--output: is missing: name the bag to write")
     columns = None if arguments.columns is None else parse_columns(arguments.columns)
@@ -130,9 +132,10 @@ def written(output: str, records: Sequence[Record]) -> CommandResult:
 
 
 def _unfit(record: Record) -> list[str]:
-    """A note where no model can be identified: command or measurement is missing, or they have other axes."""
+    """Notes where no model can be identified (command or measurement is missing, or they have other axes) or a unit may be wrong."""
     from hyst_control.base.errors import InputError
     from hyst_control.records.record import TOPICS
+    from hyst_control.records.validity.checks import implausible_range
 
     if missing := [topic for topic in TOPICS if topic not in record.signals]:
         there = ", ".join(record.signals) or "no signals"
@@ -141,7 +144,11 @@ def _unfit(record: Record) -> list[str]:
         record.check_axes()
     except InputError as error:
         return [str(error)]
-    return []
+    command, measurement = (record.signal(topic) for topic in TOPICS)
+    if command.unit != "V" or not len(command.values) or not len(measurement.values):
+        return []
+    columns = zip(command.axes, command.values.T, measurement.values.T, strict=True)
+    return [finding.text() for given in columns for finding in implausible_range(record.source, *given, measurement.unit)]
 
 
 def _described(topic: str, signal: Signal) -> str:

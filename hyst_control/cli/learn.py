@@ -4,7 +4,7 @@
 
 With --feedback-error, gain and lag are learned from the feedback instead, as for any reference.
 
-Without bags the trials are run here: compensator, PI feedback and learning on a truth plant (--plant), or on the model itself. With
+Without bags the trials are run here: compensator, PI feedback and learning on a reference simulation (--plant) or on the model itself. With
 bags, one a trial in order, the feedforward of the next trial is computed, which the feedforward nodes play (parameter learned_file).
 
 examples:
@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bags", nargs="*", metavar="BAG", help="bags of trials with reference, feedback and measurement")
     add("--period", type=float, metavar="S", help="period of the reference in the bags")
     add("--reference", nargs="+", metavar="WORD", help="one period: kind or .yaml file, and parameter=value")
-    add("--plant", help="truth plant that the trials run on: a name or a file (default: the model itself)")
-    add("--gain-error", type=float, default=0.0, help="relative change of the truth plant's gain (default 0)")
+    add("--plant", help="reference simulation that the trials run on: a name or a file (default: the model itself)")
+    add("--gain-error", type=float, default=0.0, help="relative change of the reference simulation's gain (default 0)")
     add("--rate", type=float, help="sample rate in Hz of trials that are run (default: the model's)")
     add("--kp", type=float, help="gain of the feedback, V per measurement unit (default: tuned, see hyst tune)")
     add("--ki", type=float, help="integral gain of the feedback, V per measurement unit and s")
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--mode-spread", type=float, default=0.0, help="of the first resonance with which no trial may lose (default 0)")
     add("--response", metavar="BAG", help="record of an excitation: its measured response takes the place of the model's")
     add("--feedback-error", type=float, metavar="S", help="learn gain and lag from the feedback for so long, in place of trials")
-    add("--seed", type=int, default=0, help="of the truth plant's noise (default 0)")
+    add("--seed", type=int, default=0, help="of the reference simulation's noise (default 0)")
     add("--output", metavar="FILE.npy", help="file to write one period of what was learned to, in V")
 
 
@@ -157,7 +157,7 @@ def _simulated(
             raise InputError(f"--plant: {arguments.plant}: has {len(truth.axes)} axes, the model {axes}")
         plant, limits = truth, truth.rating
     elif arguments.gain_error:
-        raise InputError("--gain-error: is of a truth plant: give --plant")
+        raise InputError("--gain-error: belongs to a reference simulation: give --plant")
     else:
         plant = Simulator(model, sample_time)
     if arguments.kp is None and arguments.ki is None:
@@ -171,7 +171,7 @@ def _simulated(
         if arguments.output:
             raise InputError("--output: holds what trials learned: leave it out, or --feedback-error")
         loop = (reference, compensator, controller.start(axes), plant)
-        return feedback_error_table(*loop, FeedbackErrorLearning(sample_time), arguments.feedback_error, kind), None
+        return feedback_error_table(*loop, FeedbackErrorLearning(sample_time), arguments.feedback_error, kind, model.axes), None
     description = IterativeLearning(_filter(arguments, model, len(reference), sample_time), **options)
     learner, signals = run_trials(reference, compensator, controller.start(axes), plant, description)
     table = trial_table(learner, float(np.ptp(reference, axis=0).max()), kind)

@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     signals = {topic: Signal(time, values, tuple(model.axes), model.units[topic]) for topic, values in rows.items()}
     write_bag(arguments.output, Record(signals, arguments.output, (), hold, states_hold=True))
     unit, rate = model.units["measurement"], 1.0 / sample_time
-    line = f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.6g} to {highest:.6g} {unit}"
+    line = f"{len(commands)} samples at {rate:g} Hz, measurement {lowest:.4g} to {highest:.4g} {unit}"
     made = Artifacts("simulate", [arguments.output], lines=[*notes, line])
     made.add("", "samples", "", len(commands))
     made.add("", "rate", "Hz", rate)

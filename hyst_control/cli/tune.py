@@ -5,7 +5,7 @@
 examples:
   hyst tune config/models/fsm_mhl.yaml --rate 5000
   hyst tune config/models/fsm_mhl.yaml --rate 5000 --roll-off --at 100
-  hyst tune config/models/pea_hampi.yaml --structure damping
+  hyst tune config/models/pea_hampi.yaml --structure damping --output gains.yaml
   hyst tune hampi.yaml --gain-margin 8 --phase-margin 55 --loop-delay 1 --json tuning.json
 """
 
@@ -18,6 +18,7 @@ from hyst_control.reporting.result import CommandResult
 NAME = "tune"
 HELP = "tune the PI feedback from a model to stability margins"
 READS = ("model",)
+WRITES = ("output",)
 SPREADS = ("gain_spread", "mode_spread", "model_error")
 PASSED_ON = ("gain_margin", "phase_margin", "peak_sensitivity", "loop_delay", *SPREADS, "structure")
 """Arguments that `tune` takes under the same names."""
@@ -56,12 +57,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="pi",
         help="pi (default), with a filtered derivative, a notch or damping of the first resonance, or the best of them (auto)",
     )
+    add("--output", metavar="GAINS.yaml", help="parameter file of the node pi_feedback to write")
     add("--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:
     """Run this command with the parsed `arguments` and return its result, as described in `hyst_control.cli`."""
+    import yaml
+
     from hyst_control.base.errors import InputError
+    from hyst_control.base.files import write_text
     from hyst_control.control.tuning import tune
     from hyst_control.model_file import load_model
 
@@ -83,4 +88,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     table = result.table(model)
     for frequency, value in zip(arguments.at, result.sensitivity(model, arguments.at, arguments.loop_delay), strict=True):
         table.add("PI feedback", f"{frequency:g} Hz", "nominal", "sensitivity", "", value)
+    if arguments.output is not None:
+        gains = {name: value if isinstance(value, list) else float(value) for name, value in result.parameters.items()}
+        write_text(arguments.output, yaml.safe_dump({"/**/pi_feedback": {"ros__parameters": gains}}, sort_keys=False))
+        table.notes.append(f"written: {arguments.output}")
     return table

@@ -32,7 +32,7 @@ class Step:
     @property
     def overshoot(self) -> float:
         """Overshoot of the worst axis, percent."""
-        return float(100.0 * max(self.measurement.max() - 1.0, 0.0))
+        return round(float(100.0 * max(self.measurement.max() - 1.0, 0.0)), 9)  # less is the error of the arithmetic
 
     def settling_ticks(self) -> float:
         """Ticks until every axis stays within 2 %; NaN where one does not."""

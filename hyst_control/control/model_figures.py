@@ -24,6 +24,7 @@ from hyst_control.reporting.signal_figures import MAX_POINTS, Line, Panel, axis_
 DECADES, LINES = 4.0, 400  # Decades below half the sample rate, and frequencies, that a response is computed at
 OF_DELAYS = 0.05  # Size of a root of a sampled system below which it belongs to a delay
 CANCELED = 1e-6  # Distance of a pole and a zero that cancel
+FAR = 1.5  # Distance of zeros that are not drawn, relative to the farthest pole
 LAGS = 200  # Samples of the residual's correlations on either side
 
 
@@ -60,22 +61,25 @@ def bode_of(model: Model, record: Record | None = None) -> list[Panel]:
 def poles_and_zeros(model: Model) -> list[Panel]:
     """Poles and zeros of every axis in the plane of s, those of delays left out; the hysteresis is replaced by its mean slope.
 
-    A root on the negative real axis of z is at plus and minus half the sample rate. Raises `InputError` where there is none to draw.
+    A root on the negative real axis of z is at plus and minus half the sample rate. Zeros far beyond the poles are counted, not drawn.
+    Raises `InputError` where there is none to draw.
     """
     system = state_space(linearized(model), len(model.axes), model.sample_time)
     panels = []
     for index, axis in enumerate(model.axes):
         zeros, poles = _of_axis(system, index)
-        lines = []
+        lines, reach = [], np.inf
         for name, roots, marker in (("poles", poles, "x"), ("zeros", zeros, "o")):
             seen = roots[(np.abs(roots) > OF_DELAYS) & (np.abs(roots) < 1.0 / OF_DELAYS)]
             negative = (seen.real < 0.0) & (np.abs(seen.imag) <= 1e-9 * np.abs(seen))
-            s = np.log(seen.astype(complex)) / model.sample_time
+            s = np.log(seen.astype(complex)) / (2.0 * np.pi * model.sample_time)
             s = np.concatenate([s, s[negative].conj()])
-            label = f"{name} (at ± half the rate: of the sampling)" if negative.any() else name
-            lines.append(Line(label, s.real, s.imag / (2.0 * np.pi), True, marker))
+            inside = np.abs(s) <= reach
+            label = name if inside.all() else f"{name} ({np.sum(~inside)} more beyond {reach:.3g} Hz)"
+            lines.append(Line(label, s.real[inside], s.imag[inside], True, marker))
+            reach = FAR * float(np.abs(s).max(initial=0.0)) or np.inf
         name = f" of {axis}" if len(model.axes) > 1 else ""
-        panels.append(Panel(f"real part{name} [1/s]", f"imaginary part{name} / 2π [Hz]", tuple(lines)))
+        panels.append(Panel(f"real part{name} / 2π [Hz]", f"imaginary part{name} / 2π [Hz]", tuple(lines)))
     if not any(len(line.x) for panel in panels for line in panel.lines):
         raise InputError(f"{model.name}: has neither poles nor zeros to draw: it is static, delays apart")
     return panels
@@ -122,9 +126,9 @@ def beside(model: Model, record: Record) -> list[Panel]:
                 "lag [ms]",
                 "correlation",
                 (
-                    Line("residual with itself", lags, correlations[0]),
-                    Line("residual with the command", lags, correlations[1]),
-                    Line("99 % of white noise", lags[[0, -1, -1, 0]], bound * np.array([1.0, 1.0, -1.0, -1.0])),
+                    Line("autocorrelation", lags, correlations[0]),
+                    Line("cross-correlation with the command", lags, correlations[1]),
+                    Line("99 % band of white noise", lags[[0, -1, -1, 0]], bound * np.array([1.0, 1.0, -1.0, -1.0])),
                 ),
             ),
         ]
@@ -153,9 +157,17 @@ def tuning_panels(tuning: Tuning, model: Model, loop_delay: int = 0) -> list[Pan
     controller = controller_response(tuning.law, z)
     loops = plant.loci * controller
     magnitude, phase = bode([Response(f"loop {axis}", frequency, loop) for axis, loop in zip(model.axes, loops, strict=True)], "1")
-    least = tuning.nominal
-    said = f"margins {least.gain_margin:.1f} dB, {least.phase_margin:.0f} deg, crossover {least.crossover:.3g} Hz"
-    magnitude = replace(magnitude, lines=(*magnitude.lines, Line(said, np.array([least.crossover]), np.ones(1), True, "o")))
+    nominal, worst = tuning.nominal, tuning.worst
+    level = 10.0 ** (-nominal.gain_margin / 20.0)
+    at = frequency[np.abs(loops + level).min(axis=0).argmin()]
+    crossover = (
+        f"crossover {nominal.crossover:.4g} Hz, phase margin {nominal.phase_margin:.0f} deg (worst {worst.phase_margin:.0f} deg)"
+    )
+    margin = f"{at:.4g} Hz, gain margin {nominal.gain_margin:.1f} dB (worst {worst.gain_margin:.1f} dB)"
+    dots = [Line(crossover, np.array([nominal.crossover]), np.ones(1), True, "o")]
+    dots += [Line(margin, np.array([at]), np.array([level]), True, "x")] if level > 0.0 else []
+    magnitude = replace(magnitude, lines=(*magnitude.lines, *dots))
+    phase = replace(phase, lines=(*phase.lines, Line("-180 deg", frequency[[0, -1]], np.full(2, -180.0))))
     labels = ["(greatest singular value)"] if plant.mixed else model.axes
     closed = [
         Line(f"{name} {label}", frequency, size)

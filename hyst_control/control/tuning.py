@@ -193,8 +193,10 @@ def tune(
     Raises
     ------
     InputError
-        A parameter is out of its range, or no controller keeps the margins.
+        The model is an inverse one, a parameter is out of its range, or no controller keeps the margins.
     """
+    if model.units["measurement"] == "V" and model.units["command"] in ("um", "mrad"):
+        raise InputError(f"{model.name}: is an inverse model, from {model.units['command']} to V: give the model of the machine")
     sample_time = float(sample_time or model.sample_time)
     spreads = gain_spread, mode_spread, model_error
     given = gain_margin, phase_margin, peak_sensitivity, loop_delay, *spreads, roll_off, structure
@@ -265,14 +267,11 @@ def _notes(plants: Plants, known: float, error: float, dynamic: bool, reached: b
     if not dynamic:
         kept = f": the loop's gain is kept below {UNKNOWN:g} there" if plants.unknown.any() else ""
         found.append(
-            f"The model has no dynamics and tells nothing beyond {known:.4g} Hz{kept}. For a faster loop identify dynamics from faster "
+            f"The model has no dynamics, and no data above {known:.4g} Hz{kept}. For a faster loop identify dynamics from faster "
             "commands."
         )
     elif reached:
-        found.append(
-            f"The margins rest on the model's response beyond {known:.4g} Hz, of which its records tell nothing: identify it from faster "
-            "commands."
-        )
+        found.append(f"No data above {known:.4g} Hz: the margins extrapolate. Identify the model from faster commands.")
     return tuple(found)
 
 

@@ -32,7 +32,7 @@ from matplotlib import pyplot
 
 LOOP_FREQUENCIES = (1.0, 50.0, 100.0, 300.0)
 MAX_POINTS = 700  # Points of a curve on the page, about; the curves are smooth
-PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "no feedforward", "PI", "reference")
+PALETTE = Palette("measured", "HAPI", "HAMPI", "HAMPI + PI", "static gain", "PI feedback", "reference")
 """Every subject has one color in all figures; what is asked for has that of what was measured."""
 SMALLEST = 1e-3  # um, of the errors that are drawn, on a logarithmic scale on which the controllers differ
 
@@ -93,7 +93,7 @@ def report_page(
     """The page of a demo's results."""
     page = Page("Feedforward of a piezo stage with hysteresis", _verdict(table, gap), origins)
     page.note(
-        "A truth actuator, a simulation that shares no code with the models, was excited, recorded, identified and made to track a 4 um "
+        "A reference simulation, which shares no code with the models, was excited, recorded, identified and made to track a 4 um "
         "reference at four frequencies; then it was changed, recorded and diagnosed. With ROS 2 every signal goes over "
         "topics; without, the same numbers are computed in one process."
     )
@@ -114,8 +114,8 @@ def report_page(
     groups = [("", 1), ("simulated actuator", len(subjects)), ("published, another actuator", 2)]
     page.table(["frequency", *subjects, *published], rows, groups=groups)
     page.note(
-        "PI is the same feedback without a feedforward, HAMPI the feedforward without feedback. No feedforward: the reference times the "
-        "model's mean gain."
+        "PI feedback is the same feedback without a feedforward, HAMPI the feedforward without feedback. Static gain: the reference "
+        "divided by the model's mean gain, without feedback."
     )
     page.note(
         "Left the displacement, in the middle the size of its error on a logarithmic scale, on the right the drive voltage that each "
@@ -162,15 +162,15 @@ def _verdict(table: Table, gap: Mapping[str, Any]) -> str:
     """Result of the demo in one sentence."""
     errors = {
         subject: [row.value for row in table.rows if (row.subject, row.quantity) == (subject, "nrmse")]
-        for subject in ("no feedforward", "HAMPI", "PI", "HAMPI + PI")
+        for subject in ("static gain", "HAMPI", "PI feedback", "HAMPI + PI")
     }
     ranges = {subject: f"{min(values):.2g} to {max(values):.2g} %" for subject, values in errors.items()}
     named = gap["verdict"] == "effect" and gap["effects"][0]["name"] == gap["withheld"]["name"]
     found = "was named" if named else f"was not named: the verdict is {gap['verdict'].replace('_', ' ')}"
     return (
-        f"Without a model the stage misses its reference by {ranges['no feedforward']} of the range, with the identified model as "
+        f"With a static gain the stage misses its reference by {ranges['static gain']} of the range, with the identified model as "
         f"feedforward by {ranges['HAMPI']}, with feedback besides by {ranges['HAMPI + PI']}, and with that feedback alone by "
-        f"{ranges['PI']}; an effect that was put into the actuator afterwards {found}."
+        f"{ranges['PI feedback']}; an effect that was put into the actuator afterwards {found}."
     )
 
 

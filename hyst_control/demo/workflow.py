@@ -41,10 +41,10 @@ FREQUENCIES = (10.0, 50.0, 100.0, 150.0)
 CYCLES = {10.0: 3, 50.0: 5, 100.0: 6, 150.0: 8}
 SCORED_CYCLES = 2
 CONTROLLERS = {
-    "no feedforward": ("hampi", "none", False),
+    "static gain": ("hampi", "none", False),
     "HAPI": ("hapi", "hapi", False),
     "HAMPI": ("hampi", "hampi", False),
-    "PI": ("hampi", "proportional", True),
+    "PI feedback": ("hampi", "proportional", True),
     "HAMPI + PI": ("hampi", "hampi", True),
 }
 """Model, kind of its feedforward (proportional of gain 0: none at all), and whether there is feedback, by controller."""
@@ -202,7 +202,7 @@ def score(measured: dict[str, dict[str, Array]], reference: Annotated[Array, "N 
             rmse = float(np.sqrt(np.mean(error**2)))
             span = float(np.ptp(reference[rows]))
             published = PUBLISHED[controller][index] if controller in PUBLISHED else None
-            place = "HAMPI Table 5", f"{stretch.frequency:g} Hz", controller
+            place = "simulated stage, beside HAMPI Table 5", f"{stretch.frequency:g} Hz", controller
             table.add(*place, "nrmse", "%", 100 * rmse / span, published=published, n=1)
             table.add(*place, "rmse", "um", rmse, n=1)
     return table

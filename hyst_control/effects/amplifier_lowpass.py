@@ -17,7 +17,7 @@ from hyst_control.effects.lowpass import AtSamples, Lowpass, Rebuilt, lowpass_ef
 @register
 @dataclass(frozen=True)
 class AmplifierLowpass(Lowpass, Averaged):
-    """A low-pass (see `Lowpass`) of a held command.
+    """A low-pass of a held command: `order` equal ones in a row, or one of second order with another `damping`.
 
     A hysteresis behind it is followed at the samples, exactly; in between its output is taken to bend as the voltage does, from
     order 3 on like one first-order lag of `order` times the time constant, until the next linear stage (`chain.arrange`). No half

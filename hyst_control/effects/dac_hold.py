@@ -23,7 +23,7 @@ C = c_texts(__file__)
 HELD = (2, 3, 4, 5, 6, 7, 8, 10, 12, 16, 20)  # Numbers of samples that are tried
 
 ROUNDINGS = {"nearest": 0.0, "down": 1.0, "up": 2.0, "toward zero": 3.0, "midway": 4.0}
-"""Manners of rounding to a lattice, by the number that a model file has; midway: down, to half a step above the lattice."""
+"""Manners of rounding to a quantization step, by the number that a model file has; midway: down, to half a step above its multiple."""
 
 
 @register
@@ -39,7 +39,7 @@ class DacHold(Stage):
     place: ClassVar[str] = "dac"
     ROLES: ClassVar[Role] = Role.CHANGES_WITH_TIME
     samples: ScalarPerAxis = scalar("", "for which a command is held", default=1, lower=1.0, whole=True, scatter=Scattering.NONE)
-    step: ScalarPerAxis = scalar("V", "of the lattice; 0: none", default=0.0, lower=0.0)
+    step: ScalarPerAxis = scalar("V", "of the quantization; 0: none", default=0.0, lower=0.0)
     phase: ScalarPerAxis = scalar("", "command taken first", default=0, lower=0.0, upper=1e9, whole=True, scatter=Scattering.NONE)
     rounding: ScalarPerAxis = scalar(
         "", "0 nearest, 1 down, 2 up, 3 toward zero, 4 midway", default=0, lower=0.0, upper=4.0, whole=True, scatter=Scattering.NONE
@@ -79,7 +79,7 @@ class DacHoldFilter(Filter):
             C["SETTLE"],
             constants={
                 "samples": integers(self.samples, "for which a value is held"),
-                "step": reals(self.step, "V, of the lattice; 0: none"),
+                "step": reals(self.step, "V, of the quantization; 0: none"),
             },
             state={"held": reals(self.held, "V"), "count": integers(np.zeros(len(self.held)), "samples since the last one taken")},
             functions=(C["TAKEN"],),
@@ -154,7 +154,7 @@ def distinct(values: Mapping[str, float], commands: Sequence[Array]) -> bool:
 EFFECT = Effect(
     "dac_hold",
     "dac",
-    "The command is held over several samples, or rounded to a coarse lattice.",
+    "The command is held over several samples, or rounded to a coarse quantization step.",
     parameters,
     stage,
     variants=variants,

@@ -33,6 +33,10 @@ the record."""
 SHORTEST = 0.002  # Length of a drift that is a jump, in that of the record
 
 
+PART = r"\quad a(t) = 1 - e^{-(t - \mathrm{onset}) / \mathrm{tau}} \text{ with } \mathrm{decades}, \mathrm{lasts} = 0"
+"""Part of a drift that has come, for the equations: of one time constant and without an end; `arrived` has the others."""
+
+
 @dataclass(frozen=True)
 class Drift(TimedStage):
     """A change that comes with time, t from onset on, as `arrived` has it."""
@@ -57,10 +61,10 @@ class Drift(TimedStage):
 @register
 @dataclass(frozen=True)
 class GainDrift(Drift):
-    """y = u (1 + change (initial + a(t))), t from onset on; a: see `arrived`; initial -1: settles at the model's gain."""
+    """Gain that changes from `onset` on; a: the part of the change that has come; initial -1: it settles at the model's gain."""
 
     name: ClassVar[str] = "gain_drift"
-    equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right)"
+    equation: ClassVar[str] = r"y(t) = u(t) \left(1 + \mathrm{change} \left(\mathrm{initial} + a(t)\right)\right), " + PART
     change: ScalarPerAxis = scalar("", "of the gain in the end")
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:

@@ -14,6 +14,7 @@ from hyst_control.chain.parameter import ScalarPerAxis, Scattering, scalar
 from hyst_control.chain.stage import per_axis_scalars, register
 from hyst_control.effects.effect import Companion, Effect, Parameter
 from hyst_control.effects.gain_drift import (
+    PART,
     Drift,
     arrived,
     drift_code,
@@ -28,10 +29,10 @@ from hyst_control.effects.gain_drift import (
 @register
 @dataclass(frozen=True)
 class OffsetDrift(Drift):
-    """y = u + change (initial + a(t)), t from onset on; a: see `arrived`; initial -1: settles at the model's zero."""
+    """Zero that changes from `onset` on; a: the part of the change that has come; initial -1: it settles at the model's zero."""
 
     name: ClassVar[str] = "offset_drift"
-    equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right)"
+    equation: ClassVar[str] = r"y(t) = u(t) + \mathrm{change} \left(\mathrm{initial} + a(t)\right), " + PART
     change: ScalarPerAxis = scalar("measurement unit", "of the zero in the end", scatter=Scattering.ABSOLUTE)
 
     def function(self, axes: int) -> Callable[[Array, Array], Array]:

@@ -10,7 +10,7 @@ from hyst_control.effects.effect import Effect, Parameter, RecordCheck
 EFFECT = Effect(
     "quantization",
     "adc",
-    "The measurement lies on a lattice.",
+    "The measurement is quantized.",
     lambda around: (Parameter("step", "unit", 0.0, (0.003 * around.stroke,), 0.0, 0.1 * around.stroke, 0.003 * around.stroke),),
     lambda values, around: Quantization(values["step"]),
     waveform=False,

@@ -14,7 +14,7 @@ from hyst_control.effects.lowpass import Lowpass, lowpass_effect
 @register
 @dataclass(frozen=True)
 class SensorLowpass(Lowpass):
-    """A low-pass of the measurement; see `Lowpass`."""
+    """A low-pass of the measurement: `order` equal ones in a row, or one of second order with another `damping`."""
 
     name: ClassVar[str] = "sensor_lowpass"
 

@@ -113,7 +113,7 @@ class PhysikInstrumenteStage(StageNode):
     SETTINGS = (
         *StageNode.SETTINGS,
         Setting("host", "", "", "address of the controller"),
-        Setting("port", 50000, "number", "its TCP port", 1, 65535),
+        Setting("port", 50000, "1", "its TCP port", 1, 65535),
         Setting("controller_axes", ("1",), "", "the controller's name of every axis"),
     )
 

@@ -29,6 +29,7 @@ from hyst_control.records.validity.checks import examined
 from hyst_control.reporting.tables import Table
 
 NOT_DESCRIBED = 20.0  # Error in % of the range, without session effects, from which a model does not describe a record
+BY_MOTION = "by frequency and amplitude, % of the range of each motion"
 MAX_MOTIONS = 24  # Most motions between rests that are listed one by one: a sum of sines has hundreds
 
 
@@ -160,7 +161,7 @@ def add_rows(table: Table, name: str, model: Model, data: Record) -> int:
         if outside > 0:
             table.add("validation", where, name, "outside_valid_command", "%", 100 * outside, n=row["samples"])
         for words, error_share, rows in by_motion(_motions(data, axis, rest[:, axis], skipped)):
-            table.add("by frequency and amplitude", f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
+            table.add(BY_MOTION, f"{where} {words}", name, "nrmse_own_zero", "%", 100 * error_share, n=rows)
     return len(error)
 
 
@@ -201,7 +202,7 @@ def _octave(value: float) -> int:
 
 def _octave_text(value: float) -> str:
     """The octave of a size, from and to."""
-    return f"{2.0 ** _octave(value):.3g}-{2.0 ** (_octave(value) + 1):.3g}"
+    return f"{2.0 ** _octave(value):g}-{2.0 ** (_octave(value) + 1):g}"
 
 
 def fraction_outside(model: Model, data: Record, axis: int) -> float:

@@ -102,7 +102,7 @@ def fit_text(report: Report) -> str:
         lines.append(
             f"  {row['name']}  {row['axis']}: NRMSE {row['nrmse_own_zero']:.3f} % of range, RMSE {rms:.4g} {row['unit']} over "
             f"{row['samples']} samples, without the session's offset {row['zero']:.4g} {row['unit']} and drift {row['drift']:.4g} "
-            f"{row['unit']}; NME {row['nme']:.3f} % of range with them"
+            f"{row['unit']} over the record; NME {row['nme']:.3f} % of range with them"
         )
     lines += [
         f"  {row['name']} begins {row['assumed']}" + f", row {row['first_row']}" * bool(row["first_row"])

@@ -238,7 +238,7 @@ def disk(folder: str | Path) -> Check:
             speed = WRITTEN / (time.monotonic() - begin)
     except OSError as error:
         return Check("disk", Verdict.FAULT, f"{os.path.realpath(folder)}: {error.strerror}", "choose a folder that can be written")
-    rows = speed / ROW_BYTES
+    rows = float(f"{speed / ROW_BYTES:.2g}")
     found = f"{speed / 1e6:.0f} MB/s, {free / 2**30:.0f} GiB free: a recorder can keep {rows:,.0f} rows a second of two axes"
     if rows < 20e3:
         return Check("disk", Verdict.NOTE, found, "record to a faster disk")

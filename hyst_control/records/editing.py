@@ -144,7 +144,8 @@ class EditableRecord(Record):
     ) -> Edited:
         """Replace samples that jump away from both neighbors and from the running median by the line between their neighbors.
 
-        Steps and turning points stay: the median follows the former, and the latter are no steeper than the motion around them.
+        Steps and turning points stay: the median follows the former, and the latter are no steeper than the motion around them. So do
+        samples next to a jump of the command.
 
         Parameters
         ----------
@@ -166,9 +167,11 @@ class EditableRecord(Record):
             raise InputError(f"window: must be odd and >= 3 samples, got {window!r}")
         found = 0
 
-        def cleaned(_: str, values: Array) -> Array:
+        def cleaned(topic: str, values: Array) -> Array:
             nonlocal found
-            standing_out = outlying(values, threshold, window)
+            answers = topic in MEASUREMENT and "command" in self.signals
+            command = self.aligned(list(self.signals))[0].command if answers else np.zeros((len(values), 1))
+            standing_out = outlying(values, command, threshold, window)
             found += int(standing_out.any(axis=1).sum())
             done, rows = values.copy(), np.arange(len(values))
             for axis, bad in enumerate(standing_out.T):

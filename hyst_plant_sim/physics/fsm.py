@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The truth FSM: a fast steering mirror of two axes, each tilted by a push-pull pair of stacks (MHL paper §4).
+"""Reference simulation FSM: a fast steering mirror of two axes, each tilted by a push-pull pair of stacks (MHL paper §4).
 
 The path of each axis, stepped at 500 kHz or finer:
 
@@ -43,7 +43,7 @@ POSITIVE = (
 
 @dataclass(frozen=True)
 class FsmParameters(PlantParameters):
-    """Physical parameters of the truth FSM; values in config/plants/fsm.yaml."""
+    """Physical parameters of the FSM; values in config/plants/fsm.yaml."""
 
     axes: ClassVar[tuple[str, ...]] = ("x", "y")
     unit: ClassVar[str] = "mrad"

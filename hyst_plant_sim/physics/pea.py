@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""The truth PEA: amplifier, polarization with hysteresis and drag, flexure mechanics, capacitive sensor.
+"""Reference simulation PEA: amplifier, polarization with hysteresis and drag, flexure mechanics, capacitive sensor.
 
 The path of a command, each part in continuous time, stepped at 400 kHz or finer:
 
@@ -37,7 +37,7 @@ POSITIVE = ("amplifier_cutoff elastic_slope slip_range slip_decay stroke mode_fr
 
 @dataclass(frozen=True)
 class PeaParameters(PlantParameters):
-    """Physical parameters of the truth PEA; values in config/plants/pea.yaml."""
+    """Physical parameters of the PEA; values in config/plants/pea.yaml."""
 
     axes: ClassVar[tuple[str, ...]] = ("x",)
     unit: ClassVar[str] = "um"

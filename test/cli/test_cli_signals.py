@@ -106,6 +106,7 @@ def test_bag_and_excitation_give_the_same_and_the_seed_adds_the_stated_noise(tmp
         (["excite", *SINE, "--unit", "inch", "--output", "OUT"], "unit"),
         (["excite", "nowhere.yaml", "--output", "OUT"], "nowhere.yaml"),
         (["excite", *SINE], "--output"),
+        (["excite", "sine", "freq=10"], "freq: no such parameter"),
         (["excite", *SINE, "--output", "nowhere/OUT.csv"], "nowhere"),
         (["simulate", "nowhere.yaml", "--excitation", *SINE, "--output", "OUT"], "nowhere.yaml"),
         (["simulate", "MODEL", "--output", "OUT"], "either a bag or --excitation"),

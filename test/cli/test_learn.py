@@ -73,7 +73,7 @@ def test_gain_and_lag_of_a_truth_plant(capsys):
     assert main(arguments) == 0
     rows = {(row["case"], row["quantity"]): row["value"] for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["last tenth", "nrmse"] < 0.9 * rows["first tenth", "nrmse"]
-    assert rows["axis 0", "gain"] < 0.0 and rows["axis 1", "gain"] < 0.0
+    assert rows["axis x", "gain"] < 0.0 and rows["axis y", "gain"] < 0.0
 
 
 def test_bags_of_trials_give_the_next_feedforward(tmp_path, capsys):

@@ -10,7 +10,7 @@ import pytest
 
 from hyst_control.cli import main, parser
 
-FILES = ("BAG", "MODEL", "FILE", "CLEAN", "MANIFEST", "COMMAND", "PLANT", "WORD", "KIND parameter")
+FILES = ("BAG", "MODEL", "FILE", "BASELINE", "MANIFEST", "COMMAND", "PLANT", "WORD", "KIND parameter")
 """Beginnings of what the help calls arguments that may name files which are read."""
 NAMES_ONLY = {"cases": {"plants", "kinds"}, "blind-test": {"plants"}}
 """Arguments that are called so, but name nothing that a user made."""

@@ -14,14 +14,16 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.signal import cont2discrete
 
+from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.cli import main
-from hyst_control.control.model_figures import bode_of, poles_and_zeros
+from hyst_control.control.model_figures import bode_of, poles_and_zeros, tuning_panels
+from hyst_control.control.tuning import tune
 from hyst_control.identify.assess.choice_figure import choice_panels
-from hyst_control.model_file import Model, save_model, simulate
+from hyst_control.model_file import Model, load_model, save_model, simulate
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
@@ -221,20 +223,37 @@ def test_poles_are_those_of_the_stage(frequency, damping, lag):
     poles = poles_and_zeros(model)[0].lines[0]
     due = np.array([-1 / lag, w * (-damping + 1j * np.sqrt(1 - damping**2)), w * (-damping - 1j * np.sqrt(1 - damping**2))])
     for pole in due:
-        assert np.abs(poles.x + 2j * np.pi * poles.y - pole).min() < 1e-3 * abs(pole)
+        assert np.abs(2 * np.pi * (poles.x + 1j * poles.y) - pole).min() < 1e-3 * abs(pole)
 
 
 def test_zeros_of_the_sampling_are_drawn_with_their_conjugates():
     """The zero of a sampled second-order lag is real and negative in z: by scipy, at plus and minus half the rate in s."""
-    num, den = [1e6], [1.0, 300.0, 1e6]
+    fast, slow = (0.9 * np.pi * RATE) ** 2, 1e4
+    num, den = [fast], [1.0, 300.0, fast]
     model = Model("m", ("x",), {"command": "V", "measurement": "um"}, 1 / RATE, Chain((TransferFunction(num, den),)))
     zeros = poles_and_zeros(model)[0].lines[1]
     sampled, *_ = cont2discrete((num, den), 1 / RATE)
     root = np.roots(sampled[0][1:])
     assert root[0] < 0.0
-    np.testing.assert_allclose(zeros.x, np.repeat(np.log(-root) * RATE, 2), rtol=1e-6)
+    np.testing.assert_allclose(2 * np.pi * zeros.x, np.repeat(np.log(-root) * RATE, 2), rtol=1e-6)
     np.testing.assert_allclose(sorted(zeros.y), [-RATE / 2, RATE / 2])
-    assert "half the rate" in zeros.name
+    lag = model.with_stages([TransferFunction([slow], [1.0, 30.0, slow])])
+    zeros = poles_and_zeros(lag)[0].lines[1]
+    assert not len(zeros.x) and zeros.name == "zeros (2 more beyond 23.9 Hz)"
+
+
+def test_the_margins_of_a_tuning_are_marked():
+    model = load_model(config_path("models/fsm_mhl.yaml"))
+    tuning = tune(model)
+    magnitude, phase, *_ = tuning_panels(tuning, model)
+    crossover, margin = magnitude.lines[-2:]
+    assert (
+        f"worst {tuning.worst.phase_margin:.0f} deg" in crossover.name and f"worst {tuning.worst.gain_margin:.1f} dB" in margin.name
+    )
+    assert -20 * np.log10(margin.y[0]) == pytest.approx(tuning.nominal.gain_margin)
+    loop = phase.lines[0]
+    assert np.interp(margin.x[0], loop.x, loop.y) == pytest.approx(-180.0, abs=5.0)
+    assert phase.lines[-1].name == "-180 deg"
 
 
 def test_a_static_model_has_no_poles_to_draw(tmp_path, capsys):

@@ -17,6 +17,7 @@ MODELS = sorted(path.stem for path in config_path("models/pea_hampi.yaml").paren
 ROWS = 400
 REFUSED = {
     ("tune", "fsm_cubespec"): "the output falls when the command rises at rest",
+    ("tune", "fsm_mhl_inverse"): "is an inverse model, from mrad to V",
 }
 """What is refused, and the words that say why."""
 

@@ -51,7 +51,7 @@ def test_truth_mirror_comes_to_its_noise_in_four_trials(tuning):
     floor = 100.0 * 0.0003 / STROKE
     assert error[0] > 0.3, "there must be something to learn"
     assert error[4 if len(error) > 4 else -1] <= 0.03 and error.min() < 1.8 * floor
-    assert learner.stopped in ("the remaining error does not repeat", "nothing gained")
+    assert learner.stopped in ("the repeating error is below twice its noise", "nothing gained")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_an_error_that_stays_stops_it():
 
 def test_noise_alone_stops_it_at_once():
     learner, _ = synthetic([0.0, 0.0], noise=1.0, averaged=4)
-    assert learner.stopped == "the remaining error does not repeat" and len(learner.history) == 1
+    assert learner.stopped == "the repeating error is below twice its noise" and len(learner.history) == 1
     assert learner.history[0].noise == pytest.approx(0.5, rel=0.4)
     assert np.all(learner.feedforward == 0.0)
 

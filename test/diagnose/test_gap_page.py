@@ -15,7 +15,7 @@ import pytest
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
 from hyst_control.diagnose.report.coefficient_changes import coefficient_changes
-from hyst_control.diagnose.report.document import in_words, named, reduction, sentence
+from hyst_control.diagnose.report.document import in_words, named, off_by, reduction, sentence
 from hyst_control.diagnose.report.page import actions, taken_off, write_page
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
@@ -70,8 +70,30 @@ def test_a_reduction_below_zero_is_told_in_words(page):
     _, document = page
     effect = {**document["effects"][0], "shrink": -7.87, "shrink_ci90": (-10.0, 0.2), "shrink_reidentified": 0.03}
     told = in_words({**document, "effects": [effect]})
-    assert "reduction none (worse on held-out rows), of what re-fitting the model leaves 3.0 %" in told
+    assert "reduction none (worse on held-out rows), 3.0 % after re-fitting the model" in told
     assert reduction(0.2, (-8.0, 0.3)) == "20.0 % [below 0 … 30.0]"
+
+
+def test_the_terminal_has_the_words_of_the_page(page):
+    html, where = (
+        page[0].read_text(encoding="utf-8"),
+        {name: [{"name": "none of these", "share": 1.0}] for name in ("kind", "band")},
+    )
+    told = in_words({**page[1], "where": {"stage": [{"name": "drive", "share": 1.0}], **where}})
+    for line in ("place in the chain: amplifier 100 %", "kind of curve: none of these 100 %", "frequency: "):
+        assert f"  {line}" in told and f"by {line.partition(':')[0]}" in html
+    moved = off_by({"name": "tau", "z": 37.5, "value": 2.0, "ci90": [1.9, 2.1], "nominal": 1.0, "unit": "s"})
+    assert moved == "tau is 2 ± 0.1 s, the model has 1 (+37.5 σ of its tolerance)"
+
+
+def test_only_coefficients_that_moved_for_certain_are_listed(few, tmp_path, monkeypatch):
+    _, diagnosis, _ = given = few(DELAY)
+    row = coefficient_changes(diagnosis)[0]
+    rows = [replace(row, name=name, before=1.0, after=2.0, spread=spread) for name, spread in (("moved", 0.5), ("unsure", 1.5))]
+    monkeypatch.setattr("hyst_control.diagnose.report.page.coefficient_changes", lambda *_: rows)
+    write_page(tmp_path / "gap.html", given[0], given[1], given[2])
+    told = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert ">moved<" in told and ">unsure<" not in told
 
 
 def test_the_page_of_no_gap_is_written_too(few, tmp_path):
@@ -134,7 +156,7 @@ def test_what_a_rival_leaves_is_in_units_of_the_measurement_however_fits_weigh_i
 def test_coefficients_have_the_values_that_their_deviation_says(few):
     _, diagnosis, _ = few(DELAY)
     tolerance = diagnosis.model.tolerance
-    rows = coefficient_changes(diagnosis, 100)
+    rows = coefficient_changes(diagnosis)
     assert len(rows) == len([one for one in diagnosis.parts[0].linearized.scatter.coefficients if not one.companion])
     for row in rows:
         share = tolerance.get(row.name.partition("[")[0])

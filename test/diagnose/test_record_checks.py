@@ -141,7 +141,7 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     assert sentence(report | {"effects": []}).endswith("noise floor 0.1 um).")
     fitted = [{"name": "offset", "shrink": 0.5, "shrink_reidentified": 0.82}]
     told = sentence(report | {"unexplained_share": 1.0, "effects": fitted})  # the one number of the effects' lines
-    assert "offset, explains 82 % of what re-fitting the model leaves" in told and "100 %" not in told
+    assert "offset, explains 82 % of it after re-fitting the model" in told and "100 %" not in told
     assert "explains nothing of it" in sentence(report | {"effects": [fitted[0] | {"shrink_reidentified": -0.1}]})
     far = {"reasons": ["unexplained_share"], "parameters": [{"name": "num[0]", "z": 31.2}, {"name": "k", "z": 5.5}]}
     assert "would, but only with coefficients 31 σ from the model's." in sentence(report | far)
@@ -150,8 +150,8 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
 @pytest.mark.parametrize(
     "shrink, told",
     [
-        (0.4, "It explains 40 % of the gap, and 90 % of what re-fitting the model leaves."),
-        (-9.0, "It explains nothing of the gap itself, but 90 % of what re-fitting the model leaves."),
+        (0.4, "It explains 40 % of the gap, and 90 % after re-fitting the model."),
+        (-9.0, "It explains nothing of the gap itself, but 90 % after re-fitting the model."),
     ],
 )
 def test_the_sentence_says_how_much_of_the_gap_is_explained(shrink, told):

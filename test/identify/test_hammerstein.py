@@ -213,7 +213,8 @@ def test_what_the_data_cannot_tell_is_named():
     noise = np.random.default_rng(0).normal(0.0, SIGMA, command.shape)
     data = sampled_record("slow", command, simulate(truth, command) + noise, SAMPLE_TIME, ("x",), "um", start="settled")
     notes = " ".join(identify([data], "hampi", thresholds=THRESHOLDS).report["notes"])
-    assert "m1 is not identifiable: " in notes and "an effect of at most 0.0" in notes and "no resonance is identifiable" in notes
+    assert "m1 is not identifiable: " in notes and "90 % interval allows an effect of up to 0.0" in notes
+    assert "no resonance is identifiable" in notes
     assert "record" not in notes.replace("records", "") and "100 Hz" not in notes
 
 
@@ -323,3 +324,90 @@ def test_measured_nested_loops_of_a_piezo_stack(measured_data):
         simulated = simulate(model, second[5:14150, :1].copy(), 1 / 200, "foh")[7945:, 0]
         measured = second[7950:14150, 4]
         assert np.std(simulated - measured) / np.ptp(measured) < 0.035, family
+
+
+def late_plant(command: np.ndarray, modes: list[tuple[float, float, float]], late: int) -> np.ndarray:
+    """Play operators before parallel modes (gain, rad per sample, damping), some samples late; exact, by numpy alone."""
+    driven = 0.7 * command
+    for threshold in (4.0, 12.0, 25.0, 40.0):
+        held, state = np.empty_like(command), command[0]
+        for row, value in enumerate(command):
+            held[row] = state = min(max(state, value - threshold), value + threshold)
+        driven += 0.08 * held
+    driven = np.concatenate([np.full(late, driven[0]), driven])[: len(driven)]
+    measured = np.zeros_like(driven)
+    for gain, omega, damping in modes:
+        pole = omega * (-damping + 1j * np.sqrt(1.0 - damping**2))
+        weight = gain * omega**2 / (2j * pole.imag)
+        state = -driven[0] * weight / pole
+        for row, value in enumerate(driven):
+            measured[row] += 2.0 * state.real
+            state = np.exp(pole) * state + weight * value * np.expm1(pole) / pole
+    return measured
+
+
+def loops_and_noise(rows: int, seed: int) -> np.ndarray:
+    """Slow shrinking loops, then noise of the lower fifth of the band."""
+    rng = np.random.default_rng(seed)
+    row = np.arange(rows)
+    loops = 50.0 - 50.0 * np.cos(12 * np.pi * row / rows) * np.linspace(1.0, 0.3, rows)
+    spectrum = np.fft.rfft(rng.normal(size=rows))
+    spectrum[rows // 10 :] = 0.0
+    noise = np.fft.irfft(spectrum, rows)
+    return np.concatenate([loops * np.minimum(row / 200, 1.0), 50.0 + 45.0 * noise / np.abs(noise).max()])
+
+
+def identified_of(command: np.ndarray, measured: np.ndarray, start: str = "settled", **options: object) -> Fit:
+    noisy = measured + 1e-3 * np.random.default_rng(5).normal(size=len(measured)) * np.ptp(measured)
+    data = sampled_record("late", command[:, None], noisy[:, None], 1e-4, ("x",), "um", start=start)
+    return identify([data], "hapi", **options)
+
+
+def left_of(fit: Fit, command: np.ndarray, measured: np.ndarray) -> float:
+    """RMS error (% of the range) about its mean."""
+    error = measured - simulate(fit.model, command[:, None], 1e-4)[:, 0]
+    return 100.0 * float(np.std(error) / np.ptp(measured))
+
+
+def test_a_mode_half_a_period_late_is_found():
+    """Neither the mode nor the delay alone lowers the error: the fit had no dynamics and explained nothing."""
+    command, fresh = loops_and_noise(5000, 1), loops_and_noise(5000, 2)
+    modes = [(1.0, 2 * np.pi * 0.042, 0.015)]
+    fit = identified_of(command, late_plant(command, modes, 12))
+    assert left_of(fit, fresh, late_plant(fresh, modes, 12)) < 0.5
+    [delay] = [stage for stage in fit.model.chain.stages if isinstance(stage, Delay)]
+    assert float(np.max(delay.tau)) == pytest.approx(12e-4, abs=5e-5)
+
+
+@pytest.mark.parametrize("structure", [None, Structure(modes=2, zeros=2, delay=True)])
+def test_a_second_mode_behind_a_delay_is_found(structure):
+    """A lag once stood in for the delay; from there the second mode was not seen, or with a third mode and six zeros."""
+    command, fresh = (50.0 + 45.0 * lines(8000, seed) for seed in (1, 2))
+    modes = [(0.9, 2 * np.pi * 0.031, 0.02), (0.1, 2 * np.pi * 0.07, 0.01)]
+    fit = identified_of(command, late_plant(command, modes, 8), structure=structure)
+    assert fit.report["structure"] == ["2 modes, 2 zeros, delay"]
+    assert left_of(fit, fresh, late_plant(fresh, modes, 8)) < 0.7
+
+
+def lines(rows: int, seed: int) -> np.ndarray:
+    """Sines that are evenly spread in the logarithm of frequency."""
+    rng = np.random.default_rng(seed)
+    spectrum = np.zeros(rows // 2 + 1, complex)
+    number = np.unique(np.geomspace(1, 0.15 * rows, 60).astype(int))
+    spectrum[number] = np.exp(2j * np.pi * rng.random(len(number)))
+    waves = np.fft.irfft(spectrum, rows)
+    return waves / np.abs(waves).max()
+
+
+def test_two_levels_tell_no_weights():
+    """All plays follow such a command in proportion: the weights are those of a gain, and said to be unknown."""
+    command = np.repeat(np.where(np.random.default_rng(2).random(1500) < 0.5, 10.0, 90.0), 4)
+    modes = [(1.0, 2 * np.pi * 0.031, 0.02)]
+    fit = identified_of(command, late_plant(command, modes, 0), "unknown", structure=Structure(modes=1))
+    weights = [row for row in fit.report["parameters"] if row["name"].startswith("weights")]
+    assert weights[0]["value"] == pytest.approx(0.9, abs=0.2)
+    assert max(abs(row["value"]) for row in weights[1:]) < 0.2
+    assert min(row["standard_error"] for row in weights) > 0.3
+    assert any("weights are not identifiable" in note for note in fit.report["notes"])
+    fresh = 50.0 + 45.0 * lines(6000, 3)
+    assert left_of(fit, fresh, late_plant(fresh, modes, 0)) < 6.0

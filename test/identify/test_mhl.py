@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from hyst_control.base.config_files import config_path
 from hyst_control.base.errors import InputError
+from hyst_control.chain import Parallel
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import CrossCoupling, Delay, TransferFunction
 from hyst_control.chain.memoryless import Gain
@@ -188,6 +190,34 @@ def test_no_coupling_is_found_where_there_is_none_beside_a_response_that_falls_w
 def test_slow_loops_alone_say_what_they_cannot_tell():
     fit = identify([records()[1]], "mhl", structure=Structure(modes=1, delay=True))
     assert any("k1 is not identifiable: " in note for note in fit.report["notes"])
+
+
+def test_a_mode_that_turns_the_correlation_does_not_turn_the_static_gain():
+    """Play operators, a delay and a mode under bipolar noise to 500 Hz: on average the measurement falls as the command rises."""
+    rate, rng = 5000.0, np.random.default_rng(4)
+
+    def plays(command: np.ndarray) -> np.ndarray:
+        total = 0.7 * command
+        for radius in (8.0, 16.0, 24.0, 32.0):
+            at, path = 0.0, np.empty(len(command))
+            for k, u in enumerate(command):
+                at = path[k] = min(max(at, u - radius), u + radius)
+            total = total + 0.13 * path
+        return total
+
+    noise = signal.lfilter(*signal.butter(2, 500.0, fs=rate), rng.standard_normal(int(4 * rate)))
+    command = 50.0 * noise / np.abs(noise).max() * np.minimum(np.arange(len(noise)) / 500.0, 1.0)
+    w = 2 * np.pi * 320.0
+    num, den, _ = signal.cont2discrete(([w**2], [1.0, 0.04 * w, w**2]), 1.0 / rate)
+    y = signal.lfilter(num[0], den, np.append(np.zeros(3), plays(command)[:-3])) + rng.normal(0.0, 0.05, len(command))
+    assert np.corrcoef(command, y)[0, 1] < 0
+    fit = identify([sampled_record("noise", command[:, None], y[:, None], 1.0 / rate, ("x",), "um", start="settled")], "mhl")
+
+    ramp = 40.0 * np.minimum(np.arange(25_000) / 2500.0, 1.0)
+    end = simulate(fit.model, ramp[:, None], 1.0 / rate)[-1, 0]
+    assert end == pytest.approx(plays(ramp)[-1], rel=0.1)
+    correction = next(stage for stage in fit.model.chain.stages if isinstance(stage, Parallel)).branches[1][0]
+    assert abs(correction.k1 / correction.k2) < parameter(fit, "output_scale")[0] / np.ptp(command)
 
 
 @pytest.mark.parametrize(

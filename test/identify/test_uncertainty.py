@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -59,8 +61,9 @@ def test_what_the_data_cannot_tell_is_named_and_never_178():
     assert found.undetermined == (("delay.tau",),)
     assert found.tolerance == pytest.approx({"weights": (1e-4 / 0.02 + 1e-4 / 0.015) / 2, "tau": 0.3}, rel=0.2)
     assert np.linalg.norm(found.factor[found.names.index("delay.tau")]) == pytest.approx(0.3e-4)
-    (note,) = found.notes("record steps")
-    assert "delay.tau" in note and "weights" not in note and note.endswith("record steps")
+    (note,) = found.notes("The power ends at 5 Hz.")
+    assert "delay.tau" in note and "weights" not in note and note.endswith("). The power ends at 5 Hz.")
+    assert not replace(found, data_relative=np.zeros(3)).notes("")  # as of a number that is 0
 
 
 def window(command: np.ndarray, sample_time: float, noise: float = 1e-3) -> Window:

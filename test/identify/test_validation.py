@@ -36,6 +36,8 @@ def test_many_motions_are_told_by_octaves_and_none_is_lost():
     assert len(found) <= MAX_MOTIONS and sum(rows for *_, rows in found) == 300 * 100
     assert all(share == pytest.approx(0.01) for _, share, _ in found)
     assert found[0][0].startswith("4-8 Hz, ")
+    fast = by_motion([replace(one, frequency=50.0 * one.frequency) for one in motions])
+    assert fast[-1][0].startswith("1024-2048 Hz, ")
 
 
 @pytest.mark.parametrize("words", [["validate"], ["compare", "model.yaml"], ["plot", "record", "--model"]])

@@ -96,6 +96,12 @@ def test_every_parameter_says_what_it_is_and_numbers_their_unit_and_range(name, 
             assert setting.lower <= value <= setting.upper
 
 
+def test_one_number_is_a_list_of_one():
+    """As hyst tune prints it."""
+    [frequency] = [each for each in PiFeedback.SETTINGS if each.name == "notch_frequency"]
+    assert frequency.checked(1231) == (1231.0,)
+
+
 def test_the_list_of_nodes_is_what_there_is():
     """Every entry has its module with an executable and its class; what composes is what a parameter file can configure."""
     for name, entry in node_list.NODES.items():

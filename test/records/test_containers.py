@@ -131,7 +131,10 @@ def test_a_table_with_names_in_hdf5(tmp_path):
     table["t"], table["u"], table["y"] = TIME, DRIVE, MOVED
     with h5py.File(tmp_path / "run.h5", "w") as file:
         file["day/log"] = table
-    assert listed_columns(tmp_path / "run.h5")[1] == '--columns "time=day.log.t[s],command=day.log.u[V],measurement=day.log.y[um]"'
+    assert (
+        listed_columns(tmp_path / "run.h5")[1]
+        == '--columns "time=day.log.t[s],command=day.log.u[UNIT],measurement=day.log.y[UNIT]"'
+    )
     with h5py.File(tmp_path / "empty.h5", "w") as file:
         file["note"] = "nothing"
     with pytest.raises(InputError, match="empty.h5: holds no columns of numbers"):
@@ -157,8 +160,8 @@ def test_json_by_path(tmp_path, ending, text):
     path.write_text(text)
     lines, suggestion = listed_columns(path)
     moved = "loop.y" if any(line.startswith("  loop.y: 64 rows") for line in lines) else "y"
-    assert suggestion == f'--columns "time=t[s],command=loop.u[V],measurement={moved}[um]"'
-    record = import_table(path, parse_columns(suggestion.split('"')[1]), None)
+    assert suggestion == f'--columns "time=t[s],command=loop.u[UNIT],measurement={moved}[UNIT]"'
+    record = import_table(path, parse_columns(suggestion.split('"')[1].replace("UNIT", "V")), None)
     np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE)
     np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
 
@@ -184,7 +187,7 @@ def test_a_universal_file(tmp_path, form, spacing):
     other = "    -1\n   151\nmodel\n    -1\n"
     path.write_text(other + universal("drive", DRIVE, "58", spacing, *form) + universal("sensor", MOVED, "58", spacing, *form))
     time = "" if spacing else "time=drive.time[s],"
-    assert listed_columns(path)[1] == f'--columns "{time}command=drive[V],measurement=sensor[um]"'
+    assert listed_columns(path)[1] == f'--columns "{time}command=drive[UNIT],measurement=sensor[UNIT]"'
     record = import_table(path, parse_columns(f"{time}command=drive[V],measurement=sensor[um]"), None)
     np.testing.assert_allclose(record.signals["command"].values[:, 0], DRIVE, atol=6e-6)
     np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED, atol=6e-6)

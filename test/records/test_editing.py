@@ -98,6 +98,17 @@ def test_steps_turning_points_and_a_ringing_mode_are_no_outliers():
         np.testing.assert_array_equal(record.signal("measurement").values[:, 0], measurement)
 
 
+def test_the_response_to_a_jump_of_the_command_is_no_outlier():
+    command = np.repeat([0.0, 5.0, 2.0, 2.5], 1000)
+    measurement = command.copy()
+    measurement[[1000, 2001]] += [4.0, -3.0]
+    measurement[2500] += 3.0
+    found = made(command, measurement).remove_outliers()
+    assert np.flatnonzero(found.signal("measurement").values[:, 0] != measurement).tolist() == [2500]
+    bare = made(command, measurement).remove_outliers(topics=("command",))
+    np.testing.assert_array_equal(bare.signal("command").values[:, 0], command)
+
+
 def test_merged_records_are_two_stretches_on_one_clock():
     first, second = made(wave(5), wave(5)), made(wave(7), wave(7)).cut(0.5)
     parts = first.merge(second).aligned(allow_gaps=True)

@@ -134,8 +134,9 @@ def test_the_suggestion_can_be_pasted(tmp_path, kind, capsys):
     out, err = capsys.readouterr()
     assert "columns of numbers, with their ranges" in out and err.count("\n") == 1
     _, suggestion = listed_columns(path)
-    columns = suggestion.split('"')[1]
-    assert columns in err and parse_columns(columns)[-1].topic == "measurement"
+    assert suggestion in err
+    columns = suggestion.split('"')[1].replace("UNIT", "V")
+    assert parse_columns(columns)[-1].topic == "measurement"
     rate = 1000.0 if "--rate" in suggestion else None
     record = import_table(path, parse_columns(columns), rate)
     np.testing.assert_allclose(record.signals["measurement"].values[:, 0], MOVED, atol=1e-9)
@@ -179,14 +180,14 @@ def test_names_and_units_come_from_labeled_settings(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("Model,MSO44\nVertical Units,V,nm\nGain,1,1\nLabels,drive,pos\n\nTIME,CH1,CH2\n" + body("{t},{u},{y}\n"))
     lines, suggestion = listed_columns(path)
-    assert suggestion == '--columns "time=1[s],command=2[V],measurement=3[nm]"'
-    assert lines[2].startswith("  2 'drive': 80 rows") and lines[3].endswith(" nm")
+    assert suggestion == '--columns "time=TIME[s],command=drive[V],measurement=pos[nm]"'
+    assert lines[2].startswith("  drive: 80 rows") and lines[3].endswith(" nm")
 
 
 def test_ticks_of_a_clock_of_unknown_rate_are_not_suggested_as_seconds(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("timestamp;drive;pos\n" + "".join(f"{int(210e6 * (7 + t))};{u};{y}\n" for t, u, y in ROWS))
-    assert listed_columns(path)[1] == '--columns "command=2[V],measurement=3[um]" --rate HZ'
+    assert listed_columns(path)[1] == '--columns "command=drive[UNIT],measurement=pos[UNIT]" --rate HZ'
 
 
 def test_a_column_that_steps_as_the_settings_say_is_the_time(tmp_path):
@@ -194,7 +195,7 @@ def test_a_column_that_steps_as_the_settings_say_is_the_time(tmp_path):
     path.write_text(
         "".join(f"{beside},,{t:.9f},{u:.5f}\n" for beside, (t, u, _) in zip(BESIDE, ROWS, strict=True)).replace("Int", "Sample Int")
     )
-    assert listed_columns(path)[1] == '--columns "time=4[s],command=5[V]"'
+    assert listed_columns(path)[1] == '--columns "time=4[s],command=5[UNIT]"'
 
 
 def test_words_below_the_numbers_are_left_out_and_words_among_them_are_not(tmp_path):

@@ -288,9 +288,13 @@ def test_samples_that_jump_out_of_the_motion_are_counted():
     sound = followed(SMOOTH)
     bad = sound.copy()
     bad[[700, 1500, 4000]] += [3.0, -2.0, 5.0]
-    assert (outliers(sound), outliers(bad)) == (0, 3)
-    coarse = np.round(followed(np.linspace(0.0, 90.0, 6000)) / 0.5) * 0.5  # noise flips it between two values
-    assert outliers(coarse) == 0
+    assert (outliers(SMOOTH, sound), outliers(SMOOTH, bad)) == (0, 3)
+    ramp = np.linspace(0.0, 90.0, 6000)
+    coarse = np.round(followed(ramp) / 0.5) * 0.5  # noise flips it between two values
+    assert outliers(ramp, coarse) == 0
+    steps = np.repeat([0.0, 40.0, 5.0, 60.0, 0.0, 50.0], 1000)  # each step overshoots for one sample
+    overshooting = steps + 0.5 * np.diff(steps, prepend=0.0) + 1e-3 * np.random.default_rng(1).standard_normal(len(steps))
+    assert outliers(steps, overshooting) == 0
 
 
 @pytest.mark.parametrize("value", [0.0, None])

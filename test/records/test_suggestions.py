@@ -52,7 +52,7 @@ def test_a_suggestion_is_accepted_for_its_own_file(tmp_path, ending, names):
         assert ending in ("npz", "mat") and "whose names have no quotes" in suggestion[0]
         return
     assert len(suggestion) == 3 and not set(suggestion[1]) & set("$`\\!")
-    columns = parse_columns(suggestion[1])
+    columns = parse_columns(suggestion[1].replace("UNIT", "V"))
     [record] = import_records(path, columns, 1000.0 if "--rate" in suggestion[2] else None)
     for topic, due in (("command", DRIVE), ("measurement", MOVED)):
         if ending in ("csv", "parquet") or topic in record.signals:  # by number, whatever the name
@@ -65,20 +65,20 @@ def test_a_suggestion_is_accepted_for_its_own_file(tmp_path, ending, names):
 def test_numbered_columns_of_one_array_are_suggested_by_their_numbers(tmp_path):
     np.savez(tmp_path / "run.npz", data=np.column_stack([TIME, DRIVE, MOVED]), other=DRIVE)
     columns = listed_columns(tmp_path / "run.npz", "data")[1].split('"')[1]
-    record = import_table(tmp_path / "run.npz", parse_columns(columns), None, variable="data")
+    record = import_table(tmp_path / "run.npz", parse_columns(columns.replace("UNIT", "V")), None, variable="data")
     np.testing.assert_array_equal(record.signals["measurement"].values[:, 0], MOVED)
 
 
 @pytest.mark.parametrize(
     ("head", "due"),
     [
-        ("t_ns,u,y", "time=1[ns],command=2[V],measurement=3[um]"),
-        ("time_us,command_mV,pos_nm", "time=1[us],command=2[mV],measurement=3[nm]"),
-        ("Time(ms),force_N,tip_mrad", "time=1[ms],command=2[N],measurement=3[mrad]"),
-        ("time_min,coil_A,pos_m", "time=1[min],command=2[A],measurement=3[m]"),
-        ("t_s,u_m,y_m", "time=1[s],command=2[V],measurement=3[um]"),  # a model's u and y, measured
-        ("t_ms,ch_A,pos_min", "time=1[ms],command=2[V],measurement=3[um]"),
-        ("Time (msec),u,y", "time=1[msec],command=2[V],measurement=3[um]"),
+        ("t_ns,u,y", "time=t_ns[ns],command=u[UNIT],measurement=y[UNIT]"),
+        ("time_us,command_mV,pos_nm", "time=time_us[us],command=command_mV[mV],measurement=pos_nm[nm]"),
+        ("Time(ms),force_N,tip_mrad", "time=1[ms],command=force_N[N],measurement=tip_mrad[mrad]"),
+        ("time_min,coil_A,pos_m", "time=time_min[min],command=coil_A[A],measurement=pos_m[m]"),
+        ("t_s,u_m,y_m", "time=t_s[s],command=u_m[UNIT],measurement=y_m[UNIT]"),  # a model's u and y, measured
+        ("t_ms,ch_A,pos_min", "time=t_ms[ms],command=ch_A[UNIT],measurement=pos_min[UNIT]"),
+        ("Time (msec),u,y", "time=1[msec],command=u[UNIT],measurement=y[UNIT]"),
     ],
 )
 def test_a_unit_at_the_end_of_a_name(tmp_path, head, due):
@@ -87,7 +87,18 @@ def test_a_unit_at_the_end_of_a_name(tmp_path, head, due):
     path.write_text(f"{head}\n{rows}")
     assert listed_columns(path)[1] == f'--columns "{due}"'
     if head.startswith("t_ns"):
-        assert import_table(path, parse_columns(due), None).common_step(["command"]) == pytest.approx(1e-3, rel=1e-4)
+        assert import_table(path, parse_columns(due.replace("UNIT", "V")), None).common_step(["command"]) == pytest.approx(
+            1e-3, rel=1e-4
+        )
+
+
+def test_nanometers_taken_for_micrometers_are_told_at_the_import(tmp_path, capsys):
+    path = tmp_path / "run.csv"
+    path.write_text("t,drive,position\n" + "".join(f"{t},{u},{4e3 * y}\n" for t, u, y in zip(TIME, DRIVE, MOVED, strict=True)))
+    for unit, told in (("um", True), ("nm", False)):
+        columns = f"time=t[s],command=drive[V],measurement=position[{unit}]"
+        assert main(["import", str(path), "--columns", columns, "--output", str(tmp_path / unit)]) == 0
+        assert ("check the unit: is it in nm?" in capsys.readouterr().out) == told
 
 
 FREQUENCY = np.geomspace(1.0, 400.0, 50)
@@ -102,16 +113,16 @@ RESPONSE = 0.3 / (1.0 + 1j * FREQUENCY / 100.0)
             (2 * np.pi * FREQUENCY, abs(RESPONSE), np.angle(RESPONSE)),
             "frequency=1[rad/s],magnitude=2[um/V],phase=3[rad]",
         ),
-        ("f,re,im", (FREQUENCY, RESPONSE.real, RESPONSE.imag), "frequency=1[Hz],real=2[um/V],imaginary=3[um/V]"),
+        ("f,re,im", (FREQUENCY, RESPONSE.real, RESPONSE.imag), "frequency=f[Hz],real=re[um/V],imaginary=im[um/V]"),
         (
             "Frequency (Hz),Magnitude (dB),Phase (°),Coherence",
             (FREQUENCY, 20 * np.log10(abs(RESPONSE)), np.degrees(np.angle(RESPONSE)), np.ones(50)),
-            "frequency=1[Hz],magnitude=2[dB],phase=3[°],coherence=4",
+            "frequency=1[Hz],magnitude=2[dB],phase=3[°],coherence=Coherence",
         ),
         (
             "w,gain,phase",
             (2 * np.pi * FREQUENCY, 20 * np.log10(abs(RESPONSE)), np.degrees(np.angle(RESPONSE))),
-            "frequency=1[rad/s],magnitude=2[dB],phase=3[deg]",
+            "frequency=w[rad/s],magnitude=gain[dB],phase=phase[deg]",
         ),
     ],
 )
@@ -121,7 +132,7 @@ def test_a_frequency_response_is_known_by_its_names(tmp_path, head, columns, due
     assert listed_columns(path)[1] == f'--columns "{due}"'
     record, same = (
         import_table(path, parse_columns(due), None),
-        import_table(path, parse_columns(due.replace("=4", "=4[1]")), None),
+        import_table(path, parse_columns(due.replace("=Coherence", "=4[1]")), None),
     )
     np.testing.assert_array_equal(record.signals["measurement"].values, same.signals["measurement"].values)
     size = np.ptp(record.signals["measurement"].values) / np.ptp(record.signals["command"].values)
@@ -143,8 +154,8 @@ def test_a_time_of_day_goes_on_at_midnight(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text("time,u,y\n" + "".join(f"{clock(86399.96 + t)},{u},{y}\n" for t, u, y in zip(TIME, DRIVE, MOVED, strict=True)))
     columns = listed_columns(path)[1].split('"')[1]
-    assert columns == "time=1[s],command=2[V],measurement=3[um]"
-    record = import_table(path, parse_columns(columns), None)
+    assert columns == "time=time[s],command=u[UNIT],measurement=y[UNIT]"
+    record = import_table(path, parse_columns(columns.replace("UNIT", "um")), None)
     np.testing.assert_allclose(record.signals["command"].time, TIME, atol=1e-9)
     assert "passes midnight in row 40: a day was added" in record.notes[0]
 

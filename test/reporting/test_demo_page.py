@@ -13,7 +13,7 @@ from hyst_control.demo.figures import Tracked, report_page
 from hyst_control.demo.workflow import CONTROLLERS, FREQUENCIES, SAMPLE_TIME, Stretch, score
 
 ROWS = 2000
-SIZE = {"no feedforward": 0.5, "HAPI": 0.1, "HAMPI": 0.01, "PI": 0.3, "HAMPI + PI": 0.005}
+SIZE = {"static gain": 0.5, "HAPI": 0.1, "HAMPI": 0.01, "PI feedback": 0.3, "HAMPI + PI": 0.005}
 """um, amplitude of each controller's error."""
 GAP = {
     "verdict": "effect",
@@ -64,7 +64,7 @@ def test_a_browser_shows_the_report(page, width, browser):
 
 def test_every_controller_is_compared_on_a_scale_on_which_they_differ(page):
     text = page.read_text(encoding="utf-8")
-    assert "<th>PI</th>" in text
+    assert "<th>PI feedback</th>" in text
     assert text.count('"title":{"text":"NRMSE [%]"},"type":"log"') == 1
     assert text.count('"dtick":1') == 1 + len(FREQUENCIES), "the error of every frequency"
     groups = [int(part.split("'")[0]) for part in text.split("<th colspan='")[1:]]

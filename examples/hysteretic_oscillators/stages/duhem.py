@@ -187,9 +187,13 @@ class DuhemFilter(Filter):
 @register
 @dataclass(frozen=True)
 class Duhem(Stage):
-    """Duhem hysteresis of Bouc and Wen's form; see the module."""
+    """Duhem hysteresis of Bouc and Wen's form: a memory z of one number, asymmetric and saturating."""
 
     name: ClassVar[str] = "duhem"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{slope}\, u + z, \quad \frac{dz}{du} = \mathrm{alpha} (1 + \mathrm{growth}\, u) - \left(\mathrm{beta}\, "
+        r"\mathrm{sgn}(\dot{u} z) + \mathrm{gamma}\right) |z|^{\mathrm{exponent}}"
+    )
     slope: ScalarPerAxis = scalar("output unit / V", "of the straight line beside the memory")
     alpha: ScalarPerAxis = scalar("output unit / V", "growth of the memory from rest; negative where it holds the output back")
     beta: ScalarPerAxis = scalar("1 / (V output unit^(exponent - 1))", "approach to saturation, against the motion", lower=0.0)

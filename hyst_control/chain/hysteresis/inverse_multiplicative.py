@@ -225,9 +225,10 @@ class InverseMultiplicativeFilter(Filter):
 @register
 @dataclass(frozen=True)
 class InverseMultiplicative(Stage):
-    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]; see the module."""
+    """Inverse of `modified_prandtl_ishlinskii` for a drive within [lower, upper]: the command at which the model gives the demand v."""
 
     name: ClassVar[str] = "inverse_multiplicative"
+    equation: ClassVar[str] = r"u_{j+1} = u_j + \mathrm{gain} \left(v - Y[u_j]\right), \quad j = 1 \dots \mathrm{iterations}"
     ROLES: ClassVar[Role] = Role.HAS_COMPENSATOR
     thresholds: VectorPerAxis = vector("V", "of the model's operators, increasing", lower=0.0)
     weights: VectorPerAxis = vector("output unit / V", "of the model's operators")

@@ -309,9 +309,17 @@ def end_slope(curve: Curve, x: float) -> float:
 @register
 @dataclass(frozen=True)
 class Madelung(Stage):
-    """Rate-independent hysteresis from the major loop's curves (MHL paper §2.1), where ascending(1) = descending(1); see the module."""
+    """Rate-independent hysteresis from the two curves of the major loop (MHL paper §2.1), where ascending(1) = descending(1).
+
+    A branch from the turning point a back towards b is the curve, moved to a and scaled to end at b.
+    """
 
     name: ClassVar[str] = "madelung"
+    equation: ClassVar[str] = (
+        r"y = y_a + (y_b - y_a) \frac{\varphi(|u - a|)}{\varphi(|b - a|)} \text{ from turning point } a \text{ towards } b, \quad "
+        r"\varphi_\mathrm{up}(d) = \mathrm{ascending}(d), \quad \varphi_\mathrm{down}(d) = \mathrm{descending}(1) - "
+        r"\mathrm{descending}(1 - d)"
+    )
     ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
     ascending: VectorPerAxis = vector("", "polynomial p_n … p_1 of the ascending branch, or its values at the knots")
     descending: VectorPerAxis = vector("", "the descending branch likewise")

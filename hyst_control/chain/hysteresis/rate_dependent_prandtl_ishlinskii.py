@@ -88,9 +88,13 @@ class RateDependentFilter(OperatorFilter):
 @register
 @dataclass(frozen=True)
 class RateDependentPrandtlIshlinskii(OperatorModel):
-    """RDPI; see the module. thresholds V, increasing; weights, w0 output unit / V; beta s (V per V/s)."""
+    """Rate-dependent Prandtl-Ishlinskii model (RDPI): play operators whose thresholds widen with the command's rate."""
 
     name: ClassVar[str] = "rate_dependent_prandtl_ishlinskii"
+    equation: ClassVar[str] = (
+        r"y = \mathrm{w0}\, u + \sum_i \mathrm{weights}_i\, H_i[u], \quad H_i \text{ a play operator of half-width } "
+        r"\mathrm{thresholds}_i + \mathrm{beta}\, |\dot{u}|"
+    )
     thresholds: VectorPerAxis = vector("V", "of the operators at rest, increasing", lower=0.0)
     beta: ScalarPerAxis = scalar("s", "widening of every threshold, V per V/s of the command's rate", lower=0.0)
     w0: ScalarPerAxis = scalar("output unit / V", "weight of the command itself", default=0.0)

@@ -159,7 +159,7 @@ class RunningIterativeLearning(Learner):
         recent = [*before[-PATIENCE + 1 :], trial.repeating]
         earlier = min(before[: len(before) - PATIENCE + 1], default=np.inf)
         if trial.repeating <= NOISE * noise:
-            self.stopped = "the remaining error does not repeat"
+            self.stopped = "the repeating error is below twice its noise"
         elif len(recent) == PATIENCE and min(recent) > GROWTH * earlier:
             self.stopped = "error grows"
         elif len(recent) == PATIENCE and min(recent) > (1.0 - GAIN) * earlier:

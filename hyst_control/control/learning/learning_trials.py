@@ -87,21 +87,21 @@ def feedback_error_table(
     description: FeedbackErrorLearning,
     duration: float,
     subject: str,
+    axes: Sequence[str],
 ) -> Table:
     """Feedback-error learning on a plant: NRMSE in percent of the range at its beginning and end, and what it learned."""
-    axes = reference.shape[1]
-    learner = description.start(axes)
+    learner = description.start(len(axes))
     count = max(int(np.ceil(duration / description.sample_time / len(reference))), 3)
     signals = run_learning_loop(np.tile(reference, (count, 1)), compensator, controller, plant, learner)
-    error = (signals["reference"] - signals["measurement"]).reshape(count, len(reference), axes)
+    error = (signals["reference"] - signals["measurement"]).reshape(count, len(reference), len(axes))
     tenth = max(count // 10, 1)
     table = Table("learn")
     for case, part in (("first tenth", error[1 : 1 + tenth]), ("last tenth", error[-tenth:])):
         value = 100.0 * np.sqrt(np.mean(part**2)) / np.ptp(reference, axis=0).max()
         table.add("feedback-error learning", case, subject, "nrmse", "%", float(value))
-    for axis in range(axes):
-        table.add("feedback-error learning", f"axis {axis}", subject, "gain", "", learner.gain[axis])
-        table.add("feedback-error learning", f"axis {axis}", subject, "lag", "s", learner.lag[axis])
+    for axis, gain, lag in zip(axes, learner.gain, learner.lag, strict=True):
+        table.add("feedback-error learning", f"axis {axis}", subject, "gain", "", gain)
+        table.add("feedback-error learning", f"axis {axis}", subject, "lag", "s", lag)
     return table
 
 

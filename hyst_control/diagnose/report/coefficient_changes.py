@@ -43,7 +43,7 @@ def strain(diagnosis: Diagnosis) -> float:
     return max(float(np.linalg.norm(each)) for each in own)
 
 
-def coefficient_changes(diagnosis: Diagnosis, most: int | None = None) -> list[CoefficientChange]:
+def coefficient_changes(diagnosis: Diagnosis) -> list[CoefficientChange]:
     """List coefficients with their values before and after, those that moved most first."""
     found = []
     for part in diagnosis.parts:
@@ -53,7 +53,7 @@ def coefficient_changes(diagnosis: Diagnosis, most: int | None = None) -> list[C
             moved, allowed = float(slope @ part.coefficients), float(np.linalg.norm(slope))
             spread = float(np.linalg.norm(slope @ deviations))
             found.append(CoefficientChange(name + axis, before, before + moved, moved / allowed, spread, unit))
-    return sorted(found, key=lambda change: -abs(change.deviations))[:most]
+    return sorted(found, key=lambda change: -abs(change.deviations))
 
 
 def _factor(part: AxisDiagnosis) -> Array:

@@ -25,8 +25,14 @@ from hyst_control.reporting.quantities import quantity
 SCHEMA = "hyst_control/gap-report"
 VERSION = 1
 FAR_OFF = 5.0  # Standard deviations from which the coefficients are named as the reason for doubt
-SAID = {"kind": "simple curve", "none of these": "no simple curve"}
-"""Words of the document, where a line of text has no room to explain them."""
+SAID = {
+    "stage": "place in the chain",
+    "kind": "kind of curve",
+    "amplitude": "displacement",
+    "band": "frequency",
+    "drive": "amplifier",
+}
+"""Words for the document's names."""
 DISTORTED_BY = {
     "time": "time",
     "level": "the level of the command",
@@ -185,7 +191,7 @@ def _effect(effect: Named) -> dict[str, Any]:
 
 def off_by(row: Mapping[str, Any]) -> str:
     """Say what a parameter is and what the model has; older reports have its deviation alone."""
-    deviations = f"({row['z']:+.1f} σ)"
+    deviations = f"({row['z']:+.1f} σ of its tolerance)"
     if None in (row.get("value"), *row.get("ci90", ())):
         return f"{row['name']} {deviations}"
     value, unit = within(row["value"], 0.5 * (row["ci90"][1] - row["ci90"][0])), f" {row['unit']}".rstrip()
@@ -216,8 +222,8 @@ def _reduction(report: Mapping[str, Any]) -> str:
     explains = "It explains" if len(effects) == 1 else explains
     first, then = (f"{100 * max(0.0, *values):.0f} %" for values in (given, fitted))
     if max(given) < 0.0:
-        return f" {explains} nothing of the gap itself, but {then} of what re-fitting the model leaves."
-    return f" {explains} {first} of the gap{f', and {then} of what re-fitting the model leaves' if then != first else ''}."
+        return f" {explains} nothing of the gap itself, but {then} after re-fitting the model."
+    return f" {explains} {first} of the gap{f', and {then} after re-fitting the model' if then != first else ''}."
 
 
 def sentence(report: dict[str, Any]) -> str:
@@ -285,7 +291,7 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
     )
     if best is None:  # an effect without a waveform takes nothing off
         return f"; the nearest, {together}, leaves {100 * report['unexplained_share']:.0f} % of it"
-    far = f"explains {100 * best:.0f} % of what re-fitting the model leaves" if best > 0.0 else "explains nothing of it"
+    far = f"explains {100 * best:.0f} % of it after re-fitting the model" if best > 0.0 else "explains nothing of it"
     return f"; the nearest, {together}, {far}"
 
 
@@ -336,7 +342,7 @@ def in_words(report: dict[str, Any]) -> str:
         if effect["shrink_reidentified"] is not None:
             lines.append(
                 f"      reduction {reduction(effect['shrink'], effect['shrink_ci90'])}, "
-                f"of what re-fitting the model leaves {reduction(effect['shrink_reidentified'])}"
+                f"{reduction(effect['shrink_reidentified'])} after re-fitting the model"
             )
             if report["verdict"] == Verdict.UNKNOWN.value and max(effect["shrink"], effect["shrink_reidentified"]) < 0.0:
                 lines.append(

@@ -21,7 +21,7 @@ from hyst_control.base.signals import averaged_periodogram
 from hyst_control.diagnose.problem.per_record_stages import SessionZero
 from hyst_control.diagnose.report.chain_drawing import chain_picture
 from hyst_control.diagnose.report.coefficient_changes import LIKELY, coefficient_changes
-from hyst_control.diagnose.report.document import plain, reduction, sentence, within
+from hyst_control.diagnose.report.document import SAID, plain, reduction, sentence, within
 from hyst_control.diagnose.report.rejected_hypotheses import rejected
 from hyst_control.diagnose.report.slow_loops import slow_loops
 from hyst_control.diagnose.run.diagnosis import AxisDiagnosis, Diagnosis
@@ -46,20 +46,13 @@ PALETTE = Palette("measured", "simulated", "augmented", "taken off", "noise")
 MEASURED, SIMULATED, AUGMENTED, TAKEN_OFF = (PALETTE.color(name) for name in ("measured", "simulated", "augmented", "taken off"))
 ADVICE = {
     Verdict.NO_GAP: "Nothing: the simulator explains the record within noise and tolerance.",
-    Verdict.PARAMETERS: "Take the values above, or identify the model again (hyst identify): its parameters have changed.",
+    Verdict.PARAMETERS: "Take the values above, or identify the model again: the machine changed, or the model was never right there.",
     Verdict.EFFECT: "Look for its cause ({effects}) in the machine, or simulate with the augmented model. Confirm it with a second record.",
     Verdict.AMBIGUOUS: "Record another signal: {effects} explain this record equally well.",
     Verdict.UNKNOWN: "Look at the residual and at where the gap lies: no effect of the catalogue explains it.",
 }
 """Advice by verdict."""
-WHERE = {
-    "stage": "by place in the chain",
-    "kind": "by kind of curve",
-    "band": "by frequency",
-    "amplitude": "by displacement",
-    "axis": "by axis",
-    "time": "by time",
-}
+WHERE = ("stage", "kind", "band", "amplitude", "axis", "time")
 
 
 @dataclass(frozen=True)
@@ -105,8 +98,7 @@ def write_page(
         effects=[_effect_row(effect) for effect in document["effects"]],
         meanings=list(dict.fromkeys(f"{effect['name'].replace('_', ' ')}: {effect['meaning']}" for effect in document["effects"])),
         rivals=[
-            (row.name, row.axes, f"{row.behind:.1f}" if row.behind < 1e5 else f"{row.behind:.2g}", _percent(row.left), row.why)
-            for row in rejected(diagnosis, MAX_REJECTED)
+            (row.name, row.axes, plain(row.behind, 3), _percent(row.left), row.why) for row in rejected(diagnosis, MAX_REJECTED)
         ],
         augmented=better is not None,
         signals=signals,
@@ -121,7 +113,7 @@ def write_page(
         next_experiment=document["next_experiment"],
         coefficients=[
             (row.name, plain(row.before, 5), f"{within(row.after, row.spread)} {row.unit}".rstrip(), f"{row.deviations:+.1f}")
-            for row in coefficient_changes(diagnosis, MAX_COEFFICIENTS)
+            for row in [each for each in coefficient_changes(diagnosis) if each.is_certain][:MAX_COEFFICIENTS]
         ],
         replay=[(block["name"], block["text"]) for block in document["replay"]],
         notes=document["notes"],
@@ -323,7 +315,7 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
     columns = 2
     counts = [max(len(document["where"][name]) for name in names[i : i + columns]) for i in range(0, len(names), columns)]
     lines = len(counts)
-    titles = [f"<b>{WHERE[name]}</b>" for name in names]
+    titles = [f"<b>by {SAID.get(name, name)}</b>" for name in names]
     figure = Figure(lines, columns, titles=titles, spacing=(0.2, 0.22 / lines), heights=counts)
     for index, name in enumerate(names):
         rows = document["where"][name][::-1]
@@ -334,7 +326,7 @@ def _where(document: Mapping[str, Any], axes: int) -> Markup:
             index // columns + 1,
             index % columns + 1,
             x=share,
-            y=[row["name"] for row in rows],
+            y=[SAID.get(row["name"], row["name"]) for row in rows],
             orientation="h",
             marker={"color": SIMULATED},
             showlegend=False,

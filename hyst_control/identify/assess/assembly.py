@@ -119,7 +119,7 @@ def chain_model(records: Sequence[Record], stages: Sequence[Stage], name: str) -
         chain=Chain(tuple(stages)),
         valid={
             "command": [min(float(data.command.min()) for data in records), max(float(data.command.max()) for data in records)],
-            "frequency": [0.0, max(command_bandwidth(data.command, data.sample_time) for data in records)],
+            "frequency": [0.0, float(f"{max(command_bandwidth(data.command, data.sample_time) for data in records):.4g}")],
         },
     )
 
@@ -174,7 +174,7 @@ def fit_of(
         "parameters": [row for own in found for row in own] + list(rows),
         "notes": [
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
-            *known.notes(f"the commands' power ends at {model.valid['frequency'][1]:.3g} Hz"),
+            *known.notes(f"The commands' power ends at {model.valid['frequency'][1]:.3g} Hz."),
         ],
         "beginnings": beginning_rows(begun),
     }

@@ -20,6 +20,8 @@ from hyst_control.records.stream.row_store import blocks, column, empty_rows, fi
 
 SETTLE_TIME = 0.25
 """Time (s) after which a window's linear transient is over, the slow pair's included; its rows before that do not count."""
+FEW_ROWS, STILL = 16, 0.03
+"""Rows that are thinned no further for the sign of a response, and share of the liveliest changes below which the command is still."""
 
 
 def whole_records(records: Sequence[Record], axis: int, *, weighted: bool = True) -> list[Window]:
@@ -53,13 +55,39 @@ def with_sign(window: Window, sign: float) -> Window:
 
 
 def response_sign(windows: Sequence[Window]) -> float:
-    """Sign of the response: 1 where the measurement rises with the command, else -1."""
-    covariance = 0.0
-    for window in windows:
-        means = window.command.mean(), window.measurement.mean()
-        for part in blocks(len(window.command)):
-            covariance += float((window.command[part] - means[0]) @ (window.measurement[part] - means[1]))
-    return -1.0 if covariance < 0 else 1.0
+    """Sign of the slow response: 1 where the measurement rises with the command, else -1.
+
+    What is faster than a mode or the delay may be answered with either sign. So the windows are thinned to half their rows again and
+    again, and the changes between neighbors compared, at the coarsest at which the command still moves.
+    """
+    moved: list[tuple[float, float]] = []
+    while windows:
+        square = covariance = 0.0
+        for window in windows:
+            for part in blocks(len(window.command)):
+                rows = slice(part.start, part.stop + 1)
+                change = np.diff(window.command[rows])
+                square += window.sample_time * float(change @ change)
+                covariance += window.sample_time * float(change @ np.diff(window.measurement[rows]))
+        moved.append((square, covariance))
+        due = 1.5 * min(window.sample_time for window in windows)
+        few = [window for window in windows if window.sample_time > due or len(window.command) > FEW_ROWS]
+        windows = [window if window.sample_time > due else _halved(window) for window in few]
+    most = max(square for square, _ in moved)
+    return -1.0 if [covariance for square, covariance in moved if square >= STILL * most][-1] < 0 else 1.0
+
+
+def _halved(window: Window) -> Window:
+    """A window of half as many rows, smoothed by binomial weights, which keep its faster motions out better than means of two."""
+    size = len(window.command) // 2 - 1
+    halves = []
+    for values in (window.command, window.measurement):
+        half = empty_rows(size)
+        for part in blocks(size):
+            rows = values[2 * part.start : 2 * part.stop + 2]
+            half[part] = (rows[:-2:2] + 3.0 * rows[1:-1:2] + 3.0 * rows[2::2] + rows[3::2]) / 8.0
+        halves.append(half)
+    return replace(window, command=halves[0], measurement=halves[1], sample_time=2.0 * window.sample_time)
 
 
 def turned_over(data: Record) -> Record:

@@ -122,7 +122,7 @@ def inverse_model(
     return Model(
         name="mhl_inverse",
         axes=first.axes,
-        units={"command": "V", "measurement": first.unit},  # the device's, as in every model file
+        units={"command": first.unit, "measurement": "V"},
         sample_time=first.sample_time,
         hold="foh",
         chain=Chain(tuple(stages)),

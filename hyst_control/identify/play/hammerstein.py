@@ -21,10 +21,10 @@ from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
+from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Operators, Window, simulated_rows, weighted_operators
-from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair
-from hyst_control.identify.solve.stable_dynamics import Structure, pace
+from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair, with_numerator
+from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure, pace
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
@@ -39,6 +39,8 @@ SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
+DELAYS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0)
+"""Delays (samples) at which modes are looked for together with a delay."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +133,20 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
     best = solve(problem, plain, np.zeros(0))
     if given is not None:
         given = replace(given, pace=plain.pace, slowest=slowest)
-        return solve(problem, given, given.start(first_modes(problem, best)[0][0]))
+        starts = [given.start(first_modes(problem, best)[0][0])]
+        if given.delay and given.modes:
+            fitting = [
+                each for each in _late_starts(problem, best) if each[0].modes <= given.modes and each[0].zeros <= given.zeros
+            ]
+            starts += [given.grow(*each, np.exp(each[1][0]) / (2 * np.pi)) for each in fitting[-1:]]
+        errors = [solve(problem, given, start, passes=2).fitted for start in starts] if len(starts) > 1 else [0.0]
+        return solve(problem, given, starts[int(np.argmin(errors))])
     report(best)
     if not plain.highest:
         return best
     new = first_modes(problem, best)
     frequency = new[0][0]
+    late_tried = False
     while True:
         trials = _grown(problem, best, frequency, new)
         for trial in trials:
@@ -151,7 +161,14 @@ def choose_structure(problem: Problem, given: Structure | None, report: Callable
                 report(trial)
             chosen = min([best, *pairs], key=lambda each: each.held_out)
             if not chosen.held_out < (1.0 - PAIR_IMPROVEMENT) * best.held_out:
-                return best
+                late, late_tried = [] if late_tried else _late_modes(problem, best), True
+                for trial in late:
+                    report(trial)
+                late = [each for each in late if _replaces(each, best)]
+                if not late:
+                    return best
+                lowest = min(each.held_out for each in late)
+                chosen = next(each for each in late if each.held_out <= lowest * (1.0 + MIN_IMPROVEMENT))
         poorer, best = best, chosen
         if best.structure.modes > poorer.structure.modes:
             frequency = float(np.exp(best.structure.split(best.parameters)["modes"][0, 0])) / (2 * np.pi)
@@ -180,6 +197,52 @@ def _with_pair(problem: Problem, best: Solution) -> list[Solution]:
     seen = seen_modes(problem, best, MOST_MODES, unexplained=True)
     found = _solved(problem, best, [pole_zero_pair(best.structure, best.parameters, *mode) for mode in seen])
     return [each for each in found if _is_determined(problem, each)]
+
+
+def _replaces(late: Solution, best: Solution) -> bool:
+    """True for modes behind a delay that fit better than what growth ended with, or as well with fewer parameters."""
+    simpler = late.structure.size < best.structure.size
+    return late.held_out < (1.0 + MIN_IMPROVEMENT if simpler else 1.0 - PAIR_IMPROVEMENT) * best.held_out
+
+
+def _late_modes(problem: Problem, best: Solution) -> list[Solution]:
+    """Solve for one and for two modes behind a delay, all found at once: none of a mode and a long delay is found without the other."""
+    return [each for each in _solved(problem, best, _late_starts(problem, best)) if _is_determined(problem, each)]
+
+
+def _late_starts(problem: Problem, at: Solution) -> list[tuple[Structure, Array]]:
+    """Starts of modes behind a delay: vector fits of the steps from row to row, in which slow loops hide no mode."""
+    from scipy.signal import invres  # takes a second
+
+    if not at.structure.size:  # the weights of a resonant record without dynamics mean nothing
+        at = replace(at, theta=np.eye(len(at.theta))[0])
+    sample_time, parts = fastest_parts(problem, at)
+    parts = [
+        replace(each, command=np.diff(each.command), measurement=np.diff(each.measurement), skip=max(each.skip - 1, 0))
+        for each in parts
+    ]
+    rows = [len(part.command) for part in parts]
+    delays = [delay for delay in DELAYS if delay <= min(rows) / 8]
+    found: list[tuple[Structure, Array]] = []
+
+    def fits(count: int, delays: Sequence[float]) -> list[Partial]:
+        start = spread_poles(2 * count, max(rows))
+        return list(map_forked(lambda index: vector_fit(parts, start, delays[index], False, relocations=4), len(delays)))
+
+    for count in range(1, MOST_MODES + 1):
+        tried = fits(count, delays)
+        nearest = int(np.argmin([each.error for each in tried]))
+        pairs = tried[nearest].poles.imag > 0
+        poles, residues = (values[pairs] / sample_time for values in (tried[nearest].poles, tried[nearest].residues))
+        if len(poles):
+            structure = replace(at.structure, modes=len(poles), lags=0, zeros=2 * len(poles) - 2, slow_pair=False, delay=True)
+            parts_of = structure.split(structure.start(1.0))
+            parts_of["modes"][:] = np.log(np.column_stack([np.abs(poles), -poles.real / np.abs(poles)]))
+            parts_of["delay"][:] = delays[nearest] * sample_time / (TAU_UNIT * structure.pace)
+            num = invres(np.append(residues, residues.conj()), np.append(poles, poles.conj()), [])[0].real
+            found.append((structure, with_numerator(parts_of, num[-1 - structure.zeros :])))
+        delays = delays[max(nearest - 2, 0) : nearest + 3]
+    return found
 
 
 def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, Array]]) -> list[Solution]:
@@ -215,6 +278,14 @@ def seen_modes(problem: Problem, at: Solution, count: int, *, unexplained: bool 
 
     unexplained: look at the residual of the solution instead of the measurement.
     """
+    sample_time, parts = fastest_parts(problem, at, unexplained=unexplained)
+    longest = max(len(part.command) for part in parts)
+    found = vector_fit(parts, spread_poles(2 * count, longest), at.structure.tau(at.parameters) / sample_time, direct=False)
+    return [(abs(pole) / (2 * np.pi * sample_time), -pole.real / abs(pole)) for pole in found.poles if pole.imag]
+
+
+def fastest_parts(problem: Problem, at: Solution, *, unexplained: bool = False) -> tuple[float, list[Window]]:
+    """Sample time, and the rows of the weighted operators and the measurement, or its residual, where the command moves fastest."""
     sample_time = min(window.sample_time for window in problem.windows)
     windows = [window for window in problem.windows if window.sample_time == sample_time]
     rows = max(SEEN_ROWS // len(windows), 1)
@@ -229,9 +300,7 @@ def seen_modes(problem: Problem, at: Solution, count: int, *, unexplained: bool 
         if unexplained:
             target = target - simulated_rows(window, problem.operators, at.structure, at.parameters, at.theta)
         parts.append(replace(window, command=command[cut], measurement=target[cut], skip=max(window.skip - begin, 0)))
-    longest = max(len(part.command) for part in parts)
-    found = vector_fit(parts, spread_poles(2 * count, longest), at.structure.tau(at.parameters) / sample_time, direct=False)
-    return [(abs(pole) / (2 * np.pi * sample_time), -pole.real / abs(pole)) for pole in found.poles if pole.imag]
+    return sample_time, parts
 
 
 def fit_rate_dependent(problem: Problem) -> tuple[Problem, Solution, float]:

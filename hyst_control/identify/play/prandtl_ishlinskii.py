@@ -31,12 +31,14 @@ from hyst_control.identify.play.hammerstein import (
 )
 from hyst_control.identify.solve.bounded_least_squares import covariance
 from hyst_control.identify.solve.gram_sums import Operators
+from hyst_control.identify.solve.parameter_covariance import untold
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.identify.solve.variable_projection import Solution
 from hyst_control.records.record import Record
 
 SENSOR_OFFSET = 0.01
 """Share of the range from which an offset is the sensor's; a smaller one is as well the session's remanence or an error of the model."""
+NORMAL_95 = 1.645  # 95 % quantile of the normal distribution: half a 90 % interval
 
 
 class _Operators(Estimator[O]):
@@ -136,7 +138,8 @@ def axis_fit(
     linear, structure = len(solution.theta), solution.structure
     vector = np.concatenate([solution.theta, solution.parameters])
     coefficients = np.concatenate([solution.theta, np.zeros(structure.size), solution.nuisances])
-    spread = covariance(solution.grams.blocks, coefficients)[: len(vector), : len(vector)]
+    blocks = solution.grams.blocks
+    spread = (covariance(blocks, coefficients) + untold(blocks.sum(axis=0)))[: len(vector), : len(vector)]
     # Weights are compared with all of them, and the dynamic ones with what moves the output as much.
     power = np.sqrt(np.maximum(np.diag(solution.grams.fitted + solution.grams.held_out), 0.0))
     sizes = power[-1] / np.maximum(power[:linear], 1e-12 * power[:linear].max()) / linear
@@ -238,9 +241,9 @@ def _unresolved_rates(solution: Solution, operators: Operators, name: str, rows:
         row = next(row for row in rows if row["name"] == key)
         error = row["standard_error"] or 0.0
         if row["value"] == 0.0 or error > abs(row["value"]):
-            effect = 100.0 * float(moved[index]) * max(abs(row["value"]), error)
+            effect = 100.0 * float(moved[index]) * (abs(row["value"]) + NORMAL_95 * error)
             notes.append(
-                f"axis {name}: {key} is not identifiable: {row['value']:.2g} ± {error:.2g} {row['unit']}, an effect of at most "
-                f"{effect:.2g} % of the range where {left:.2g} % are left"
+                f"axis {name}: {key} is not identifiable: {row['value']:.2g} ± {error:.2g} {row['unit']}: its 90 % interval allows an "
+                f"effect of up to {effect:.2g} % of the range, the residual is {left:.2g} %"
             )
     return notes

@@ -24,6 +24,7 @@ STEP = 1e-5  # Difference of neighboring parameters of a fit, which are all of o
 NAMED = 0.7
 """Parameters that make up an undetermined direction: those that take part with this share of the largest one."""
 MAX_NAMED = 4  # Parameters that a note lists
+ROUNDING = 1e-12  # Share of the largest eigenvalue of a Gram matrix of unit columns below which there is rounding alone
 DIGITS = 6  # Significant digits of the factor: what correlated numbers need to cancel
 
 
@@ -62,20 +63,21 @@ class Uncertainty:
     def notes(self, fact: str) -> list[str]:
         """At most one sentence on the numbers that the data cannot tell, with their standard deviations.
 
-        fact: what the records contain instead.
+        fact: sentence on what the records contain instead.
         """
-        if not self.undetermined:
-            return []
         spread = dict(zip(self.names, self.data_relative.tolist(), strict=True))
 
         def told(name: str) -> str:
             return f"{name} (± {100 * spread[name]:.0f} %)" if spread[name] < 10.0 else f"{name} (any value)"
 
-        names = list(dict.fromkeys(name for direction in self.undetermined for name in direction))
+        # A number that is 0 has no relative deviation.
+        names = list(dict.fromkeys(name for direction in self.undetermined for name in direction if spread[name] > 0.0))
+        if not names:
+            return []
         listed, more = ", ".join(map(told, names[:MAX_NAMED])), len(names) - MAX_NAMED
         return [
-            f"{len(names)} of {len(self.names)} parameters are not identifiable from these records: "
-            f"{listed}{f' and {more} more' if more > 0 else ''}: assumed to be known to {100 * PRIOR:.0f} %: {fact}"
+            f"not identifiable from these records, and assumed to be known to {100 * PRIOR:.0f} %: "
+            f"{listed}{f' and {more} more' if more > 0 else ''}. {fact}"
         ]
 
 
@@ -121,6 +123,19 @@ def limited_root(covariance: Annotated[Array, "P P"]) -> tuple[Array, Array]:
     directions = vectors.T[spectrum > 1.0][::-1]
     root: Array = (vectors * np.sqrt(limited)) @ vectors.T
     return root, directions
+
+
+def untold(gram: Annotated[Array, "K + 1 K + 1"]) -> Annotated[Array, "K K"]:
+    """Covariance of the directions that a Gram matrix [columns, target] leaves open, in which residuals scatter nothing.
+
+    Their deviation is what would move the columns as much as the target does.
+    """
+    power = np.diag(gram)
+    scale = np.sqrt(np.maximum(power[:-1], 1e-12 * power[:-1].max()))
+    values, vectors = np.linalg.eigh(gram[:-1, :-1] / scale[:, None] / scale)
+    open_ = vectors[:, values < ROUNDING * values[-1]] * np.sqrt(power[-1]) / scale[:, None]
+    found: Array = open_ @ open_.T
+    return found
 
 
 def derivatives(

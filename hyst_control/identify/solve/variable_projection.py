@@ -20,6 +20,7 @@ from hyst_control.identify.solve.parameter_covariance import PRIOR as KNOWN
 from hyst_control.identify.solve.stable_dynamics import Structure
 
 PRIOR = 1e-7  # Least weight of the prior on the slopes, relative to the strongest regressor
+RESONANT = 1.5  # Ratio of the mean slope to the gain that fits best, from which the measurement's range is that of a resonance
 MIN_SLOPE = 1e-3  # Smallest slope of a branch, relative to the mean slope
 
 
@@ -74,9 +75,10 @@ class Solution:
 def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, blocks: float) -> tuple[Array, Array]:
     """Solve for the linear parameters of the G at which a Gram matrix was formed.
 
-    A slope that the data do not show stays at the mean slope. What a model misses of its machine is alike throughout a block of rows, and
-    a slope that takes off a little of it on a few rows is not shown by them: a block counts as one observation, with the misfit of the
-    best slopes as its variance, against `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
+    A slope that the data do not show stays at the mean slope or, in a resonant record, whose measurement moves more, at the gain that
+    fits best behind this G. What a model misses of its machine is alike throughout a block of rows, and a slope that takes off a little of
+    it on a few rows is not shown by them: a block counts as one observation, with the misfit of the best slopes as its variance, against
+    `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
     """
     columns = problem.operators.columns
     total = len(gram) - 1
@@ -87,10 +89,14 @@ def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, 
     target = transform.T @ gram[keep, total]
     bounds = problem.bounds(len(keep) - columns)
     slopes = np.arange(len(keep)) < len(problem.operators.thresholds)
+    line = np.column_stack([slopes, np.eye(len(keep))[:, columns:]])
+    free = np.full(line.shape[1], np.inf)
+    gain = max(float(solve_bounded(line.T @ reduced @ line, line.T @ target, -free, free)[0]), MIN_SLOPE * problem.mean_slope)
+    usual = gain if problem.mean_slope > RESONANT * gain else problem.mean_slope
 
     def solution(strength: float) -> Array:
         prior = strength * slopes
-        return transform @ solve_bounded(reduced + np.diag(prior), target + prior * problem.mean_slope, *bounds)
+        return transform @ solve_bounded(reduced + np.diag(prior), target + prior * usual, *bounds)
 
     least = PRIOR * float(np.max(np.diag(reduced)[slopes]))
     misfit = cost(gram[np.ix_(np.r_[keep, total], np.r_[keep, total])], solution(least)) / blocks

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,13 +15,14 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.tables.columns import RESPONSE, TIME, TIME_UNITS, parse_columns, unit_and_scale
 from hyst_control.records.tables.frequency_response import check_response_unit
-from hyst_control.records.tables.header import unit_behind, without_unit
+from hyst_control.records.tables.header import Layout, unit_behind, without_unit
 from hyst_control.records.tables.sample_grid import DAY, find_grid, midnights
 from hyst_control.records.tables.selection import WIDE, open_table
 from hyst_control.records.tables.text import TextTable
 from hyst_control.records.tables.units import scaled_unit
 
 LISTED = 40
+UNKNOWN = "UNIT"  # To be replaced where the file does not state a unit
 FAST_TICKS = 1000.0  # Least step of whole numbers that are ticks of a fast clock and no seconds
 TIME_WORDS = ("t", "time", "x_value", "timestamp", "seconds", "zeit")
 COMMAND_WORDS = ("u", "uk", "v", "in", "dac", "command", "cmd", "drive", "volt", "input", "target", "set", "excitation", "effort")
@@ -56,9 +58,7 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
     if isinstance(table, TextTable):
         layout = table.layout
         rows, _ = table.columns(layout.numeric)
-        asked = [
-            str(index + 1) if layout.column(str(index + 1)) in (None, index) else layout.title(index) for index in layout.numeric
-        ]
+        asked = [_asked(layout, index) for index in layout.numeric]
         found = [
             _Found(name, layout.title(index), layout.unit(index), rows[:, place])
             for place, (name, index) in enumerate(zip(asked, layout.numeric, strict=True))
@@ -79,12 +79,21 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
     lines = [f"{path}: columns of numbers, with their ranges"]
     for one in found[:LISTED]:
         finite = one.values[np.isfinite(one.values)]
-        span = f"{finite.min():.6g} to {finite.max():.6g}" if len(finite) else "no finite number"
+        span = f"{finite.min():.4g} to {finite.max():.4g}" if len(finite) else "no finite number"
         title = f" {one.title!r}" if one.title and one.title != one.asked else ""
         lines.append(f"  {one.asked}{title}: {len(one.values)} rows, {span}{f' {one.unit}' if one.unit else ''}")
     if len(found) > LISTED:
         lines.append(f"  and {len(found) - LISTED} more")
     return lines, _suggestion(found, sample_time)
+
+
+def _asked(layout: Layout, index: int) -> str:
+    """Name of a column where it is a word of its own, else its number."""
+    title = layout.title(index)
+    with suppress(InputError):
+        if title.isidentifier() and layout.column(title) == index:
+            return title
+    return str(index + 1) if layout.column(str(index + 1)) in (None, index) else title
 
 
 def _of_array(name: str, array: Array) -> list[_Found]:
@@ -123,12 +132,10 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     command = _first(others or left, COMMAND_WORDS, ("V", "A", "%"))
     left = [one for one in left if one is not command]
     measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
-    chosen = ((TIME, time, "s"), ("command", command, "V"), ("measurement", measurement, "um"))
+    chosen = ((TIME, time, "s"), ("command", command, UNKNOWN), ("measurement", measurement, UNKNOWN))
     parts = {topic: _entry(topic, one, usual) for topic, one, usual in chosen if one is not None and _can_be_asked(one.asked)}
     if not {"command", "measurement"} & set(parts):
-        return (
-            "command=NAME[V],measurement=NAME[um], of columns of several rows whose names have no quotes, +, = or spaces at an end"
-        )
+        return "command=NAME[UNIT],measurement=NAME[UNIT], of columns of several rows whose names have no quotes, +, = or spaces at an end"
     rate = "" if TIME in parts or sample_time else " --rate HZ"
     return f'--columns "{",".join(parts.values())}"{rate}'
 
@@ -162,7 +169,7 @@ def _is_of_response(one: _Found, words: tuple[str, ...]) -> bool:
 
 
 def _entry(topic: str, one: _Found, usual: str) -> str:
-    """A column as the description has it, in the unit that is said for it, or the usual one where that is none of this topic."""
+    """A column as the description has it, in the unit that is said for it, or `usual` where that is none of this topic."""
     return f"{topic}={one.asked}[{one.unit if one.unit and _is_accepted(topic, one.unit) else usual}]"
 
 

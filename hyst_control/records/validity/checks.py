@@ -14,6 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
+from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.records.averaged_spectra import Spectra
 from hyst_control.records.validity import facts
@@ -87,15 +88,20 @@ def _facts(trial: Trial, index: int) -> Iterator[Finding]:
         yield Finding("copied_command", trial.name, axis, gain, 0.0, f"({gain:.4g} times the command)")
     if gaps := facts.simultaneous_gaps(command, measured):
         yield Finding("lost_rows", trial.name, axis, gaps, 0.0, f"(command and measurement jump together in {gaps} places)")
-    if (count := facts.outliers(measured)) > 0:
+    if (count := facts.outliers(command, measured)) > 0:
         yield Finding("single_outliers", trial.name, axis, count, 0.0, f"({count} of {len(measured)})")
     if (stands := facts.longest_stand(command, measured)) is not None:
         begin, count = stands
         detail = f"on {measured[begin]:.4g} {trial.unit} for {count} samples from {begin * trial.sample_time:.4g} s on"
         yield Finding("stuck_measurement", trial.name, axis, count, 0.0, detail)
-    if (odd := facts.implausible(command, measured, trial.unit)) is not None:
+    yield from implausible_range(trial.name, axis, command, measured, trial.unit)
+
+
+def implausible_range(record: str, axis: str, command: Array, measured: Array, unit: str) -> Iterator[Finding]:
+    """Finding on ranges of a command in V and a measurement (N,) that no stage has."""
+    if (odd := facts.implausible(command, measured, unit)) is not None:
         what, smaller = odd
-        yield Finding("implausible_range", trial.name, axis, 0.0, 0.0, f"({what})", f"check the unit: is it in {smaller}?")
+        yield Finding("implausible_range", record, axis, 0.0, 0.0, f"({what})", f"check the unit: is it in {smaller}?")
 
 
 def _pairing(trial: Trial, left: CondensedRows, moving: Sequence[int]) -> list[Finding]:

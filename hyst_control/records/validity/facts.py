@@ -57,9 +57,9 @@ def rails(command: Array, measured: Array) -> tuple[float, float] | None:
     return max(found, key=lambda rail: rail[1], default=None)
 
 
-def outliers(measured: Array) -> int:
+def outliers(command: Array, measured: Array) -> int:
     """Samples of a measurement (N,) that stand alone; 0 where they are so many that they are no outliers."""
-    count = int(np.count_nonzero(outlying(measured[:LONGEST, None])))
+    count = int(np.count_nonzero(outlying(measured[:LONGEST, None], command[:LONGEST, None])))
     return count if MIN_OUTLIERS <= count < MOST_OUTLIERS * len(measured) else 0
 
 

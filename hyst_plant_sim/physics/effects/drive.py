@@ -189,7 +189,7 @@ EFFECTS = {
         "dac",
         {"samples": 1, "step": 0.0},
         lambda v, c: Hold(int(v["samples"]), v["step"], int(v["phase"]), int(v["rounding"])),
-        "Every n-th command is taken, from that of index `phase` on, and held; or commands are rounded to a lattice: to the nearest "
+        "Every n-th command is taken, from that of index `phase` on, and held; or commands are quantized: to the nearest "
         "value (`rounding` 0), down (1), toward zero (2), to the middle between two (3).",
         {"samples": "", "step": "V", "phase": "", "rounding": ""},
         {"phase": 0, "rounding": 0},

@@ -241,7 +241,7 @@ EFFECTS = {
         "adc",
         {"step": 0.0},
         lambda v, c: Pointwise(lambda y: (np.floor if v["rounding"] else np.rint)(y / v["step"]) * v["step"]),
-        "The measurement lies on a lattice, rounded to the nearest value, or down (`rounding` 1).",
+        "The measurement is quantized: rounded to the nearest value, or down (`rounding` 1).",
         {"step": "unit", "rounding": ""},
         {"rounding": 0},
     ),
