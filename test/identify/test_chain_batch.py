@@ -9,7 +9,7 @@ from hyst_control.chain import Chain, Parallel, Sampling
 from hyst_control.chain.hysteresis.madelung import Madelung
 from hyst_control.chain.linear.linear_stages import Delay, RateCorrection, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
-from hyst_control.identify.solve.chain_batch import Bundle
+from hyst_control.identify.solve.chain_batch import Bundle, Decay
 
 SLOW, FAST = TransferFunction([1.0], [1e-3, 1.0]), TransferFunction([2.0], [1e-8, 1e-4, 1.0])
 
@@ -58,3 +58,15 @@ def test_what_chains_share_is_run_once() -> None:
     loops = [node for node in filters if type(node.running).__name__ == "MadelungFilter"]
     assert len(loops) == 2
     assert len(filters) == 2 + 3 + 3
+
+
+def test_free_motion_is_that_of_powers_of_the_transition_in_any_units_of_the_states() -> None:
+    """Two states that act on each other, in units a billionth of each other's; the rows come in two blocks."""
+    turned = np.array([[0.99, 0.1], [-0.1, 0.99]]) * 0.995
+    units = np.array([1.0, 1e12])
+    transition, output = turned * units / units[:, None], np.array([1.0, 0.0])
+    decay = Decay(transition, output)
+    found = np.vstack([decay.rows(300), decay.rows(700)])
+    expected = [output @ np.linalg.matrix_power(transition, row) for row in range(1, 1001)]
+    np.testing.assert_allclose(found / units, np.array(expected) / units, rtol=0, atol=1e-11)
+    assert not Decay(0.5 * np.eye(2), output).rows(60)[-1].any()  # what has died away is none

@@ -24,8 +24,7 @@ from hyst_control.identify.solve.simulation_error import Parametrization
 from hyst_control.identify.solve.stable_dynamics import Structure
 from hyst_control.records.record import Record
 
-MOST = 0.95
-"""Share of the mean slope that k1/k2 may add or take: no correction turns fast motions round, and the whole inverse's passes converge."""
+MOST = 0.95  # Of the mean slope: from it on the passes of the whole inverse may not converge
 K2_UNIT = 1e-3  # Unit (s) of k2 in the parameter vector, which holds its logarithm
 
 
@@ -80,7 +79,7 @@ class Axis:
         """Move a parameter vector into the range that data can resolve."""
         curves, rate, dynamics = self.split(vector)
         most = MOST * abs(self.curves.full(curves))
-        rate = np.clip(rate, [-most, np.log(0.02)], [most, np.log(200.0)])
+        rate = np.clip(rate, [-5.0, np.log(0.02)], [most, np.log(200.0)])
         return np.concatenate([curves, rate, self.structure.limit(dynamics, self.sample_time)])
 
     def parametrization(self) -> Parametrization:

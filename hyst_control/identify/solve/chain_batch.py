@@ -25,7 +25,7 @@ from hyst_control.chain.linear.linear_lanes import LinearLanes
 from hyst_control.chain.linear.linear_stages import Delay, Discretised
 
 SOURCE = -1  # Number of the signal that enters all chains, which stands behind those of all nodes
-NEGLIGIBLE = 1e-9  # Share of its beginning below which a free motion has died away
+NEGLIGIBLE = 1e-9  # Share of its largest value below which a free motion has died away
 
 
 @dataclass(frozen=True)
@@ -147,31 +147,32 @@ class Decay:
 
     def __init__(self, transition: Array, output: Array) -> None:
         self._transition, self._row = np.ascontiguousarray(transition), np.array(output, dtype=float)
-        self._least = NEGLIGIBLE * float(np.max(np.abs(self._row), initial=0.0))
+        self._largest = np.abs(self._row)  # By state, as each has a unit of its own
         self.states = len(transition)
 
     def rows(self, count: int) -> Array:
         """The next `count` rows (count, n)."""
         found = np.zeros((count, self.states))
         if self.states:
-            decayed(self._transition, self._row, self._least, found)
+            decayed(self._transition, self._row, self._largest, found)
         return found
 
 
 @njit(cache=True, error_model="numpy")
-def decayed(transition: Array, row: Array, least: float, found: Array) -> None:
-    """Write rows (N, n): `row` (n,), which is updated, times each power of `transition` (n, n); none once it has died away."""
+def decayed(transition: Array, row: Array, largest: Array, found: Array) -> None:
+    """Write rows (N, n): `row` (n,), which is updated, times each power of `transition` (n, n); none once all of it has died away."""
     n = len(row)
     for line in found:
-        largest = 0.0
+        alive = False
         for j in range(n):
             value = 0.0
             for i in range(n):
                 value += row[i] * transition[i, j]
             line[j] = value
-            largest = max(largest, abs(value))
+            largest[j] = max(largest[j], abs(value))
+            alive = alive or abs(value) > NEGLIGIBLE * largest[j]
         row[:] = line
-        if largest <= least:
+        if not alive:
             row[:] = 0.0
             return
 
