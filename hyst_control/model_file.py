@@ -209,7 +209,9 @@ def model_from_document(document: Any) -> Model:
         raise InputError("is not a model file: must be a mapping with format, version, …")
     if document.get("format") != FORMAT:
         if "plant" in document:
-            raise InputError("is a reference simulation, for the node plant and hyst learn --plant, no model: give one of hyst identify")
+            raise InputError(
+                "is a reference simulation, for the node plant and hyst learn --plant, no model: give one of hyst identify"
+            )
         raise InputError(f"format: {document.get('format')!r}, a model file says {FORMAT!r}: give what hyst identify wrote")
     if document.get("version") != VERSION or isinstance(document["version"], bool):
         raise InputError(f"version: {document.get('version')!r} is not known here, version {VERSION} is")

@@ -58,7 +58,9 @@ class PlantNode(ManagedNode):
             "",
             "parameters of the reference simulation that replace those of its file, as YAML: '{mode_frequency: 1180.0}'",
         ),
-        Setting("effects", "", "", "effects in the reference simulation, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"),
+        Setting(
+            "effects", "", "", "effects in the reference simulation, as YAML: '[{name: delay, tau: 4.0e-4, axis: x, from: 0.5}]'"
+        ),
         Setting("seed", 0, "1", "seed of the plant's noise", 0, 2**31 - 1),
         Setting("ticks", 0, "ticks", "length of the run, 0 for endless", 0, 2**52),
         Setting(
@@ -251,7 +253,9 @@ class PlantNode(ManagedNode):
         try:
             if given.model:
                 if given.parameters or given.effects:
-                    raise InputError("parameters and effects belong to a reference simulation: write them into the model file instead")
+                    raise InputError(
+                        "parameters and effects belong to a reference simulation: write them into the model file instead"
+                    )
                 plant: Any = Simulator(load_model(given.model), self.period)
             else:
                 from hyst_plant_sim.physics import load_plant

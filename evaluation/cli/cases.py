@@ -28,7 +28,11 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("--output", "folder to write: cases/ and labels.json (make), pictures (figures)", {"required": True, "metavar": "FOLDER"}),
     ("--measured", "put known effects into records of machines, measured and simulated (make)", {"action": "store_true"}),
     ("--fleet", "record a simulated fleet with its manifest (make)", {"nargs": 2, "type": int, "metavar": ("UNITS", "RUNS")}),
-    ("--plants", "reference simulations (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's", {"nargs": "+"}),
+    (
+        "--plants",
+        "reference simulations (make): pea, pea_published, fsm, fsm_published, third; default: the blind test's",
+        {"nargs": "+"},
+    ),
     ("--kinds", "content of the cases (make): single, pair, parameters, none, open_set (default: all)", {"nargs": "+"}),
     ("--excitations", "records (make): rich, multisine, sine, closed_loop (default: all)", {"nargs": "+"}),
     (

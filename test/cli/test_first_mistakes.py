@@ -125,7 +125,9 @@ def test_the_topics_of_a_bag_are_named_where_one_is_missing(tmp_path, capsys):
 
 
 def test_a_truth_plant_is_told_from_a_model(tmp_path, capsys):
-    assert "is a reference simulation, for the node plant and hyst learn --plant" in told(capsys, "tune", config_path("plants/pea.yaml"))
+    assert "is a reference simulation, for the node plant and hyst learn --plant" in told(
+        capsys, "tune", config_path("plants/pea.yaml")
+    )
     (tmp_path / "other.yaml").write_text("a: 1\n")
     assert told(capsys, "tune", tmp_path / "other.yaml").endswith("give what hyst identify wrote")
 
