@@ -197,7 +197,9 @@ def test_a_parameter_that_is_off_is_told_with_its_value(tmp_path):
     found = diagnosed(STEPS_OF_COMMAND, simulate(STEPS_OF_COMMAND, 1 / RATE, 0.11))
     (row,) = found.document["parameters"]
     assert row["ci90"][0] < 0.11 < row["ci90"][1] and (row["nominal"], row["unit"]) == (0.1, "um/V")
-    assert re.search(r"parameters: gain is 0\.1[01]\d* ± \S+ um/V, the model has 0\.1 \(\+5\.0 σ\)\.", found.summary())
+    assert re.search(
+        r"parameters: gain is 0\.1[01]\d* ± \S+ um/V, the model has 0\.1 \(\+5\.0 σ of its tolerance\)\.", found.summary()
+    )
     frame = found.to_frame().set_index("parameter").loc["gain"]
     assert (frame["value"], frame["nominal"], frame["unit"]) == (row["value"], 0.1, "um/V")
     found.save(tmp_path / "gap.html")

@@ -192,7 +192,7 @@ class Duhem(Stage):
     name: ClassVar[str] = "duhem"
     equation: ClassVar[str] = (
         r"y = \mathrm{slope}\, u + z, \quad \frac{dz}{du} = \mathrm{alpha} (1 + \mathrm{growth}\, u) - \left(\mathrm{beta}\, "
-        r"\mathrm{sgn}(\dot{u} z) + \mathrm{gamma}\right) |z|^{\mathrm{exponent}}"
+        r"\mathrm{sign}(\dot{u} z) + \mathrm{gamma}\right) |z|^{\mathrm{exponent}}"
     )
     slope: ScalarPerAxis = scalar("output unit / V", "of the straight line beside the memory")
     alpha: ScalarPerAxis = scalar("output unit / V", "growth of the memory from rest; negative where it holds the output back")

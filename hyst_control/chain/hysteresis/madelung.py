@@ -316,8 +316,8 @@ class Madelung(Stage):
 
     name: ClassVar[str] = "madelung"
     equation: ClassVar[str] = (
-        r"y = y_a + (y_b - y_a) \frac{\varphi(|u - a|)}{\varphi(|b - a|)} \text{ from turning point } a \text{ towards } b, \quad "
-        r"\varphi_\mathrm{up}(d) = \mathrm{ascending}(d), \quad \varphi_\mathrm{down}(d) = \mathrm{descending}(1) - "
+        r"y = y_a + (y_b - y_a) \frac{\varphi_{\pm}(|u - a|)}{\varphi_{\pm}(|b - a|)} "
+        r"\text{ from turning point } a \text{ towards } b, \quad \varphi_{+}(d) = \mathrm{ascending}(d), \quad \varphi_{-}(d) = \mathrm{descending}(1) - "
         r"\mathrm{descending}(1 - d)"
     )
     ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
