@@ -317,7 +317,8 @@ class Madelung(Stage):
     name: ClassVar[str] = "madelung"
     equation: ClassVar[str] = (
         r"y = y_a + (y_b - y_a) \frac{\varphi_{\pm}(|u - a|)}{\varphi_{\pm}(|b - a|)} "
-        r"\text{ from turning point } a \text{ towards } b, \quad \varphi_{+}(d) = \mathrm{ascending}(d), \quad \varphi_{-}(d) = \mathrm{descending}(1) - "
+        r"\text{ from turning point } a \text{ towards } b, \quad \varphi_{+}(d) = \mathrm{ascending}(d), "
+        r"\quad \varphi_{-}(d) = \mathrm{descending}(1) - "
         r"\mathrm{descending}(1 - d)"
     )
     ROLES: ClassVar[Role] = Role.HYSTERESIS | Role.HAS_COMPENSATOR
