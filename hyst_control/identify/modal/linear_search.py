@@ -40,7 +40,6 @@ DELAYS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 2
 """Delays (samples) with which a search begins."""
 PASSES = 12  # Of a fit while structures are compared
 MOVING = 2.0  # Ratio of the square errors without and with free initial states, from which a record does not begin at rest
-IDLE = 1e-3  # Delay (samples) that is none
 MISSED = 1.5  # Ratio of square errors from which a structure is fitted again, from the poles of the best one of its order
 EXACT = 1e-6  # Share of the range that no larger model needs to explain: records without noise leave rounding
 SILENT = 1e-7  # Share of the power under which a record holds nothing between the lines of its command
@@ -184,7 +183,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
-        variants = [each for each in variants if each not in smaller or _may_grow(smaller[each], least, sample_time)]
+        variants = [each for each in variants if each not in smaller or smaller[each].held_out <= FALLEN * least]
         gains = any(_least(fresh, of) * (1.0 + MIN_GAIN) < _least(tried, of) for of in range(2))
         known = min(tried, key=lambda each: each.held_out, default=None)
         stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
@@ -199,13 +198,6 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     if final is None:
         return search(windows, options)
     return replace(chosen, solution=final, search_error=chosen.held_out), table
-
-
-def _may_grow(candidate: Candidate, least: float, sample_time: float) -> bool:
-    """False for a variant far behind the best one, and for one with a delay of nothing: with more states it needs none either."""
-    sections, vector = candidate.sections, candidate.solution.parameters
-    idle = sections.delay and sections.tau(vector) < IDLE * sample_time
-    return candidate.held_out <= FALLEN * least and not idle
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:
@@ -346,14 +338,23 @@ def _parts(windows: Sequence[Window]) -> list[Window]:
 
 def _begins(window: Window, size: int, count: int) -> list[int]:
     """First rows of parts of a long record, in order."""
-    n = len(window.command)
-    found = [int(begin) for begin in np.linspace(0, n - size, count // 2)]
-    slope, zero = np.polyfit(window.command, window.measurement, 1)
-    square = np.cumsum(np.append(0.0, (window.measurement - slope * window.command - zero) ** 2))
-    begins = np.linspace(0, n - size, CANDIDATES).astype(int)
-    for begin in begins[np.argsort(square[begins] - square[begins + size], kind="stable")]:
+    last = len(window.command) - size
+    found = [int(begin) for begin in np.linspace(0, last, count // 2)]
+    begins = np.linspace(0, last, CANDIDATES).astype(int)
+
+    def motions(begin: int) -> tuple[Array, Array]:
+        rows = slice(begin, begin + size)
+        return window.command[rows] - window.command[0], window.measurement[rows] - window.measurement[0]
+
+    # Part by part: a long record stays on the disk.
+    sums = sum(np.array([len(u), u.sum(), y.sum(), u @ u, u @ y]) for u, y in map(motions, begins))
+    rows, first, second, square, product = np.asarray(sums, dtype=float)
+    slope = (product - first * second / rows) / max(square - first**2 / rows, 1e-300)
+    zero = (second - slope * first) / rows
+    left = [float(np.sum((y - slope * u - zero) ** 2)) for u, y in map(motions, begins)]
+    for begin in begins[np.argsort(left)[::-1]].tolist():
         if len(found) < count and min(abs(begin - other) for other in found) >= size:
-            found.append(int(begin))
+            found.append(begin)
     return sorted(found)
 
 
