@@ -22,7 +22,7 @@ EXACT = 1.5
 MIN_GAPS = 5  # Simultaneous jumps of command and measurement that are gaps
 ALONE = 6  # Rows on both sides of a gap in which a smooth command has no other jump
 JUMP = 8.0  # Size of a jump relative to the median second difference of its neighborhood
-ALIKE = 2.0  # Ratio of the two jumps, each in its signal's range
+ALIKE = 4.0  # Ratio of the two jumps, each in its signal's range: a mode answers fast motion with a few times the share
 MIN_OUTLIERS, MOST_OUTLIERS = 3, 0.01
 """Fewest outliers that are reported, and the share of the samples from which they count as something else."""
 MIN_STAND, MOVES_FAR = 10, 0.05
