@@ -121,7 +121,7 @@ def written(output: str, records: Sequence[Record]) -> CommandResult:
 
     progress.step(f"write {output}")
     write_bags(output, records)
-    notes = [note for record in records for note in (*record.notes, *_unfit(record))]
+    notes = [note for record in records for note in (*record.notes, *_doubts(record))]
     made = Artifacts("import", [output], lines=[f"note: {note}" for note in notes])
     for number, record in enumerate(records, start=1):
         for topic, signal in record.signals.items():
@@ -131,7 +131,7 @@ def written(output: str, records: Sequence[Record]) -> CommandResult:
     return made
 
 
-def _unfit(record: Record) -> list[str]:
+def _doubts(record: Record) -> list[str]:
     """Notes where no model can be identified (command or measurement is missing, or they have other axes) or a unit may be wrong."""
     from hyst_control.base.errors import InputError
     from hyst_control.records.record import TOPICS

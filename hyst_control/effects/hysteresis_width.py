@@ -34,8 +34,8 @@ class HysteresisWidth(Modifier):
     The mean curve of a play operator H[u] is u, also under the dynamic weights of the modified Prandtl-Ishlinskii model; that of
     Madelung hysteresis is the mean of the two major branches.
 
-    A chain without hysteresis gets one behind what is before, one whose hysteresis has no width to scale (a Python function) another
-    before that: u + c (mean of H_r[u] - u + 2 mean of r (u - centre) / span) over the
+    A chain without hysteresis gets one behind what is before. A chain whose hysteresis has no width to scale, as a Python function, gets
+    one before that. It is u + c (mean of H_r[u] - u + 2 mean of r (u - centre) / span) over the
     play operators of `OPERATORS` thresholds r up to half of `span` (V), denser toward 0, with c such that a drive over the span, up
     and down about `centre` (V), gives a loop that opens by width span at its middle. Its ends stay where they were: they are what a
     model without hysteresis was fitted to.

@@ -37,7 +37,7 @@ class Row:
     unit: str
     value: float
     published: float | None = None  # Published value to compare with
-    n: int | None = None  # Number of samples or repetitions
+    n: int | None = None  # Number of samples, cases or repetitions
     ci95: tuple[float, float] | None = None  # 95 % confidence interval [lower, upper]
     limit: Limit | None = None
 
@@ -110,7 +110,7 @@ class Table:
             optional = [
                 ("published", [_figure(row.published) for row in rows]),
                 ("95 %", ["" if row.ci95 is None else f"{_figure(row.ci95[0])} … {_figure(row.ci95[1])}" for row in rows]),
-                ("samples", ["" if row.n is None else str(row.n) for row in rows]),
+                ("count", ["" if row.n is None else str(row.n) for row in rows]),
                 ("limit", [_figure(row.limit.value) if row.limit else "" for row in rows]),
                 ("x limit", [_figure(row.ratio) if row.limit else "" for row in rows]),
                 ("of", [row.limit.of if row.limit else "" for row in rows]),
@@ -127,7 +127,7 @@ class Table:
             lines += [
                 *([""] if lines else []),
                 name,
-                *aligned(headers, cells, ("value", "published", "samples", "limit", "x limit")),
+                *aligned(headers, cells, ("value", "published", "count", "limit", "x limit")),
             ]
         return "\n".join([*lines, *([""] if self.notes else []), *self.notes])
 

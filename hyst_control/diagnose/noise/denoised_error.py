@@ -18,7 +18,7 @@ NOISE_REACH = 20
 def without_noise(error: Annotated[Array, "N A"], most: Array | float = np.inf) -> tuple[Array, Array]:
     """Take the white noise off a carried error, frequency by frequency as far as it is noise (Wiener filter); noise (A,) that is left.
 
-    The noise of the baseline records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor takes off.
+    The noise of the baseline records is not that of the new one. Carried along, it would be noise that a low-pass at the sensor removes.
     """
     # most: noise that it has at most, rms, where periods of the command tell; infinite otherwise. A model's error may be as rough
     # as noise

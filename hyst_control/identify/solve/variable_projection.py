@@ -76,7 +76,7 @@ def linear_solution(problem: Problem, gram: Annotated[Array, "K K"], size: int, 
     """Solve for the linear parameters of the G at which a Gram matrix was formed.
 
     A slope that the data do not show stays at the mean slope or, in a resonant record, whose measurement moves more, at the gain that
-    fits best behind this G. What a model misses of its machine is alike throughout a block of rows, and a slope that takes off a little of
+    fits best behind this G. What a model misses of its machine is alike throughout a block of rows, and a slope that removes a little of
     it on a few rows is not shown by them: a block counts as one observation, with the misfit of the best slopes as its variance, against
     `KNOWN` of the mean slope. Without a misfit the prior is far weaker than any data.
     """
