@@ -34,6 +34,7 @@ from hyst_control.diagnose.model_error.other_commands import (
     simulated_rows,
 )
 from hyst_control.diagnose.model_error.same_command import Match, matching, period_differences, repeating_rows
+from hyst_control.diagnose.model_error.uncertain_change import relative_error
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
@@ -69,6 +70,8 @@ class Baseline:
     # The baseline records with the rows on which the error was measured: those that say nothing of the time before the record, where
     # the new records have no others. None where the error is carried over, or a model file states it
     error_rows: Problem | None = None
+    # By frequency, the model's error as a share of its output; None where that error is not carried over
+    relative: ErrorSpectrum | None = None
 
     def error_energy(self, command: Annotated[Array, "N A"], sample_time: float) -> float:
         """Predict the energy of the model discrepancy on a command."""
@@ -273,7 +276,8 @@ def _carried(
         own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,
     )
     error = np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0))
-    return Baseline(beside, True, repeatability, usual, floor, clean, error)
+    error = np.asarray(np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0)))
+    return Baseline(beside, True, repeatability, usual, floor, clean, error, relative=relative_error(kept_rows, series))
 
 
 def _apart(command: Array, match: Match, settings: BaselineSettings) -> float:

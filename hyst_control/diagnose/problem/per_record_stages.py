@@ -90,6 +90,7 @@ class CarriedError(Stage):
     """
 
     name: ClassVar[str] = "carried_error"
+    place: ClassVar[str] = "mechanics"  # What acts on the motion acts on the error too
     series: tuple[Array, ...]  # By record, measurement unit; row k belongs to t = k sample times
     index: int
 
