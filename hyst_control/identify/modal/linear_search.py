@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
+from hyst_control.base.parallel import forked, map_known
 from hyst_control.chain.linear.linear_stages import StateSpace
 from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit import OrderRow
@@ -53,6 +54,12 @@ class Trials:
     windows: Sequence[Window]
     nuisance: str
     still: bool  # Initial states stay at rest
+    late: float  # Delay with which fits begin, samples
+    guess: bool  # Whether that delay is free
+    gain: float  # Static gain with which fits begin
+    fastest: float  # Rate of the fastest pole, 1/s
+    exact: float  # Mean square error from which a fit counts as exact
+    equations: float  # Independent equations that the records hold, where these are fewer than their rows
 
     @property
     def sample_time(self) -> float:
@@ -69,12 +76,20 @@ class Trials:
         vector = sections.vector(start, self.sample_time, tau)
         return _fit(self.windows, sections, vector, self.nuisance, PASSES, unknown_state=not self.still)
 
-    def poles(self, order: int, delay: float, direct: bool, smaller: Sequence[Candidate]) -> Partial:
-        """Vector fitting from evenly spread poles, and from those of the last order with idle ones; delay in samples."""
-        starts = [spread_poles(order, self.longest)]
-        if smaller:
-            starts.append(self.nested(min(smaller, key=lambda each: each.solution.fitted), order).poles)
-        return min((vector_fit(self.windows, start, delay, direct) for start in starts), key=lambda each: each.error)
+    def poles(
+        self, order: int, delays: Sequence[tuple[float, bool]], smaller: Sequence[Candidate]
+    ) -> dict[tuple[float | bool, ...], Partial]:
+        """By delay (samples) and direct path, vector fitting from evenly spread poles, and from those of the last order with idle ones."""
+        jobs: list[tuple[np.ndarray, float, bool]] = []
+        for delay, direct in delays:
+            jobs.append((spread_poles(order, self.longest), delay, direct))
+            if alike := [each for each in smaller if each.variant.direct == direct]:
+                jobs.append((self.nested(min(alike, key=lambda each: each.solution.fitted), order).poles, delay, direct))
+        found = map_known(vector_fit, [(self.windows, *job) for job in jobs])
+        best: dict[tuple[float | bool, ...], Partial] = {}
+        for (_, *kind), each in zip(jobs, found, strict=True):
+            best[tuple(kind)] = min(best.get(tuple(kind), each), each, key=lambda one: one.error)
+        return best
 
     def nested(self, smaller: Candidate, order: int) -> Partial:
         """Partial fractions of a smaller model with idle poles, evenly spread, up to an order."""
@@ -82,13 +97,21 @@ class Trials:
         idle = -np.geomspace(1.0, 0.1 * self.longest, order - smaller.sections.order + 2)[1:-1] / self.longest
         return replace(known, poles=np.concatenate([known.poles, idle]), residues=np.concatenate([known.residues, 0.0 * idle]))
 
-    def grown(self, sections: Sections, start: Partial, delay: float, smaller: Candidate | None) -> Solution:
+    def delay_of(self, variant: Variant) -> float:
+        """Delay (samples) with which the fit of a variant begins."""
+        return self.late if variant.delay or not self.guess else 0.0
+
+    def grown(self, order: int, variant: Variant, start: Partial, smaller: Candidate | None) -> Candidate:
         """Fit from partial fractions; where that leaves more than the last order did, from the latter: never worse."""
+        began = time.perf_counter()
+        delay = self.delay_of(variant)
+        unit = (max(delay, 1.0) if variant.delay else delay) * self.sample_time
+        sections = Sections(order, *variant, self.gain, unit, 0.005 / (self.longest * self.sample_time), self.fastest)
         found = self.fit(sections, start, delay * self.sample_time)
-        if smaller is None or found.fitted <= smaller.solution.fitted:
-            return found
-        late = smaller.sections.tau(smaller.solution.parameters)
-        return min(found, self.fit(sections, self.nested(smaller, sections.order), late), key=lambda each: each.fitted)
+        if smaller is not None and found.fitted > smaller.solution.fitted:
+            late = smaller.sections.tau(smaller.solution.parameters)
+            found = min(found, self.fit(sections, self.nested(smaller, order), late), key=lambda each: each.fitted)
+        return Candidate(variant, sections, found, time.perf_counter() - began, self.exact, self.equations)
 
     def from_poles_of(self, nearest: Candidate, other: Candidate) -> Candidate:
         """A structure fitted from the poles of another one of its order, where that has a far smaller error."""
@@ -134,52 +157,66 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
     """
     few = _parts(windows)
     still = still and len(few) == len(windows)
-    sample_time = few[0].sample_time
-    band = REACH * excited_band(few) or np.inf
-    fastest = 2 * np.pi * min(band, 1.5 / sample_time)
-    travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
-    gain = response_sign(few) * travel
-    exact = (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2
     guess = options.delay == "estimate"
-    late = _dead_time(few) if guess else float(options.delay) / sample_time
+    with forked([few, *few]):
+        late = _dead_time(few) if guess else float(options.delay) / few[0].sample_time
     # The first rows answer commands from before the record, which an initial state does not stand for.
     early = int(np.ceil(1.5 * late))
     few = [replace(window, skip=max(window.skip, early)) for window in few]
+    trials = _trials(windows, few, options, still, late)
     total = sum(len(window.command) for window in few)
     if options.order and LEAST_ROWS * options.order >= total:
         most = total // LEAST_ROWS
         raise InputError(
             f"order: {options.order} states are more than {total} rows can tell: give {most} or fewer, or record longer"
         )
-    equations = _equations(windows)
-    limit = max(min(total, equations) / LEAST_ROWS, 2)
+    limit = max(min(total, trials.equations) / LEAST_ROWS, 2)
     orders = [options.order] if options.order else [each for each in ORDERS[not options.direct :] if each < limit]
     variants = [each for each in VARIANTS if (guess or not each.delay) and (options.direct or not each.direct)]
+    with forked([trials, few, *few]):
+        tried, table = _grow(trials, orders, variants)
+    chosen = _best_of(tried)
+    whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
+    final = _final(whole, chosen, options, still)
+    if final is None:
+        return search(windows, options)
+    return replace(chosen, solution=final, search_error=chosen.held_out), table
+
+
+def _trials(windows: Sequence[Window], few: Sequence[Window], options: LinearOptions, still: bool, late: float) -> Trials:
+    """What fits to a few rows of the records have in common."""
+    band = REACH * excited_band(few) or np.inf
+    travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
+    return Trials(
+        few,
+        options.nuisance,
+        still,
+        late,
+        options.delay == "estimate",
+        response_sign(few) * travel,
+        2 * np.pi * min(band, 1.5 / few[0].sample_time),
+        (EXACT * max(float(np.ptp(window.measurement)) for window in windows)) ** 2,
+        _equations(windows),
+    )
+
+
+def _grow(trials: Trials, orders: Sequence[int], variants: Sequence[Variant]) -> tuple[list[Candidate], list[OrderRow]]:
+    """Fit structures of more and more states until more of them explain no more."""
     table: list[OrderRow] = []
     tried: list[Candidate] = []
     smaller: dict[Variant, Candidate] = {}
-    trials = Trials(few, options.nuisance, still)
-    slowest = 0.005 / (trials.longest * sample_time)
     stale, reach = 0, 0.0
     for order in orders:
-        fresh: list[Candidate] = []
-        starts: dict[tuple[float, bool], Partial] = {}
-        for variant in variants:
-            if (variant.smooth and order < 2) or (order == 0 and not variant.direct):
-                continue
-            began = time.perf_counter()
-            start = late if variant.delay or not guess else 0.0
-            unit = (max(start, 1.0) if variant.delay else start) * sample_time
-            sections = Sections(order, *variant, gain, unit, slowest, fastest)
-            if (start, variant.direct) not in starts:
-                alike = [each for each in smaller.values() if each.variant.direct == variant.direct]
-                starts[start, variant.direct] = trials.poles(order, start, variant.direct, alike)
-            solution = trials.grown(sections, starts[start, variant.direct], start, smaller.get(variant))
-            fresh.append(Candidate(variant, sections, solution, time.perf_counter() - began, exact, equations))
+        due = [each for each in variants if order >= 2 * each.smooth and (order or each.direct)]
+        begins = list(dict.fromkeys((trials.delay_of(each), each.direct) for each in due))
+        starts = trials.poles(order, begins, list(smaller.values()))
+        fresh = map_known(
+            trials.grown, [(order, each, starts[trials.delay_of(each), each.direct], smaller.get(each)) for each in due]
+        )
         nearest = min(fresh, key=lambda each: each.solution.fitted)
-        fresh = [trials.from_poles_of(nearest, each) for each in fresh]
+        fresh = map_known(trials.from_poles_of, [(nearest, each) for each in fresh])
         smaller.update({each.variant: each for each in fresh})
-        table += [_row(each, sample_time, few) for each in fresh]
+        table += [_row(each, trials.sample_time, trials.windows) for each in fresh]
         if order > max(orders[0], 1):
             fresh = [each for each in fresh if trials.counts(each, tried)]
         least = min(each.held_out for each in smaller.values())
@@ -189,15 +226,11 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
         stale = 0 if gains or (known and any(each.surely_beats(known) for each in fresh)) else stale + 1
         tried += fresh
         if stale >= STALE and order >= TWO_MODES:
-            reach = reach or vector_fit(few, spread_poles(orders[-1], trials.longest), late, False, relocations=4).error
-            if max(reach, exact) > HIDDEN * least:
+            last = spread_poles(orders[-1], trials.longest)
+            reach = reach or vector_fit(trials.windows, last, trials.late, False, relocations=4).error
+            if max(reach, trials.exact) > HIDDEN * least:
                 break
-    chosen = _best_of(tried)
-    whole = [_middle(replace(window, skip=max(window.skip, early))) for window in windows]
-    final = _final(whole, chosen, options, still)
-    if final is None:
-        return search(windows, options)
-    return replace(chosen, solution=final, search_error=chosen.held_out), table
+    return tried, table
 
 
 def _best_of(tried: Sequence[Candidate]) -> Candidate:
@@ -260,8 +293,8 @@ def _dead_time(windows: Sequence[Window], order: int = 3) -> float:
     shortest = min(len(window.command) for window in windows)
     delays = [delay for delay in DELAYS if delay <= shortest / 8]
     start = spread_poles(order, max(len(window.command) for window in windows))
-    errors = [vector_fit(windows, start, delay, False, relocations=4).error for delay in delays]
-    return delays[int(np.argmin(errors))]
+    found = map_known(vector_fit, [(windows, start, delay, False, 4) for delay in delays])
+    return delays[int(np.argmin([each.error for each in found]))]
 
 
 def _equations(windows: Sequence[Window]) -> float:

@@ -38,11 +38,13 @@ class Partial:
 
 def vector_fit(windows: Sequence[Window], start: np.ndarray, delay: float, direct: bool, relocations: int = RELOCATIONS) -> Partial:
     """The best of the partial fractions met on the way from the poles of a start."""
-    poles, best = start, residues_of(windows, start, delay, direct)
+    rows = max(len(window.command) for window in windows)
+    equations = Equations.of(windows, start, delay, direct)
+    best = equations.partial()
     stale = 0
     for _ in range(relocations):
-        poles = _relocated(windows, poles, delay, direct)
-        found = residues_of(windows, poles, delay, direct)
+        equations = Equations.of(windows, equations.relocated(rows), delay, direct)
+        found = equations.partial()
         stale = stale + 1 if found.error > SETTLED * best.error else 0
         best = min(best, found, key=lambda each: each.error)
         if stale == 2:
@@ -50,19 +52,72 @@ def vector_fit(windows: Sequence[Window], start: np.ndarray, delay: float, direc
     return best
 
 
+@dataclass(frozen=True)
+class Equations:
+    """Least-squares equations of records for given poles, as a triangle R whose Gram matrix R'R is that of all rows.
+
+    Its columns are the responses to the command, the measurement, and the sampled responses to the measurement, all without what offset,
+    drift and unknown initial state explain of them.
+    """
+
+    poles: np.ndarray
+    direct: bool
+    triangle: Array
+    rows: int
+
+    @classmethod
+    def of(cls, windows: Sequence[Window], poles: np.ndarray, delay: float, direct: bool, own: bool = True) -> Equations:
+        """Set up the equations; own: with the responses to the measurement, which only a relocation needs."""
+        parts = []
+        for window in windows:
+            time = np.arange(len(window.command))
+            session = [np.ones(len(time)), time / len(time) - 0.5, *_real(poles, [np.exp(pole * time) for pole in poles])]
+            columns = [*session, *driven(window, poles, delay, direct), window.measurement]
+            if own:
+                columns += _real(poles, _sampled_responses(poles, window.measurement - window.measurement[0]))
+            # What the first columns explain is in the first rows of the triangle.
+            parts.append(_triangle([column[window.skip :] for column in columns])[len(session) :, len(session) :])
+        triangle = parts[0] if len(parts) == 1 else _triangle(list(np.vstack(parts).T))
+        return cls(poles, direct, triangle, sum(len(window.command) - window.skip for window in windows))
+
+    def partial(self) -> Partial:
+        """The residues that fit best."""
+        states = _states(self.poles)
+        count = states + self.direct
+        found, left = _solved(self.triangle[:, :count], self.triangle[:, count], 1e-11)
+        residues, at = [], 0
+        for pole in self.poles:
+            residues.append(complex(found[at], found[at + 1] if pole.imag else 0.0))
+            at += 2 if pole.imag else 1
+        direct = float(found[states]) if self.direct else 0.0
+        return Partial(self.poles, np.array(residues, dtype=complex), direct, float(left @ left) / self.rows)
+
+    def relocated(self, rows: int) -> np.ndarray:
+        """Better poles: the zeros of 1 + Σ k_i/(z - exp p_i), as records of so many rows show them."""
+        states = _states(self.poles)
+        count = states + self.direct
+        others = np.delete(self.triangle, count, axis=1)
+        others[:, count:] *= -1.0
+        weights = _solved(others, self.triangle[:, count], 1e-12)[0][count:]
+        transition, entry, at = np.zeros((states, states)), np.ones(states), 0
+        for pole in self.poles:
+            turn = np.exp(pole)
+            if pole.imag:
+                transition[at : at + 2, at : at + 2] = [[turn.real, turn.imag], [-turn.imag, turn.real]]
+                entry[at : at + 2] = [2.0, 0.0]
+                at += 2
+            else:
+                transition[at, at] = turn.real
+                at += 1
+        turns = np.linalg.eigvals(transition - np.outer(entry, weights)).astype(complex)
+        lags = np.abs(turns.imag) <= 1e-9 * np.abs(turns)
+        turns[lags] = np.maximum(turns[lags].real, np.exp(FASTEST))
+        return _admissible(np.log(turns), rows)
+
+
 def residues_of(windows: Sequence[Window], poles: np.ndarray, delay: float, direct: bool) -> Partial:
     """The residues that fit best for given poles."""
-    parts = []
-    for window in windows:
-        columns = driven(window, poles, delay, direct)
-        parts.append(_without_session(window, poles, [*columns, window.measurement]))
-    found, left = _solved(parts, 1e-11)
-    residues, at = [], 0
-    for pole in poles:
-        residues.append(complex(found[at], found[at + 1] if pole.imag else 0.0))
-        at += 2 if pole.imag else 1
-    rows = sum(len(part) for part in parts)
-    return Partial(poles, np.array(residues, dtype=complex), float(found[at]) if direct else 0.0, float(left @ left) / rows)
+    return Equations.of(windows, poles, delay, direct, own=False).partial()
 
 
 def spread_poles(order: int, rows: int) -> np.ndarray:
@@ -71,31 +126,6 @@ def spread_poles(order: int, rows: int) -> np.ndarray:
     angle = np.geomspace(4.0 * np.pi / rows, 1.0, pairs + 2)[1:-1]
     lag = [-np.sqrt(1.0 / rows)] if order % 2 else []
     return np.concatenate([-0.3 * angle + 1j * angle, np.array(lag, dtype=complex)])
-
-
-def _relocated(windows: Sequence[Window], poles: np.ndarray, delay: float, direct: bool) -> np.ndarray:
-    parts, own_from = [], 0
-    for window in windows:
-        columns = driven(window, poles, delay, direct)
-        own_from = len(columns)
-        own = _real(poles, _sampled_responses(poles, window.measurement - window.measurement[0]))
-        parts.append(_without_session(window, poles, [*columns, *(-column for column in own), window.measurement]))
-    found, _ = _solved(parts, 1e-12)
-    states = len(found) - own_from
-    transition, entry, at = np.zeros((states, states)), np.ones(states), 0
-    for pole in poles:
-        turn = np.exp(pole)
-        if pole.imag:
-            transition[at : at + 2, at : at + 2] = [[turn.real, turn.imag], [-turn.imag, turn.real]]
-            entry[at : at + 2] = [2.0, 0.0]
-            at += 2
-        else:
-            transition[at, at] = turn.real
-            at += 1
-    turns = np.linalg.eigvals(transition - np.outer(entry, found[own_from:])).astype(complex)
-    lags = np.abs(turns.imag) <= 1e-9 * np.abs(turns)
-    turns[lags] = np.maximum(turns[lags].real, np.exp(FASTEST))
-    return _admissible(np.log(turns), max(len(w.command) for w in windows))
 
 
 def _admissible(poles: np.ndarray, rows: int) -> np.ndarray:
@@ -151,19 +181,22 @@ def _real(poles: np.ndarray, columns: Sequence[np.ndarray]) -> list[Array]:
     return found
 
 
-def _without_session(window: Window, poles: np.ndarray, columns: Sequence[Array]) -> Array:
-    """Columns (N, K) without what offset, drift and unknown initial state explain of them."""
-    time = np.arange(len(window.command))
-    own = [np.ones(len(time)), time / len(time) - 0.5, *_real(poles, [np.exp(pole * time) for pole in poles])]
-    basis = qr(np.column_stack(own), mode="economic")[0]
-    block = np.column_stack(columns)
-    found: Array = block - basis @ (basis.T @ block)
-    return found[window.skip :]
+def _states(poles: np.ndarray) -> int:
+    return len(poles) + int(np.count_nonzero(poles.imag))
 
 
-def _solved(parts: Sequence[Array], rcond: float) -> tuple[Array, Array]:
-    """Least-squares solution of all rows [columns, target], and the residual of their triangular factor, which has the same norm."""
-    triangle = qr(np.vstack(parts), mode="r", check_finite=False)[0][: parts[0].shape[1]]
-    scale = np.maximum(np.linalg.norm(triangle[:, :-1], axis=0), 1e-300)
-    found = np.linalg.lstsq(triangle[:, :-1] / scale, triangle[:, -1], rcond=rcond)[0] / scale
-    return found, triangle[:, -1] - triangle[:, :-1] @ found
+def _triangle(columns: Sequence[Array]) -> Array:
+    """Triangular factor (K, K) of columns (N,); rows of zeros where there are fewer than K."""
+    block = np.empty((max(len(columns[0]), len(columns)), len(columns)), order="F")
+    block[len(columns[0]) :] = 0.0
+    for number, column in enumerate(columns):
+        block[: len(column), number] = column
+    _, triangle = qr(block, mode="raw", overwrite_a=True, check_finite=False)
+    return np.asarray(triangle, dtype=np.float64)
+
+
+def _solved(columns: Array, target: Array, rcond: float) -> tuple[Array, Array]:
+    """Least-squares solution of the equations of a triangle, and its residual."""
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    found = np.linalg.lstsq(columns / scale, target, rcond=rcond)[0] / scale
+    return found, target - columns @ found
