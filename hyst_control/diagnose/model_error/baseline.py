@@ -33,12 +33,13 @@ from hyst_control.diagnose.model_error.other_commands import (
     predicted_error,
     simulated_rows,
 )
+from hyst_control.diagnose.model_error.plant_response import lacking_response
 from hyst_control.diagnose.model_error.same_command import Match, matching, period_differences, repeating_rows
 from hyst_control.diagnose.model_error.uncertain_change import relative_error
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
-from hyst_control.diagnose.problem.per_record_stages import CarriedError, SessionZero
+from hyst_control.diagnose.problem.per_record_stages import CarriedError, LackingResponse, SessionZero
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit
 from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
 from hyst_control.identify.model_error.learned_discrepancy import LearnedDiscrepancy, discrepancy_of, session_zeros
@@ -192,6 +193,7 @@ def _stated_spectrum(
 def _carried(
     problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]], spans: Array, settings: BaselineSettings
 ) -> Baseline:
+    problem, clean = _as_the_plant_answers(problem, clean, matches)
     pieces: list[Piece] = []
     series: list[Array] = []
     differences: list[Array] = []
@@ -278,6 +280,19 @@ def _carried(
     error = np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0))
     error = np.asarray(np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0)))
     return Baseline(beside, True, repeatability, usual, floor, clean, error, relative=relative_error(kept_rows, series))
+
+
+def _as_the_plant_answers(problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]]) -> tuple[Problem, Problem]:
+    """Both problems with what the model's linear dynamics lack on the matching baseline records."""
+    used = {next(i for i, one in enumerate(clean.pieces) if one is match.clean) for found in matches for match in found}
+    outputs = {index: simulated_rows(clean, index, clean.pieces[index]) for index in used}
+    errors = {index: clean.pieces[index].measurement - output for index, output in outputs.items()}
+    counted = [[clean.pieces[index].counted(rows[index]) for index in used] for rows in (outputs, errors)]
+    taps = lacking_response(*counted)
+    if not taps.any():
+        return problem, clean
+    both = (replace(one, model=one.model.with_stages((*one.model.chain.stages, LackingResponse(taps)))) for one in (problem, clean))
+    return next(both), next(both)
 
 
 def _apart(command: Array, match: Match, settings: BaselineSettings) -> float:

@@ -19,6 +19,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from hyst_control.base.arrays import Array
+from hyst_control.base.signals import convolved
 from hyst_control.chain.linear.linear_stages import Delay
 from hyst_control.chain.parameter import AllAxes, Scattering, all_axes, count
 from hyst_control.chain.stage import Filter, Sampling, Stage
@@ -128,6 +129,45 @@ class CarriedError(Stage):
             else:
                 moved.append(np.stack([spline(column)[:, axis] for axis, column in enumerate(times.T)], axis=1))
         return CarriedError(tuple(moved), self.index)
+
+
+class LackingResponse(Stage):
+    """What a model's linear dynamics lack beside the plant's: y_k = u_k + Σ_j taps_j u_{k-j}.
+
+    It is data of one diagnosis and is never written to a model file.
+    """
+
+    name: ClassVar[str] = "lacking_response"
+    place: ClassVar[str] = "mechanics"
+    taps: Array  # (K, A)
+
+    def __init__(self, taps: Annotated[Array, "K A"]) -> None:
+        object.__setattr__(self, "taps", taps)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return a digest of the taps, by which caches tell them apart."""
+        return {"sha256": digest_of((self.taps,))}
+
+    def filter(self, sampling: Sampling) -> Filter:
+        return ConvolutionFilter(self.taps, sampling.hold)
+
+
+class ConvolutionFilter(Filter):
+    """Streaming `LackingResponse`."""
+
+    def __init__(self, taps: Annotated[Array, "K A"], hold: str) -> None:
+        self.hold, self.taps, self.before = hold, taps, np.zeros((len(taps) - 1, taps.shape[1]))
+
+    def settle(self, value: Array) -> Array:
+        self.before[:] = value
+        return np.asarray(value * (1.0 + self.taps.sum(axis=0)), dtype=np.float64)
+
+    def process(self, block: Array) -> Array:
+        known = len(self.before)
+        rows = np.concatenate([self.before, block])
+        self.before = rows[len(block) :]
+        added = [convolved(column, taps)[known : len(rows)] for column, taps in zip(rows.T, self.taps.T, strict=True)]
+        return np.asarray(block + np.stack(added, axis=1), dtype=np.float64)
 
 
 def with_sensor_delay(stages: Sequence[Stage], delay: Delay, sample_time: float, axes: int) -> tuple[Stage, ...]:
