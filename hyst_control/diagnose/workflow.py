@@ -4,18 +4,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
-from hyst_control.base.files import write_json
+from hyst_control.base.files import check_writable, write_json
 from hyst_control.base.parallel import beside
 from hyst_control.base.progress import step
 from hyst_control.chain.external_simulator import Simulate
@@ -29,7 +28,7 @@ from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose
+from hyst_control.diagnose.run.diagnosis import OUTSIDE, RULES, Diagnosis, diagnose
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
@@ -37,8 +36,9 @@ from hyst_control.model_file import Model, load_model, save_model
 from hyst_control.records.bags.bag_files import bags_in
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.losses import losses
-from hyst_control.records.record import Record
+from hyst_control.records.record import TOPICS, Record
 from hyst_control.records.tables.array_files import read_array
+from hyst_control.records.tables.regular_signals import RATES_DIFFER
 from hyst_control.reporting.provenance import Origin, provenance
 from hyst_control.reporting.signal_figures import Line, Panel, thinned
 
@@ -109,8 +109,8 @@ def diagnose_bags(
 ) -> GapResult:
     """Diagnose bags and write what is asked for."""
     for path in (json, report, augmented):
-        if path is not None and not Path(os.path.realpath(path)).parent.is_dir():
-            raise InputError(f"{path}: {Path(os.path.realpath(path)).parent} is no folder: choose one that exists")
+        if path is not None:
+            check_writable(path)  # before a diagnosis that may take minutes
     if learned_residual and simulator is not None:
         raise InputError("--learned-residual: is a stage of a model file, which a Python function is not: leave it out")
     if learned_residual and augmented is None:
@@ -137,7 +137,7 @@ def diagnose_bags(
         learned_residual=learned_residual,
         core=core,
         own_records=own_records,
-        coming=None if on is None else (str(on), _command(on, namespace, unit)),
+        coming=None if on is None else (str(on), _command(on, namespace, unit, columns, records[0].common_step(TOPICS))),
     )
     written = []
     if augmented is not None and gap.better is not None:
@@ -194,6 +194,7 @@ def diagnose_records(
             document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}
         except InputError as error:
             raise InputError(f"--on {coming[0]}: {error}") from None
+        document["notes"] += _beyond_valid(diagnosis.model, *coming)
     return GapResult(document, in_words(document), diagnosis, better)
 
 
@@ -281,8 +282,28 @@ def _as_before_identification(model: Model) -> Model:
     return replace(model, discrepancy={}, noise={}, uncertainty={}, tolerance=wide)
 
 
-def _command(path: str, namespace: str | None, unit: str) -> Array:
+def _command(path: str, namespace: str | None, unit: str, columns: str | None, sample_time: float) -> Array:
+    """Command rows (N, A) of a future run, which must have the sample time (s) of the records that are diagnosed."""
     if not path.endswith(".npy"):
-        return read_bag(path, namespace, unit).aligned(("command",))[0].command
+        [record, *_] = read_bag(path, namespace, unit, columns=columns).aligned(("command",))
+        if abs(record.sample_time - sample_time) > RATES_DIFFER * sample_time:
+            raise InputError(
+                f"--on {path}: has {1.0 / record.sample_time:.6g} samples/s, the records {1.0 / sample_time:.6g}: give what hyst edit "
+                f"{path} --resample {1.0 / sample_time:.6g} writes"
+            )
+        return record.command
     rows = read_array(path)
     return rows[:, None] if rows.ndim == 1 else rows
+
+
+def _beyond_valid(model: Model, name: str, command: Annotated[Array, "N A"]) -> list[str]:
+    """A note where a good part of the command lies outside the range that the model is valid for."""
+    valid = np.array(model.valid.get("command", (-np.inf, np.inf)), dtype=float).reshape(-1, 2)  # of all axes, or of each
+    outside = float(np.mean((command < valid[:, 0] - 1e-9) | (command > valid[:, 1] + 1e-9)))
+    if outside < OUTSIDE:
+        return []
+    ranges = ", ".join(f"{lower:g} … {upper:g}" for lower, upper in valid)
+    return [
+        f"--on {name}: {outside:.1%} of the command lies outside the {ranges} V that the model is valid for: the reduction is that of "
+        "an extrapolation; check the command's unit"
+    ]

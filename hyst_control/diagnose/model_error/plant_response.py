@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model's linear dynamics lack beside the plant's: a filter behind them, fitted to a baseline record of the same command.
+"""Filter behind a model for what its linear dynamics lack beside the plant's, from a baseline record of the same command.
 
 A model's error that is carried over sample by sample holds for the plant as it was. An effect before the mechanics moves the model's
 output, and the plant answers that with its own dynamics. The filter 1 + Σ c_j q^-j that turns the model's output into what the plant did,

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model may be wrong by in the change that an effect makes, beside an error that is carried over from a baseline record.
+"""Uncertainty of the change that an effect makes, beside a model error that is carried over from a baseline record.
 
 An error that is carried over holds for the plant as it was. An effect before the mechanics moves the model's output by Δ, and a model
 that leaves a share of its output at a frequency is wrong by that share of Δ too:
@@ -34,7 +34,7 @@ def relative_error(problem: Problem, series: Sequence[Annotated[Array, "N A"]]) 
 
 
 def with_uncertain_change(problem: Problem, relative: ErrorSpectrum, change: Annotated[Array, "M A"]) -> Problem:
-    """The problem with the uncertainty of a change of its model's output in its own error."""
+    """The problem with the uncertainty of a change of its model's output in its model discrepancy."""
     moved = _spectrum(problem, np.split(change, problem.edges))
     uncertain = ErrorSpectrum(moved.frequencies, moved.power * relative.power, relative.noise)
     known = problem.own_spectrum

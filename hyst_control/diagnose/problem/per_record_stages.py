@@ -132,7 +132,7 @@ class CarriedError(Stage):
 
 
 class LackingResponse(Stage):
-    """What a model's linear dynamics lack beside the plant's: y_k = u_k + Σ_j taps_j u_{k-j}.
+    """Filter for what a model's linear dynamics lack beside the plant's: y_k = u_k + Σ_j taps_j u_{k-j}.
 
     It is data of one diagnosis and is never written to a model file.
     """

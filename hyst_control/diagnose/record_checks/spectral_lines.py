@@ -14,7 +14,7 @@ from hyst_control.base.arrays import Array, Mask
 from hyst_control.base.signals import convolved, periodogram
 from hyst_control.chain.stage import Sampling
 from hyst_control.diagnose.configuration import CONFIGURATION, CheckSettings
-from hyst_control.diagnose.problem.problem import Problem
+from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.record_checks.summary import effect_found_by
 from hyst_control.effects.effect import Effect, Line, RecordCheck
 
@@ -27,12 +27,14 @@ def lines(
     of_mains, others = [], []
     rows = problem.rows(unexplained)
     index = int(np.argmax(problem.counts))
-    piece, count = problem.pieces[index], problem.counts[index]
+    piece = problem.pieces[index]
     longest, longest_rows = piece.counted(piece.command), np.split(rows, problem.edges)[index]
     rate = 1.0 / problem.sample_time
-    spectra = periodogram(piece.driving, rate, linear=True)[1].T
+    spectra = periodogram(_in_time(piece, piece.driving), rate, linear=True)[1].T
+    in_time = _in_time(piece, longest_rows)
+    count = len(in_time)
     for axis in range(rows.shape[1]):
-        frequency, power = periodogram(longest_rows[:, axis], rate)
+        frequency, power = periodogram(in_time[:, axis], rate)
         width = rate / count
         ratio = power / np.maximum(background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
@@ -69,6 +71,14 @@ def lines(
             for axis in range(rows.shape[1])
         ]
         found[lattice_effect.name] = [step for of_axis in steps for step in of_axis]
+    return found
+
+
+def _in_time(piece: Piece, rows: Annotated[Array, "N A"]) -> Annotated[Array, "M A"]:
+    """Rows that count, at their times: moved together, a line would have another frequency. Those left out in between are at the mean."""
+    begin, end = piece.first, len(piece.mask) - int(np.argmax(piece.mask[::-1]))
+    found = np.repeat(rows.mean(axis=0)[None], end - begin, axis=0)
+    found[piece.mask[begin:end]] = rows
     return found
 
 
