@@ -2,18 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outputs: whole or not at all, through links and devices, and never over what is read."""
 
+import errno
 import json
 import os
 import stat
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hyst_control.base.errors import InputError
-from hyst_control.base.files import check_outputs, check_writable, read_json, replacing, write_json, write_text
+from hyst_control.base.files import appearing, check_outputs, check_writable, read_json, replacing, write_json, write_text
 from hyst_control.cli import main
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
@@ -212,3 +214,20 @@ def test_a_run_is_not_taken_up_from_a_damaged_file(name, words, text, tmp_path, 
     assert main(list(words)) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert [each.name for each in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == text
+
+
+def test_a_folder_that_cannot_be_made_is_told_by_its_own_name(tmp_path, monkeypatch):
+    def refused(path, *_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), path)
+
+    monkeypatch.setattr(os, "mkdir", refused)
+    with pytest.raises(InputError) as told, appearing(tmp_path / "bag"):
+        pass
+    assert str(told.value) == f"{tmp_path / 'bag'}: Read-only file system: choose a folder that can be written"
+
+
+def test_an_open_file_of_the_process_can_be_written_where_its_folder_cannot(tmp_path, monkeypatch):
+    may = os.access
+    monkeypatch.setattr(os, "access", lambda path, *more: Path(path).name != "fd" and may(path, *more))
+    with open(tmp_path / "out.txt", "wb") as file:
+        check_writable(f"/dev/fd/{file.fileno()}")

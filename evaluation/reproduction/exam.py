@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ class Machine:
 
 def tanks() -> Case:
     """Cascaded tanks, 4 s a sample: the record of the estimation, whose first 400 s level out what was before."""
-    rows = read(data_folder("exam") / "tanks.csv", partial(np.loadtxt, delimiter=",", skiprows=1))
+    rows = read(data_folder("exam") / "tanks.csv", _columns)
     record = from_arrays(rows[:, 0], rows[:, 1], 0.25, command_unit="V", unit="V")
     return Case(_linear(record), record, own_records=True, warm_up=400.0)
 
@@ -197,6 +198,14 @@ def run(figures: str | None = None, machines: Sequence[Machine] = MACHINES) -> T
 
 def _arrays(name: str) -> Mapping[str, Array]:
     return read(data_folder("exam") / f"{name}.npz", lambda path: dict(np.load(path)))
+
+
+def _columns(path: Path) -> Array:
+    """Rows (N, C) of a table of two or more columns below a line of names. Raises `ValueError` where there are none."""
+    rows = np.array([line.split(",") for line in path.read_text(encoding="utf-8").splitlines()[1:]], dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] < 2:
+        raise ValueError("holds no rows of two numbers")
+    return rows
 
 
 def _linear(record: Record, start: str = "auto") -> Model:

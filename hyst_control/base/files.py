@@ -44,7 +44,7 @@ def check_writable(path: str | Path) -> None:
         raise InputError(f"{path}: {error.strerror}: choose another name") from None
     if mode is not None and stat.S_ISDIR(mode):
         raise InputError(f"{path}: is a directory: give the name of a file")
-    if mode is not None and not stat.S_ISREG(mode):
+    if mode is not None and (not stat.S_ISREG(mode) or _of_process(target)):
         if not os.access(target, os.W_OK):
             raise InputError(f"{path}: cannot be written: choose another name")
         return
@@ -113,8 +113,12 @@ def appearing(path: Path) -> Iterator[Path]:
     if os.path.lexists(path):
         raise InputError(f"{path}: exists already: choose another name or remove it")
     path.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as temporary:
-        part = Path(temporary) / path.name
+    try:
+        temporary = TemporaryDirectory(dir=path.parent, prefix=f".{path.name[:200]}-")
+    except OSError as error:  # which would name the temporary folder
+        raise InputError(refusal(error, path, "choose a folder that can be written")) from None
+    with temporary as place:
+        part = Path(place) / path.name
         yield part
         part.rename(path)
 
@@ -138,10 +142,16 @@ def write_text(path: str | Path, text: str, private: bool = False) -> None:
         file.write(data)
 
 
-def write_texts(folder: str | Path, texts: Mapping[str, str]) -> list[Path]:
-    """Write files of these names into a folder, where it is new all of them or none; `InputError` when that cannot be."""
+def write_texts(folder: str | Path, texts: Mapping[str, str], mark: str) -> list[Path]:
+    """Write files of these names into a folder, where it is new all of them or none; `InputError` when that cannot be.
+
+    A file that is there is replaced only where it holds `mark`, which every text must hold: another one is somebody's own.
+    """
     folder = Path(folder)
     new = not folder.exists()
+    for path in (folder / name for name in texts):
+        if path.is_file() and mark.encode() not in path.read_bytes():
+            raise InputError(f"{path}: would be replaced, but does not say {mark!r}: choose another folder, or move the file away")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

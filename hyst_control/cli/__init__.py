@@ -7,6 +7,7 @@ Other distributions add theirs by the entry points `hyst_control.commands`, as `
 A subcommand module has `NAME`, `HELP`, `add_arguments(parser)` and `run(arguments)`, and where it has such arguments `READS` and `WRITES`:
 names of those that are files or folders. `JSON` says what `--json` writes where that is no table. `run` returns a `CommandResult` with,
 where it is not 0, an `exit_status`, and a line `refusal` where nothing came out; or an exit status when it has printed everything itself.
+A command that writes its JSON long before it ends calls `arguments.publish()` then, which `--json -` needs.
 Imports of the library stand within `run`, so that `hyst --help` is quick. `--json` and `--quiet` are
 added here for every subcommand.
 """
@@ -94,6 +95,7 @@ def parser() -> Parser:
         )
         sub.add_argument("--quiet", action="store_true", help="do not show progress (it is shown on a terminal only)")
         sub.set_defaults(run=command.run, reads=getattr(command, "READS", ()), writes=("json", *getattr(command, "WRITES", ())))
+        sub.set_defaults(publish=lambda: None)
     return top
 
 
@@ -182,11 +184,17 @@ def run(arguments: argparse.Namespace) -> int:
             check_writable(arguments.json)  # before a run that may take an hour
         return _run_and_print(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "result.json"
+        path, output = Path(folder) / "result.json", sys.stdout
+
+        def publish() -> None:
+            if path.exists():
+                output.write(path.read_text(encoding="utf-8"))
+                output.flush()
+                path.unlink()
+
         with redirect_stdout(sys.stderr):
-            status = _run_and_print(argparse.Namespace(**{**vars(arguments), "json": str(path)}))
-        if path.exists():
-            sys.stdout.write(path.read_text(encoding="utf-8"))
+            status = _run_and_print(argparse.Namespace(**{**vars(arguments), "json": str(path), "publish": publish}))
+        publish()
     return status
 
 

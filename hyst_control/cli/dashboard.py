@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     def opened(url: str) -> None:
         if arguments.json is not None:
             write_json(arguments.json, {"url": url}, private=True)
+            arguments.publish()
         print(f"{url}\nCtrl-C ends the page; the loop goes on", flush=True)
 
     loop = LoopSettings(arguments.rate, arguments.schedule, tuple(arguments.axes), arguments.unit, arguments.namespace)

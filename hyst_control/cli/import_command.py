@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
 
     from hyst_control.base import progress
     from hyst_control.base.errors import InputError
-    from hyst_control.records.bags.bag_fields import read_fields
+    from hyst_control.records.bags.bag_fields import read_runs
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.records.tables.importing import import_records, parse_columns
     from hyst_control.records.tables.listing import listed_columns
@@ -99,8 +99,8 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     if columns is None:
         return written(arguments.output, [read_bag(arguments.file).shifted(arguments.shift)])
     if is_bag:
-        record = read_fields(Path(arguments.file), columns, arguments.hold, arguments.resample, arguments.allow_gaps)
-        return written(arguments.output, [record.shifted(arguments.shift)])
+        records = read_runs(Path(arguments.file), columns, arguments.hold, arguments.resample, arguments.allow_gaps)
+        return written(arguments.output, [record.shifted(arguments.shift) for record in records])
     try:
         first, _, last = arguments.rows.partition(":")
         rows = (int(first or 0), int(last) if last else None)

@@ -142,9 +142,13 @@ def _of_bags(arguments: argparse.Namespace) -> tuple[list[Panel], tuple[str, ...
 
         model = load_model(arguments.model)
         panels = (bode_of if arguments.bode else beside)(model, record)
-        return panels, (*record.notes, *check_pair(model.name, model, record))
-    if arguments.bode:
-        return bode_of_record(record), record.notes
+        notes = (*record.notes, *check_pair(model.name, model, record))
+    elif arguments.bode:
+        panels = bode_of_record(record)
+    if arguments.bode and not any(len(line.x) for line in panels[-1].lines):  # of the coherence, which every measured frequency has
+        raise InputError(f"{record.source}: too few samples for a frequency response: choose a longer part (--from, --to)")
+    if compared:
+        return [panel for panel in panels if any(len(line.x) for line in panel.lines)], notes  # an empty one has no scale
     if xy is not None:
         return over_each_other(record, *xy, *others, color=arguments.color), notes
     return (spectra if arguments.spectrum else over_time)(*records), notes

@@ -45,6 +45,7 @@ def run(arguments: argparse.Namespace) -> CommandResult | int:
     from hyst_control.base import progress
     from hyst_control.base.errors import InputError
     from hyst_control.base.yaml_files import read_yaml
+    from hyst_control.nodes.execution.command_line import in_namespace
     from hyst_control.nodes.execution.run import main
     from hyst_control.nodes.recorder import Recorder
     from hyst_control.reporting.artifacts import Artifacts
@@ -56,7 +57,7 @@ def run(arguments: argparse.Namespace) -> CommandResult | int:
     same = ("output", "topics", "schedule", "duration", "ticks", "merge")
     parameters = {"rate_hz": arguments.rate} | {name: getattr(arguments, name) for name in same}
     given = [word for name, value in parameters.items() if value is not None for word in ("-p", f"{name}:={json.dumps(value)}")]
-    remaps = ["-r", f"__ns:=/{arguments.namespace.strip('/')}"] if arguments.namespace else []
+    remaps = in_namespace(arguments.namespace or "")
     progress.step(f"record to {arguments.output}; Ctrl-C ends it")
     if status := main(Recorder, args=["hyst", "--ros-args", *given, *remaps]):
         return status

@@ -190,6 +190,12 @@ class Evidence:
     plainer: tuple[tuple[str, str], ...] = ()
     # Rms by which the coefficients of "no effect" move the simulation, beyond the model discrepancy, as a share of the range
     moved: float = 0.0
+    nominal: float = 0.0  # Energy of the nominal model's residual, with no coefficient moved, noise energies
+
+    def before(self, chosen: int) -> float:
+        """Energy that an explanation begins with: coefficients alone also take off what moves them in "no effect"."""
+        least = self.hypotheses[0].energy
+        return max(least, self.nominal) if self.hypotheses[chosen].coefficients_alone else least
 
     def without(self, indices: Collection[int]) -> Evidence:
         """Drop hypotheses: they claim nothing, whatever they scored."""

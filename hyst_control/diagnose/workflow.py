@@ -288,8 +288,8 @@ def _command(path: str, namespace: str | None, unit: str, columns: str | None, s
         [record, *_] = read_bag(path, namespace, unit, columns=columns).aligned(("command",))
         if abs(record.sample_time - sample_time) > RATES_DIFFER * sample_time:
             raise InputError(
-                f"--on {path}: has {1.0 / record.sample_time:.6g} samples/s, the records {1.0 / sample_time:.6g}: give what hyst edit "
-                f"{path} --resample {1.0 / sample_time:.6g} writes"
+                f"--on {path}: has {1.0 / record.sample_time:.6g} samples/s, the records {1.0 / sample_time:.6g}: bring it to their rate "
+                f"(hyst edit or hyst import, --resample {1.0 / sample_time:.6g})"
             )
         return record.command
     rows = read_array(path)

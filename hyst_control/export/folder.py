@@ -22,7 +22,7 @@ from hyst_control.chain.c_code.c_code import CCode
 from hyst_control.export.c_source import Program, header, source
 from hyst_control.export.compiled import c_compiler
 from hyst_control.export.controller import Controller
-from hyst_control.export.programs import Exported
+from hyst_control.export.programs import MADE_BY, Exported
 from hyst_control.reporting.templates import render
 
 ROWS = 400  # Golden vectors
@@ -60,7 +60,7 @@ def write_folder(
     }
     if plant is not None:
         texts.update(_loop(exported, plant, values))
-    return write_texts(folder, texts)
+    return write_texts(folder, texts, MADE_BY)
 
 
 def _loop(exported: Exported, plant: Exported, values: Mapping[str, object]) -> dict[str, str]:
@@ -94,7 +94,7 @@ def golden(exported: Exported) -> str:
         return [f"static const double {name}[][{values.shape[1]}] = {{", *lines, "};", ""]
 
     head = [
-        "/* Made by Python: the first row is settled at, the others are stepped through. */",
+        "/* Made by hyst export with Python: the first row is settled at, the others are stepped through. */",
         f"enum {{ ROWS = {len(rows)} }};",
         "",
     ]

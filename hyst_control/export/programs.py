@@ -34,6 +34,8 @@ HELD = {
 }
 """The command between the ticks, and when the measurement is, by the hold."""
 
+MADE_BY = "Made by hyst export"  # Stands at the head of every file of a folder, by which it is known when it is written again
+
 
 @dataclass(frozen=True)
 class Exported:
@@ -379,7 +381,7 @@ def _hold(model: Model, hold: str) -> str:
 
 
 def _made_by() -> str:
-    return f"Made by hyst export, hyst_control {installed_version('0')}: the same input gives the same bytes."
+    return f"{MADE_BY}, hyst_control {installed_version('0')}: the same input gives the same bytes."
 
 
 def _sha(model: Model) -> str:

@@ -12,7 +12,7 @@ from hyst_control.base.installed import installed_version
 from hyst_control.export.c_source import header, source
 from hyst_control.export.c_text import c_comment, c_identifiers
 from hyst_control.export.controller import Controller
-from hyst_control.export.programs import Exported
+from hyst_control.export.programs import MADE_BY, Exported
 from hyst_control.reporting.templates import render
 
 TEMPLATES = ("CMakeLists.txt", "controller.cpp", "controllers.yaml", "package.xml", "plugin.xml")
@@ -38,4 +38,5 @@ def write_package(exported: Exported, folder: str | Path) -> list[Path]:
         "description": program.facts[0],
     }
     texts = {f"{program.name}.h": header(program), f"{program.name}.c": source(program)}
-    return write_texts(folder, texts | {name: render(f"export/templates/ros2_control/{name}", **values) for name in TEMPLATES})
+    texts |= {name: render(f"export/templates/ros2_control/{name}", **values) for name in TEMPLATES}
+    return write_texts(folder, texts, MADE_BY)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from hyst_control.base.arrays import Array
@@ -56,10 +57,17 @@ class CourseFit:
         return float(self._level - size * self._means[index])
 
 
+def successive_differences(*quantities: Annotated[Array, "U T"]) -> tuple[Annotated[Array, "Q D"], NDArray[np.intp]]:
+    """Differences of Q quantities between successive runs of a unit in which all are known, and the columns (D,) of the earlier runs."""
+    # Columns are the times of all units: where units have times of their own, a unit's next run is not in the next column.
+    unit, run = np.nonzero(np.all(np.isfinite(quantities), axis=0))
+    same = unit[1:] == unit[:-1]
+    return np.diff([values[unit, run] for values in quantities])[:, same], run[:-1][same]
+
+
 def run_variance(values: Annotated[Array, "U T"]) -> float:
     """Variance of the differences of successive runs over a fleet; robust to a few units that change."""
-    differences = np.diff(values, axis=1)
-    known = differences[np.isfinite(differences)]
+    (known,), _ = successive_differences(values)
     if not len(known):
         return 0.0
     spread = MAD * np.median(np.abs(known - np.median(known)))

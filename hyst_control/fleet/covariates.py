@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from hyst_control.base.arrays import Array
-from hyst_control.fleet.course_fit import MAD
+from hyst_control.fleet.course_fit import MAD, successive_differences
 
 HUBER = 1.345
 """Residual, in standard deviations, from which a difference counts less: 95 % efficient for a normal law (Huber 1981)."""
@@ -48,10 +48,7 @@ def take_out(
 
 
 def _slope(quantity: str, name: str, values: Array, covariate: Array) -> CovariateEffect | None:
-    rise, change = np.diff(covariate, axis=1), np.diff(values, axis=1)
-    known = np.isfinite(rise) & np.isfinite(change)
-    x, y = rise[known], change[known]
-    run = np.nonzero(known)[1]
+    (x, y), run = successive_differences(covariate, values)
     spread = MAD * np.median(np.abs(y - np.median(y))) if len(y) else 0.0
     if len(x) < MIN_DIFFERENCES or spread <= 0.0 or np.ptp(x) <= 0.0:
         return None

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import csv
 import glob
+import itertools
 import os
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -53,12 +55,11 @@ def moment(text: str) -> float:
 
 
 def is_date(text: str) -> bool:
-    """Tell a time that is no number."""
+    """Tell a time that is no finite number."""
     try:
-        float(text or "nan")
+        return bool(text) and not np.isfinite(float(text))
     except ValueError:
         return True
-    return False
 
 
 def read_manifest(
@@ -66,14 +67,15 @@ def read_manifest(
 ) -> list[Entry]:
     """Read manifests, or make one from the names of bags."""
     # names: regular expression with the groups `unit` and, if wanted, `time` that is searched in a bag's path; without it the unit
-    # is the folder that a bag lies in, and the time the bag's place among its unit's names
+    # is the folder that a bag lies in; without any time it is the bag's place among those of its unit
     entries: list[Entry] = []
     bags: list[str] = []
     for source in sources:
         if source.endswith(TABLES):
             entries += _of_table(Path(source))
             continue
-        found = sorted(glob.glob(source, recursive=True)) if glob.has_magic(source) else [source]
+        pattern = glob.has_magic(source) and not os.path.exists(source)
+        found = sorted(glob.glob(source, recursive=True)) if pattern else [source]
         if not found:
             raise InputError(f"{source}: no file or folder has such a name")
         bags += map(str, bags_in(found))
@@ -81,13 +83,30 @@ def read_manifest(
     if not entries:
         raise InputError(f"{', '.join(sources) or 'manifest'}: lists no records")
     entries = [replace(each, model=each.model or model or "", baseline=each.baseline or tuple(baseline)) for each in entries]
+    entries = _with_times(entries)
     seen: set[str] = set()
+    runs: dict[tuple[str, float], str] = {}
     for entry in entries:
         if entry.bag in seen:
             raise InputError(f"{entry.bag}: is listed twice")
         seen.add(entry.bag)
-        entry.moment  # noqa: B018  (raises where it is none)
-    return sorted(entries, key=lambda entry: (entry.unit, np.nan_to_num(entry.moment), entry.bag))
+        other = runs.setdefault((entry.unit, entry.moment), entry.bag)
+        if other != entry.bag:
+            raise InputError(
+                f"{entry.bag}: time: {other} of the same unit has {entry.time} too: "
+                "give every record of a unit its own time, or leave the times out"
+            )
+    return sorted(entries, key=lambda entry: (entry.unit, entry.moment, entry.bag))
+
+
+def _with_times(entries: Sequence[Entry]) -> list[Entry]:
+    """Entries whose times are of one kind; without any time the records of a unit are counted in the order given."""
+    kinds = {"a date" if is_date(entry.time) else "a number" if entry.time else "none": entry.bag for entry in entries}
+    if len(kinds) > 1:
+        found = ", ".join(f"{kind} at {bag}" for kind, bag in kinds.items())
+        raise InputError(f"time: {found}: give all records numbers, give all dates, or leave the times out")
+    places: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
+    return [entry if entry.time else replace(entry, time=str(next(places[entry.unit]))) for entry in entries]
 
 
 def _of_table(path: Path) -> Iterator[Entry]:
@@ -145,12 +164,9 @@ def _of_names(bags: Sequence[str], names: str | None) -> Iterator[Entry]:
         raise InputError(f"--names {names}: is no regular expression ({error})") from None
     if pattern is not None and "unit" not in pattern.groupindex:
         raise InputError(f"--names {names}: needs a group (?P<unit>...)")
-    count: dict[str, int] = {}
     for bag in bags:
         if pattern is None:
-            unit = Path(os.path.realpath(bag)).parent.name
-            count[unit] = count.get(unit, -1) + 1
-            yield Entry(bag, unit, str(count[unit]))
+            yield Entry(bag, Path(os.path.realpath(bag)).parent.name)
             continue
         found = pattern.search(bag)
         if found is None:

@@ -19,7 +19,14 @@ def score_study(study: str | Path, labels: str | Path) -> Table:
     """Compare a study's changes with the labels of its fleet; a unit's run is that of its most probable shift."""
     found = _document(Path(study) / "fleet.json", ("onsets", "trends", "common_causes"))
     truth = _document(Path(labels), ("units", "runs", "driver"))
-    begins = {unit["name"]: float(unit["begins"]) for unit in truth["units"] if unit["effect"]}
+    shared = truth["driver"]
+    try:
+        begins = {unit["name"]: float(unit["begins"]) for unit in truth["units"] if unit["effect"]}
+        driver, effect = ("", "") if shared is None else (str(shared["driver"]), str(shared["effect"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{labels}: holds no labels of a fleet ({error!r}): give the file that hyst cases make --fleet wrote"
+        ) from None
     named: dict[str, float | None] = {}
     for claim in sorted([*found["onsets"], *found["trends"]], key=lambda claim: -claim["probability"]):
         if named.get(claim["unit"]) is None:
@@ -37,10 +44,10 @@ def score_study(study: str | Path, labels: str | Path) -> Table:
             table.add(
                 "onsets", f"{count} units, {truth['runs']} runs", "units with an effect", quantity, "1", part / whole, n=whole
             )
-    if truth["driver"] is not None:
+    if driver:
         causes = {(cause["column"], cause["value"]) for cause in found["common_causes"]}
-        hit = ("driver", truth["driver"]["driver"]) in causes
-        table.add("common causes", truth["driver"]["driver"], truth["driver"]["effect"], "driver named", "1", float(hit))
+        hit = ("driver", driver) in causes
+        table.add("common causes", driver, effect, "driver named", "1", float(hit))
         others = sum(column == "driver" for column, _ in causes) - hit
         table.add("common causes", "all", "all", "other drivers named", "1", float(others))
     if not table.rows:

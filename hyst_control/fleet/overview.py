@@ -19,6 +19,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.effects import EFFECTS
 from hyst_control.fleet.change_points import Onset, Trend, find_changes, forecast
 from hyst_control.fleet.common_causes import CommonCause, find_common_causes, shared_columns
+from hyst_control.fleet.course_fit import successive_differences
 from hyst_control.fleet.covariates import CovariateEffect, take_out
 from hyst_control.fleet.manifest import is_date
 from hyst_control.fleet.outliers import Outlier, find_outliers
@@ -169,8 +170,7 @@ def _covariates(
                 values[at] = float(row.get(name) or "nan")
         except ValueError:
             continue
-        differences = np.diff(values, axis=1)
-        if np.any(differences[np.isfinite(differences)] != 0.0):
+        if np.any(successive_differences(values)[0] != 0.0):
             found[name] = values
     return found
 

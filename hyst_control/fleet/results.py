@@ -22,6 +22,7 @@ SECONDS_PER_PART = 10.0
 DONE, FAILED = "done", "failed"
 NUMBER = re.compile(r"[+-]?(0|[1-9]\d{0,14})(\.\d*)?([eE][+-]?\d{1,2})?|nan", re.IGNORECASE)
 """A text that a double holds; names such as 007 or a long serial number are none."""
+OTHERS = "others.parquet"  # Results of records that the manifest does not list
 OWN = ("unit", "time", "moment", "bag", "status", "reason", "mark")  # Columns that every table of results has
 
 
@@ -75,15 +76,19 @@ class Results:
     """Rows of a study in its folder, written in parts as they come."""
 
     def __init__(self, folder: Path, kind: str, columns: Sequence[str]) -> None:
-        self.whole, self._parts = folder / "records.parquet", folder / "parts"
+        self.whole, self._others, self._parts = folder / "records.parquet", folder / OTHERS, folder / "parts"
         self._kind, self._columns = kind, columns
         self._schema = schema(kind, columns)
         self._waiting: list[Mapping[str, Any]] = []
         self._written = time.monotonic()
 
+    def newest(self, columns: list[str] | None = None) -> dict[str, dict[str, Any]]:
+        """Newest row of every record that was ever computed here, by its bag, with these columns or all."""
+        return {row["bag"]: row for row in self.rows(columns, [self._others])}
+
     def marks(self) -> dict[str, str]:
         """Mark of every record that is done, by its bag."""
-        newest = {row["bag"]: row for row in self.rows(["bag", "mark", "status"])}
+        newest = self.newest(["bag", "mark", "status"])
         return {bag: row["mark"] for bag, row in newest.items() if row["status"] == DONE}
 
     def add(self, row: Mapping[str, Any]) -> None:
@@ -102,23 +107,30 @@ class Results:
         self._write(self._parts / f"{max(taken, default=-1) + 1:06d}.parquet", self._waiting)
         self._waiting = []
 
-    def join(self, bags: Sequence[str]) -> None:
-        """Make one file of all parts: the newest row of every record of the manifest, with numbers in columns that hold nothing else."""
+    def join(self, rows: Sequence[Mapping[str, Any]]) -> int:
+        """Make one file of the rows of a manifest, with numbers in columns that hold nothing else; the number of others that are kept."""
+        bags = {row["bag"] for row in rows}
+        # Results of another manifest's records: no part of this study, but not to be computed again under that manifest.
+        others = [row for bag, row in self.newest().items() if bag not in bags and row["status"] == DONE]
+        self._waiting = [*others]  # in a part until both files are written: an end between them loses nothing
         self.flush()
-        newest = {row["bag"]: row for row in self.rows()}
-        rows = [newest[bag] for bag in bags if bag in newest]
         numeric = [name for name in self._columns if _is_numeric([row.get(name) or "" for row in rows])]
         rows = [{**row, **{name: float(row[name]) if row.get(name) else None for name in numeric}} for row in rows]
         self._write(self.whole, rows, schema(self._kind, self._columns, numeric))
+        if others:
+            self._write(self._others, others)
+        else:
+            self._others.unlink(missing_ok=True)
         for file in self._parts.glob("*.parquet"):
             file.unlink()
         if self._parts.is_dir():
             os.rmdir(self._parts)
+        return len(others)
 
-    def rows(self, columns: list[str] | None = None) -> Iterator[dict[str, Any]]:
-        """Rows of all files, with these columns or all; a record that was computed again comes again. The manifest's columns are texts."""
+    def rows(self, columns: list[str] | None = None, before: Sequence[Path] = ()) -> Iterator[dict[str, Any]]:
+        """Rows of all files, those `before` first, with these columns or all, the manifest's as texts; a record's newest comes last."""
         pa = arrow()
-        for file in filter(Path.exists, (self.whole, *sorted(self._parts.glob("*.parquet")))):
+        for file in filter(Path.exists, (*before, self.whole, *sorted(self._parts.glob("*.parquet")))):
             try:
                 with pa.parquet.ParquetFile(file) as opened:
                     held = opened.schema_arrow

@@ -23,7 +23,7 @@ from hyst_control.fleet.manifest import Entry
 from hyst_control.fleet.overview import Overview, overview
 from hyst_control.fleet.overview_page import write_overview
 from hyst_control.fleet.record_jobs import GAPS, KINDS, ONSETS, OPEN, RecordJob, compute, mark
-from hyst_control.fleet.results import DONE, FAILED, Results, schema
+from hyst_control.fleet.results import DONE, FAILED, OTHERS, Results, schema
 from hyst_control.fleet.split_axes import split_axes
 
 SCHEMA = "hyst_control/fleet"
@@ -43,6 +43,7 @@ class Study:
     failed: Mapping[str, str]  # Reasons by bag
     seconds: float  # Duration of this run
     verdicts: Mapping[str, int]  # Number of records by verdict; empty but for "diagnose"
+    others: int  # Results that are kept of records that the manifest does not list
 
     def document(self) -> dict[str, Any]:
         """Summary as JSON types."""
@@ -79,6 +80,8 @@ class Study:
         lines += [f"failed: {bag}: {reason}" for bag, reason in list(self.failed.items())[:MAX_NAMED]]
         if len(self.failed) > MAX_NAMED:
             lines.append(f"and {len(self.failed) - MAX_NAMED} more, see records.parquet")
+        if self.others:
+            lines.append(f"kept in {self.folder / OTHERS}: {self.others} results of records that the manifest does not list")
         return "\n".join([*lines, f"written: {self.folder / 'records.parquet'}", f"written: {self.folder / 'fleet.html'}"])
 
 
@@ -118,16 +121,17 @@ def run_study(
     run = _Run(results, workers, version, known, note)
     run.compute([RecordJob(kind, entry, options, os.path.realpath(folder)) for entry in entries])
     if options.get("only") == ONSETS:
-        rows = _newest(results)
+        # Without what a diagnosis named: the changes must not depend on where a run was ended.
+        rows = [{**row, "verdict": OPEN, "effects": []} if row["status"] == DONE else row for row in _rows(results, entries)]
         changed = _changed(overview(kind, rows, columns, limits), rows)
         whole = {**options, "only": GAPS}
         run.compute([RecordJob(kind, entry, whole, os.path.realpath(folder)) for entry in entries if entry.bag in changed])
-    results.join([entry.bag for entry in entries])
-    rows = list(results.rows())
+    rows = _rows(results, entries)
+    others = results.join(rows)
     write_overview(overview(kind, rows, columns, limits), rows, folder)
     verdicts = Counter(row["verdict"] for row in rows if row["status"] == DONE) if kind == "diagnose" else Counter()
     kept = len(entries) - len(run.computed | set(run.failed))
-    study = Study(kind, folder, len(entries), len(run.computed), kept, run.failed, time.monotonic() - begin, verdicts)
+    study = Study(kind, folder, len(entries), len(run.computed), kept, run.failed, time.monotonic() - begin, verdicts, others)
     write_json(folder / SUMMARY, {**study.document(), "finished": True})
     return study
 
@@ -175,12 +179,10 @@ class _Run:
             self.results.flush()  # also when interrupted: what is computed stays
 
 
-def _newest(results: Results) -> list[dict[str, Any]]:
-    """Newest row of every record, without what a diagnosis named: the changes must not depend on where a run was ended."""
-    rows: dict[str, dict[str, Any]] = {}
-    for row in results.rows():
-        rows[row["bag"]] = {**row, "verdict": OPEN, "effects": []} if row["status"] == DONE else row
-    return list(rows.values())
+def _rows(results: Results, entries: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Newest row of every record of the manifest, with the manifest's columns as they are now."""
+    newest = results.newest()
+    return [{**newest[entry.bag], **_listed(entry)} for entry in entries if entry.bag in newest]
 
 
 def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
@@ -193,7 +195,7 @@ def _changed(seen: Overview, rows: Sequence[Mapping[str, Any]]) -> set[str]:
     clearest: dict[str, Mapping[str, Any]] = {}
     for row in rows:
         unit = row["unit"]
-        if row["status"] != DONE or row["moment"] < since.get(unit, float("inf")) or row["gap_rms"] is None:
+        if row["status"] != DONE or not row["moment"] >= since.get(unit, float("inf")) or row["gap_rms"] is None:
             continue
         # A gap to the model alone is none to baseline records: those with clean ones first.
         clearest[unit] = max(clearest.get(unit, row), row, key=lambda one: (bool(one["baseline"]), one["gap_rms"]))
@@ -209,10 +211,14 @@ def _columns_apart(entries: Sequence[Entry], own: Sequence[str]) -> list[Entry]:
 
 
 def _row(job: RecordJob, found: str, version: str, result: Mapping[str, Any] | None, reason: str) -> dict[str, Any]:
-    entry = job.entry
-    own = {name: getattr(entry, name) for name in ("unit", "time", "moment", "bag", "model")}
     ends = {"status": FAILED if result is None else DONE, "reason": reason, "version": version, "mark": found}
-    return {**own, "baseline": list(entry.baseline), **entry.columns, **(result or {}), **ends}
+    return {**_listed(job.entry), **(result or {}), **ends}
+
+
+def _listed(entry: Entry) -> dict[str, Any]:
+    """Columns of a row that come from the manifest."""
+    own = {name: getattr(entry, name) for name in ("unit", "time", "moment", "bag", "model")}
+    return {**own, "baseline": list(entry.baseline), **entry.columns}
 
 
 def _check_kind(folder: Path, kind: str) -> None:

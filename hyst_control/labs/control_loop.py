@@ -7,10 +7,12 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
@@ -76,14 +78,14 @@ class ControlLoop:
 
     def start(self) -> None:
         """Take the present position as reference, and run."""
-        self.target = np.array(self._driver.read(), dtype=float)
+        self.target = self._finite("driver: read()", self._measured())
         self.reference = self.target.copy()
         self._thread.start()
 
     def move(self, axis: int, position: float) -> None:
         """Send the reference of one axis to a position."""
         target = self.target.copy()
-        target[axis] = position
+        target[axis] = self._finite("move", position)
         self.target = target
 
     def stop(self, timeout: float = 10.0) -> None:
@@ -94,7 +96,9 @@ class ControlLoop:
 
     def play(self, rows: Annotated[Array, "N A"]) -> None:
         """Follow rows of references, one a tick; `played` has what was measured. It begins where the reference is."""
-        rows = np.asarray(rows, dtype=float).reshape(-1, len(self.axes))
+        rows = self._finite("play", rows).reshape(-1, len(self.axes))
+        if not len(rows):
+            raise InputError("play: has no rows: give one row of references per tick")
         if np.abs(rows[0] - self.reference).max() > self._step:
             raise InputError(
                 f"play: begins at {rows[0].tolist()}, the reference is {self.reference.tolist()} {self.unit}: move there first"
@@ -117,14 +121,17 @@ class ControlLoop:
         measurement = np.full(len(self.axes), np.nan)
         failed = False
         try:
-            measurement = np.asarray(self._driver.read(), dtype=float)
+            measurement = self._measured()
         except Exception:  # whatever a driver raises must not end the loop: it is a missing measurement
             failed = True
         if self.playing:
-            self.reference = self._played[0][len(self._played[1])]
+            wanted = self._played[0][len(self._played[1])]
         else:
-            self.reference = self.reference + np.clip(self.target - self.reference, -self._step, self._step)
-        row = np.concatenate([self.reference, measurement, [float(self.enabled and not self._ending)]])
+            step = np.clip(self.target - self.reference, -self._step, self._step)
+            wanted = self.reference + np.where(np.isfinite(self.target), step, np.nan)
+        if np.isfinite(wanted).all():  # to the controller another one is a missing reference; the next target goes on from the last
+            self.reference = wanted
+        row = np.concatenate([wanted, measurement, [float(self.enabled and not self._ending)]])
         out = self._controller.process(row[None])[0]
         command = out[: len(self.axes)]
         try:
@@ -136,6 +143,23 @@ class ControlLoop:
         self.measurement, self.command = measurement, command
         self.fault = FAULTS[int(out[-1])] if not failed or out[-1] else DRIVER
         self.ticks += 1
+
+    def _measured(self) -> Annotated[Array, "A"]:
+        """Measurement of this moment; the controller's rows have place for one number per axis, and for nothing else."""
+        given = self._driver.read()
+        with suppress(TypeError, ValueError):
+            if (measurement := np.array(given, dtype=float)).shape == (len(self.axes),):
+                return measurement
+        raise InputError(
+            f"driver: read() gave {' '.join(repr(given).split()):.60}: return one number per axis ({', '.join(self.axes)})"
+        )
+
+    def _finite(self, what: str, values: ArrayLike) -> Array:
+        """Convert positions, and refuse those that are none."""
+        found = np.array(values, dtype=float)
+        if not np.isfinite(found).all():
+            raise InputError(f"{what}: must be finite {self.unit}, got {found[~np.isfinite(found)][0]}")
+        return found
 
     @property
     def _at_rest(self) -> bool:

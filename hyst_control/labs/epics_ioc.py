@@ -94,12 +94,12 @@ def main(words: list[str] | None = None) -> int:
             driver = SimulatedDriver(given.model, controller(given.parameters).program.sample_time)
         loop = ControlLoop.from_file(given.parameters, driver, given.speed)
         variables = database(loop, given.prefix)
+        from caproto.asyncio.server import run
+
+        loop.start()
     except InputError as error:
         print(f"epics_ioc: {error}", file=sys.stderr)
         return 2
-    from caproto.asyncio.server import run
-
-    loop.start()
     try:
         run(variables, interfaces=[given.interface], log_pv_names=True)
     finally:

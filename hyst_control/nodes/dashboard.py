@@ -33,6 +33,7 @@ from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.dashboard.live_state import LiveState, NodeState
 from hyst_control.nodes.execution import interrupts
+from hyst_control.nodes.execution.command_line import in_namespace
 from hyst_control.nodes.execution.ending_node import EndingNode
 from hyst_control.nodes.execution.run import close, spin
 from hyst_control.nodes.live_view import LiveView
@@ -71,9 +72,8 @@ class LoopSettings:
     @property
     def arguments(self) -> list[str]:
         """ROS arguments that give them to nodes."""
-        space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace.strip("/") else []
         values = [word for name, value in self.parameters.items() for word in ("-p", f"{name}:={json.dumps(value)}")]
-        return ["hyst", "--ros-args", *space, *values]
+        return ["hyst", "--ros-args", *in_namespace(self.namespace), *values]
 
 
 class DashboardNode(EndingNode):

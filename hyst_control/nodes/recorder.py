@@ -57,7 +57,6 @@ class Recorder(SignalNode):
         if not self.settings.output:
             raise InputError(f"{self.get_name()}: parameter output: give the directory of the bag")
         self.ends = self.settings.ticks > 0 or self.settings.duration > 0
-        self._writer = open_bag(self.settings.output)
         self._progress = self.create_publisher(Int64, "recorded", QUEUE)
         self.last_complete_tick = -1
         self._repetition = RepetitionBackoff(time.monotonic(), longest=REPEAT_INTERVAL)  # of the progress
@@ -66,10 +65,11 @@ class Recorder(SignalNode):
             RecordedTopic(self, topic, self.store, again, self.settings.merge, self.settings.ticks)
             for topic in self.settings.topics
         ]
-        for topic in self._topics:
-            self._writer.add_topic(topic.name)
         beside = not self.lockstep and "command" in self.settings.topics and APPLIED not in self.settings.topics
         self._beside = [RecordedTopic(self, APPLIED, self.store, again, sparse=True)] if beside else []
+        self._writer = open_bag(self.settings.output)  # once nothing else can be refused, which would leave an empty one
+        for topic in self._topics:
+            self._writer.add_topic(topic.name)
         self.every(DRAIN_INTERVAL[self.settings.schedule], self._drain)
         self.every(0.5, self._flush)
         if self.settings.duration:

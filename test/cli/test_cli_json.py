@@ -171,3 +171,15 @@ def test_progress_shows_on_a_terminal_and_its_parts_elsewhere(monkeypatch, is_te
     elif wanted:
         assert "1/2 first" in terminal.written and "2/2 second: inner" in terminal.written and "after" in terminal.written
     progress.step("nobody listens")
+
+
+def test_the_address_of_a_page_is_printed_while_it_is_served(monkeypatch, capsys):
+    dashboard = pytest.importorskip("hyst_control.nodes.dashboard")
+
+    def serve(*settings):
+        settings[-1]("http://127.0.0.1:1/token/")
+        assert json.loads(capsys.readouterr().out) == {"url": "http://127.0.0.1:1/token/"}
+        return 0
+
+    monkeypatch.setattr(dashboard, "serve", serve)
+    assert main(["dashboard", "--json", "-"]) == 0 and not capsys.readouterr().out  # once

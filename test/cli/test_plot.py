@@ -122,6 +122,17 @@ def test_what_cannot_be_drawn_is_said(record, tmp_path, monkeypatch, capsys, wor
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_frequency_response_of_two_samples_is_refused(record, tmp_path, capsys):
+    write_bag(tmp_path / "r", record)
+    last = record.signal("command").time[-2]
+    assert main(["plot", str(tmp_path / "r"), "--bode", "--from", f"{last:.6f}", "--output", str(tmp_path / "r.png")]) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        f"hyst plot: {tmp_path / 'r'}: too few samples for a frequency response: choose a longer part (--from, --to)"
+    ]
+    assert not (tmp_path / "r.png").exists()
+
+
 @pytest.fixture
 def stage(tmp_path):
     """A first-order stage, as a model file and as its record."""

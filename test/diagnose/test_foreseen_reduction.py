@@ -26,6 +26,7 @@ from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.identify.model_error.learned_discrepancy import learn
 from hyst_control.model_file import save_model, simulate
+from hyst_control.records.record import Record
 from hyst_control.records.session_zero import without_zero
 from hyst_control.records.tables.importing import write_bag
 
@@ -149,3 +150,52 @@ def test_the_own_error_on_a_command_to_come_is_predicted_from_what_others_taught
     true = float(np.mean(without_zero(errors[2])[0] ** 2))
     assert known.error_energy(commands[2], step) == pytest.approx(true, rel=0.3)
     assert replace(known, learned=None).error_energy(commands[2], step) == pytest.approx(0.05**2)
+
+
+@pytest.fixture
+def diagnosed_bag(answer, tmp_path, monkeypatch):
+    """`hyst diagnose` of a record as named fields, with the diagnosis made above; how often that was asked for; and the record."""
+    _, record, model, document, diagnosis, better = answer("pea_published")
+    asked = []
+
+    def known(*_, **__):
+        asked.append(1)
+        return dict(document, notes=list(document["notes"])), diagnosis, better
+
+    monkeypatch.setattr(workflow, "diagnosed", known)
+    signals = {{"command": "drive", "measurement": "sensor"}[name]: signal for name, signal in record.signals.items()}
+    write_bag(tmp_path / "bag", replace(record, signals=signals))
+    save_model(model, tmp_path / "model.yaml")
+    command = ["diagnose", str(tmp_path / "bag"), "--model", str(tmp_path / "model.yaml")]
+    return lambda *more: main([*command, "--columns", "command=/drive.x[V],measurement=/sensor.x[um]", *more]), asked, record
+
+
+def test_a_command_in_foreign_fields_is_read_by_the_same_columns(diagnosed_bag, tmp_path, capsys):
+    call, _, _ = diagnosed_bag
+    assert call("--on", str(tmp_path / "bag")) == 0
+    told = capsys.readouterr().out
+    assert f"on {tmp_path / 'bag'}: a gap of" in told and "valid for" not in told
+
+
+def test_a_command_of_another_sample_time_is_refused_before_the_diagnosis(diagnosed_bag, tmp_path, capsys):
+    call, asked, record = diagnosed_bag
+    slow = replace(record.signal("command"), time=2.0 * record.signal("command").time)
+    write_bag(tmp_path / "slow", Record({"drive": slow, "sensor": slow}, "slow"))
+    rate = 1.0 / record.common_step(["command"])
+    assert call("--on", str(tmp_path / "slow")) == 2 and not asked
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert f"has {0.5 * rate:.6g} samples/s, the records {rate:.6g}" in told and f"--resample {rate:.6g}" in told
+
+
+def test_a_command_in_millivolts_is_noted_as_beyond_the_valid_range(diagnosed_bag, tmp_path, capsys):
+    call, _, record = diagnosed_bag
+    np.save(tmp_path / "mV.npy", 1e3 * record.signal("command").values)
+    assert call("--on", str(tmp_path / "mV.npy")) == 0
+    assert "of the command lies outside the 0 … 50 V that the model is valid for" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", ["--report", "--augmented", "--json"])
+def test_an_output_that_cannot_be_written_is_refused_before_the_diagnosis(diagnosed_bag, tmp_path, capsys, option):
+    call, asked, _ = diagnosed_bag
+    assert call(option, str(tmp_path)) == 2 and not asked
+    assert capsys.readouterr().err.splitlines()[-1].endswith(f"{tmp_path}: is a directory: give the name of a file")

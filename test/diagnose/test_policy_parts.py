@@ -18,7 +18,7 @@ from hyst_control.diagnose.decide.record_findings import detected
 from hyst_control.diagnose.evidence import DistortionEvidence
 from hyst_control.diagnose.noise.white import noise_of
 from hyst_control.diagnose.verdict import Decision, Reason, Verdict
-from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, QUIET, effect, evidence
+from test.diagnose.made_evidence import ALL, LIMITS, PLAIN, QUIET, coefficients, effect, evidence, none
 from test.diagnose.policy_rows import C
 
 NO, EFF, PAR, AMB, UNK = (
@@ -108,3 +108,10 @@ def test_a_part_that_does_not_hold_takes_its_combinations_with_it_that_are_hardl
     assert decide(found.without([1]), LIMITS).chosen == 0
     better = evidence(effect("a", left=3.0), both).without([1])
     assert better.hypotheses[decide(better, LIMITS).chosen].names == ("a", "b")
+
+
+@pytest.mark.parametrize("nominal, verdict", [(0.0, Verdict.UNKNOWN), (12_500.0, Verdict.PARAMETERS)])
+def test_coefficients_explain_a_gap_of_the_nominal_model(nominal, verdict):
+    """A pole that has moved by many tolerances: within them coefficients leave 49 noise energies of 12,500, and beyond them 17."""
+    seen = evidence(coefficients(left=17.0, farthest=190.0), base=none(energy=49.0), nominal=nominal)
+    assert decide(seen, LIMITS).verdict is verdict

@@ -40,6 +40,18 @@ def test_a_harmonic_of_six_strokes_is_no_vibration(frequency, due):
     assert lines(problem, residual / 1e-3)["vibration"] == pytest.approx(due, abs=0.05)
 
 
+def test_a_line_keeps_its_frequency_where_rows_in_between_do_not_count():
+    """Half a period is missing twice: moved together, the rows would hold no sine of 22.3 Hz."""
+    keep = np.ones(len(TIME), dtype=bool)
+    keep[2000:2004] = keep[4100:4105] = False
+    random = np.random.default_rng(2)
+    command = random.standard_normal((len(TIME), 1))
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, STEP, Chain((TransferFunction((1.0,), (1.0,)),)))
+    problem = Problem(model, (Piece(command, command, keep),), STEP, "zoh", np.array([1e-3]))
+    residual = 1e-3 * random.standard_normal(len(TIME)) + 0.02 * np.sin(2 * np.pi * 22.3 * TIME)
+    assert lines(problem, residual[keep] / 1e-3)["vibration"] == pytest.approx([22.3], abs=2e-3)
+
+
 @pytest.mark.parametrize("length, reach", [(1, 3), (5, 9), (40, 9), (300, 40)])
 def test_the_background_is_the_median_around_every_bin(length: int, reach: int) -> None:
     """A few lines on a sloping floor: the median of every window, of what is mirrored at the ends, one after the other."""

@@ -55,6 +55,12 @@ def test_wide_and_narrow_play_are_both_begun_at():
     assert min(starts) < 0.01 * STROKE and max(starts) > 0.1 * STROKE
 
 
+def test_slew_limits_are_looked_for_far_below_a_step():
+    """The largest slope of a command with a step is that of one sample: a driver limits to a hundredth of it."""
+    starts = next(one for one in EFFECTS["slew_limit"].parameters(AROUND) if one.name == "rate").starts
+    assert min(starts) < 0.005 * AROUND.slew and max(starts) > 0.5 * AROUND.slew
+
+
 @pytest.mark.parametrize("rate", [200.0, 1e3, 2e4])
 def test_slow_modes_are_searched_for_only_where_the_model_discrepancy_is_unknown(rate):
     around = replace(AROUND, sample_time=1.0 / rate, duration=20.0)

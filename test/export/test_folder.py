@@ -216,3 +216,23 @@ def test_defaults_are_the_nodes_defaults():
     assert {item.name: item.default for item in fields(FaultResponse)} == {
         item.name: settings[item.name] for item in fields(FaultResponse)
     }
+
+
+@pytest.mark.parametrize("form", [[], ["--ros2-control"]])
+def test_a_folder_is_written_again_but_a_file_of_the_user_is_not_replaced(tmp_path, capsys, form):
+    controller = tmp_path / "controller.yaml"
+    controller.write_text(
+        "/**:\n  ros__parameters: {rate_hz: 1000.0, axes: [x]}\npi_feedback:\n  ros__parameters: {kp: 0.3, ki: 100.0, upper: 50.0}\n",
+        encoding="utf-8",
+    )
+    command = ["export", str(controller), "--output", str(tmp_path / "made"), *form]
+    assert main(command) == 0
+    made = {path.name: path.read_bytes() for path in (tmp_path / "made").iterdir()}
+    assert main(command) == 0 and made == {path.name: path.read_bytes() for path in (tmp_path / "made").iterdir()}
+    for name in made:
+        (tmp_path / "own").mkdir(exist_ok=True)
+        (tmp_path / "own" / name).write_text("all:\n", encoding="utf-8")
+        assert main([*command[:3], str(tmp_path / "own"), *form]) == 2
+        assert f"own/{name}: would be replaced" in capsys.readouterr().err.splitlines()[-1]
+        assert [path.read_text(encoding="utf-8") for path in (tmp_path / "own").iterdir()] == ["all:\n"]
+        (tmp_path / "own" / name).unlink()

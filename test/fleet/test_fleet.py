@@ -20,6 +20,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.fleet.manifest import moment, read_manifest
 from hyst_control.fleet.overview import check_limits, overview
+from hyst_control.fleet.study import _changed
 from hyst_control.model_file import load_model, simulate
 from hyst_control.records.record import Record, Signal
 from hyst_control.records.tables.importing import write_bag
@@ -172,12 +173,68 @@ def test_manifests(fleet):
         ("bag\nb\nb\n", "is listed twice"),
         ("bag\n", "lists no records"),
         ("bag,unit\nb,u,3\n", "more cells"),
+        ("bag,time\nb,nan\n", "row 1: time: must be a number or a date"),
+        ("bag,unit,time\na,u,0\nb,u,0.0\n", r"b: time: .*a of the same unit has 0.0 too: give every record of a unit its own"),
+        ("bag,time\na,1\nb,2026-03-02\n", "time: a number at .*a, a date at .*b: give all records numbers"),
+        ("bag,time\na,1\nb,\n", "time: a number at .*a, none at .*b: "),
     ],
 )
 def test_a_manifest_that_is_none(tmp_path, text, said):
     (tmp_path / "m.csv").write_text(text)
     with pytest.raises(InputError, match=said):
         read_manifest([str(tmp_path / "m.csv")])
+
+
+def test_without_times_records_are_counted_by_unit_in_the_order_of_the_manifest(tmp_path):
+    (tmp_path / "m.csv").write_text("bag,unit\nz,u\ny,u\nx,v\na,u\n")
+    entries = read_manifest([str(tmp_path / "m.csv")])
+    assert [(Path(entry.bag).name, entry.unit, entry.moment) for entry in entries] == [
+        ("z", "u", 0.0),
+        ("y", "u", 1.0),
+        ("a", "u", 2.0),
+        ("x", "v", 0.0),
+    ]
+    named = read_manifest(["b/u0_a", "b/u0_b", "b/u1_a"], r"(?P<unit>u\d)")
+    assert [(entry.unit, entry.moment) for entry in named] == [("u0", 0.0), ("u0", 1.0), ("u1", 0.0)]
+
+
+def test_a_record_without_a_time_is_not_since_a_change():
+    row = {"bag": "b", "unit": "u", "status": "done", "moment": float("nan"), "gap_rms": 1.0, "baseline": []}
+    assert _changed(overview("diagnose", []), [row]) == set()
+
+
+def test_an_existing_path_is_no_pattern(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r [1]" / "bag").mkdir(parents=True)
+    assert [entry.bag for entry in read_manifest(["r [1]/bag"])] == ["r [1]/bag"]
+
+
+def test_results_of_records_that_a_manifest_no_longer_lists_are_kept(fleet, capsys):
+    """They count in no evaluation, and are not computed again; what the manifest says of records is what it says now."""
+    path, study = fleet / "manifest.csv", fleet / "study"
+    whole = path.read_text()
+
+    def run():
+        assert main(["fleet", "validate", str(path), "--output", str(study), "--json", str(fleet / "out.json")]) == 0
+        return json.loads((fleet / "out.json").read_text())["computed"], rows(study)
+
+    with one_process():
+        computed, before = run()
+        assert computed == len(before) == 6
+        path.write_text("".join(whole.splitlines(keepends=True)[:3]).replace("20.5", "9.5"))
+        shutil.rmtree(fleet / "bags" / "u0_1")
+        write_bag(fleet / "bags" / "u0_1", record(1.0, 1))
+        capsys.readouterr()
+        computed, few = run()
+        assert computed == 1 and [row["bag"] for row in few] == [row["bag"] for row in before[:2]]
+        assert [row["temperature"] for row in few] == [9.5, 21.5]
+        assert f"kept in {study / 'others.parquet'}: 4 results" in capsys.readouterr().out
+        assert json.loads((study / "fleet.json").read_text())["units"] == 1
+        path.write_text(whole)
+        computed, again = run()
+    assert computed == 0 and [row["temperature"] for row in again] == [20.5, 21.5] * 3
+    assert [row["errors"] for row in again[2:]] == [row["errors"] for row in before[2:]]
+    assert not (study / "others.parquet").exists()
 
 
 @pytest.mark.parametrize(

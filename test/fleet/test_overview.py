@@ -189,6 +189,24 @@ def test_a_gap_that_grows_with_the_distance_from_the_clean_runs_is_no_change():
     assert [effect.covariate for effect in found.covariates] == ["temperature, distance from the baseline records"]
 
 
+def test_a_temperature_is_a_covariate_where_units_have_times_of_their_own():
+    rng = np.random.default_rng(9)
+    records = [
+        {
+            "unit": f"u{unit:02d}",
+            "time": str(run + unit / 20),
+            "moment": run + unit / 20,
+            "status": "done",
+            "temperature": str(degrees),
+            "parameters": [{"name": "0.gain.value", "value": 1.0 + 0.02 * degrees + 1e-3 * rng.standard_normal()}],
+        }
+        for unit in range(20)
+        for run, degrees in enumerate(20.0 + rng.standard_normal(12))
+    ]
+    [effect] = overview("identify", records, ["temperature"]).covariates
+    assert effect.covariate == "temperature" and effect.slope == pytest.approx(0.02, abs=1e-3)
+
+
 def dated(records, day):
     """The same records with a date for each run."""
     dates = [datetime(2026, 1, 1) + timedelta(days=day * int(row["time"])) for row in records]

@@ -77,6 +77,23 @@ def test_a_fleet_without_effects_has_nothing_to_score(tmp_path, capsys):
     assert "nothing to score" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "labels",
+    [
+        {"units": [{}], "driver": None},
+        {"units": [{"name": "u0", "effect": {"name": "gain"}}], "driver": None},
+        {"units": 3, "driver": None},
+        {"units": [], "driver": {}},
+    ],
+)
+def test_labels_that_are_none_are_refused_in_one_line(labels, tmp_path, capsys):
+    (tmp_path / "labels.json").write_text(json.dumps({"runs": 5, **labels}))
+    (tmp_path / "fleet.json").write_text(json.dumps({"onsets": [], "trends": [], "common_causes": []}))
+    assert main(["fleet", "score", str(tmp_path), "--labels", str(tmp_path / "labels.json")]) == 2
+    said = capsys.readouterr().err
+    assert "labels.json: holds no labels of a fleet (" in said and len(said.strip().splitlines()) == 1
+
+
 def test_scores(tmp_path, capsys):
     units = [
         {"name": f"u{index}", "effect": {"name": "gain"} if index < 4 else {}, "begins": 10 if index < 4 else 20}

@@ -69,6 +69,25 @@ def test_temperature_is_taken_out_and_shifts_stay():
     assert take_out("gain", values, {"temperature": temperature})[1] == []
 
 
+def test_units_with_times_of_their_own_are_looked_at_as_those_with_common_ones():
+    """No two units have a run at the same time: neighbors in the union of all times are never of one unit."""
+    rng = np.random.default_rng(6)
+    temperature = 20.0 + 3.0 * rng.standard_normal((UNITS, RUNS))
+    values = levels(rng) + 0.5 * temperature
+    values[:6, 15:] += 1.5
+
+    def apart(each):
+        found = np.full((UNITS, RUNS, UNITS), np.nan)
+        found[np.arange(UNITS), :, np.arange(UNITS)] = each
+        return found.reshape(UNITS, -1)
+
+    times = (MOMENTS[:, None] + np.arange(UNITS) / UNITS).ravel()
+    left, [effect] = take_out("gain", apart(values), {"temperature": apart(temperature)})
+    assert effect.slope == pytest.approx(take_out("gain", values, {"temperature": temperature})[1][0].slope, rel=1e-12)
+    onsets, _ = find_changes("gain", NAMES, times, left)
+    assert {onset.unit: int(onset.moment) for onset in onsets} == dict.fromkeys(NAMES[:6], 15)
+
+
 def test_the_driver_and_the_run_that_units_share():
     rng = np.random.default_rng(3)
     rows = [{"unit": unit, "driver": f"d{index // 10}", "firmware": "1.0", "run": run, "serial": unit}

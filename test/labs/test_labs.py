@@ -106,6 +106,54 @@ def test_a_driver_that_fails_is_a_fault_and_leads_to_the_safe_value(loop, driver
     assert loop.fault == "none" and abs(loop.measurement[0] - 3.0) < 0.01
 
 
+@pytest.mark.parametrize("given", [None, 1.0, [], [1.0, 23.2], [[1.0]], "one", [1.0, [2.0]]], ids=repr)
+def test_a_measurement_that_is_no_number_per_axis_is_a_fault_of_the_driver(loop, driver, monkeypatch, given):
+    loop.target[:] = 3.0
+    for _ in range(100):
+        loop.tick()
+    with monkeypatch.context() as patch:
+        patch.setattr(driver, "read", lambda: given)
+        loop.tick()
+        assert loop.fault == DRIVER and loop.command[0] > 10.0
+        for _ in range(40):
+            loop.tick()
+        assert loop.fault == "no measurement" and driver.commands[-1] == 0.0
+        with pytest.raises(InputError, match=r"driver: read\(\) gave .*: return one number per axis \(x\)"):
+            loop.start()
+    for _ in range(600):
+        loop.tick()
+    assert loop.fault == "none" and abs(loop.measurement[0] - 3.0) < 0.01
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_positions_that_are_not_finite_are_refused(loop, driver, monkeypatch, value):
+    loop.move(0, 2.0)
+    for refused in (lambda: loop.move(0, value), lambda: loop.play([0.0, value]), lambda: loop.play([value, 0.0])):
+        with pytest.raises(InputError, match=f"must be finite um, got {value}"):
+            refused()
+    with pytest.raises(InputError, match="play: has no rows"):
+        loop.play([])
+    assert not loop.playing and loop.target.tolist() == [2.0]
+    monkeypatch.setattr(driver, "read", lambda: [value])
+    with pytest.raises(InputError, match="must be finite"):
+        loop.start()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_the_loop_goes_on_after_a_target_that_was_not_finite(loop, value):
+    loop.target[:] = 2.0
+    for _ in range(100):
+        loop.tick()
+    loop.target[:] = value
+    for _ in range(60):
+        loop.tick()
+    assert loop.fault == "no reference" and loop.command[0] == 0.0 and loop.reference[0] == 2.0
+    loop.move(0, 1.0)
+    for _ in range(400):
+        loop.tick()
+    assert loop.fault == "none" and abs(loop.measurement[0] - 1.0) < 0.01
+
+
 def test_the_thread_ends_at_the_safe_value(running, driver):
     running.target[:] = 2.0
     until(lambda: abs(running.measurement[0] - 2.0) < 0.01)

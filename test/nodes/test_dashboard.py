@@ -264,6 +264,7 @@ def test_a_foreign_session_is_closed(domain, tmp_path):
     [
         (["--rate", "-3"], "rate_hz"),
         (["--port", "70000"], "--port: must be 0 to 65535, got 70000"),
+        (["--namespace", "ä b"], "hyst dashboard: --namespace: Invalid namespace: namespace must not contain"),
         (["--window", "0"], "--window: must be > 0 and ≤ 3600, got 0.0"),
     ],
 )

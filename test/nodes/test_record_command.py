@@ -52,6 +52,14 @@ def test_bad_output_is_refused_in_one_line(tmp_path, domain):
     assert ended.returncode == 2 and "exists already" in ended.stderr and len(ended.stderr.strip().splitlines()) == 1
 
 
+def test_a_name_that_ros_does_not_allow_is_refused_in_one_line(tmp_path, domain):
+    for option, kind in (("--topics", "topic name"), ("--namespace", "namespace")):
+        command = [sys.executable, "-c", COMMAND, "record", option, "a b", "--output", str(tmp_path / "bag")]
+        ended = subprocess.run(command, timeout=60, capture_output=True, text=True)
+        assert ended.returncode == 2 and f"Invalid {kind}: {kind} must not contain" in ended.stderr
+        assert len(ended.stderr.strip().splitlines()) == 1 and not (tmp_path / "bag").exists()
+
+
 def test_a_recording_of_nothing_is_refused_and_not_kept(tmp_path, domain):
     ended = subprocess.run(
         [sys.executable, "-c", COMMAND, "record", "--duration", "0.3", "--topics", "command", "--output", str(tmp_path / "bag")],

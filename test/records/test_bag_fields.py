@@ -201,3 +201,66 @@ def test_messages_in_bursts_and_lost_ones(tmp_path, columns):
     else:
         with pytest.raises(InputError, match="2 rows are missing, after 0.1.*--resample"):
             read_bag(path, columns=columns)
+
+
+CLOCKED = "command=/v.data(1)[V],measurement=/v.data(2)[um]"
+
+
+def clocked(path, times, plugin=StoragePlugin.MCAP):
+    """A bag of messages without a stamp, received at these times (s)."""
+    with Writer(path, version=9, storage_plugin=plugin) as bag:
+        kind = "std_msgs/msg/Float64MultiArray"
+        connection = bag.add_connection("/v", kind, typestore=STORE)
+        for k, time in enumerate(times):
+            bag.write(connection, START + round(time * 1e9), STORE.serialize_cdr(message(kind, k), kind))
+    return path
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("back", [0.1, 0.101, 0.5])
+def test_a_clock_that_was_set_back_begins_another_record(tmp_path, capsys, back, plugin):
+    times = np.arange(COUNT) * 2e-3
+    times[80:] -= back
+    path, out = clocked(tmp_path / "bag", times, plugin), tmp_path / "runs"
+    assert main(["import", str(path), "--columns", CLOCKED, "--output", str(out), "--resample", "--hold", "foh"]) == 0
+    assert "/v: the clock was set back in message 80: 2 runs" in capsys.readouterr().out
+    for number, rows in (("1", slice(0, 80)), ("2", slice(80, COUNT))):
+        signals = read_bag(out / number).signals
+        np.testing.assert_allclose(signals["command"].values[:, 0], DRIVE[rows], atol=1e-9)
+        np.testing.assert_allclose(signals["measurement"].values[:, 0], MOVED[rows], atol=1e-9)
+    with pytest.raises(InputError, match="its clock was set back: 2 runs: hyst import --columns"):
+        read_bag(path, columns=CLOCKED)
+    with pytest.raises(InputError, match="the clock was set back in message 80"):
+        read_bag(path, topics=["v"])
+
+
+def test_messages_a_few_places_out_of_order_are_sorted(tmp_path):
+    order = np.arange(COUNT)
+    order[[1, 50, 51, 120, 123, 198, 199]] = order[[0, 51, 50, 123, 120, 199, 198]]
+    order[0] = 1
+    record = read_bag(clocked(tmp_path / "bag", order * 2e-3), columns=CLOCKED)
+    np.testing.assert_allclose(np.diff(record.signals["command"].time), 2e-3, atol=1e-9)
+    np.testing.assert_array_equal(record.signals["command"].values[:, 0], DRIVE[np.argsort(order)])
+    assert any("out of order" in note for note in record.notes)
+
+
+def test_a_clock_that_jumps_about_is_refused(tmp_path):
+    times = np.arange(COUNT) * 2e-3
+    times[80:] -= 1.0
+    times[85:] -= 1.0
+    with pytest.raises(InputError, match="the clock was set back .* record with a steady clock"):
+        read_bag(clocked(tmp_path / "bag", times), columns=CLOCKED)
+
+
+def test_two_messages_of_one_stamp_are_refused_with_a_remedy_for_bags(tmp_path):
+    kind = "geometry_msgs/msg/Vector3Stamped"
+    with Writer(tmp_path / "bag", version=9) as bag:
+        connection = bag.add_connection("/v", kind, typestore=STORE)
+        for k in range(COUNT):
+            for stamped in (k, k + 0.3)[: 1 + (50 <= k < 70)]:  # a second source, at irregular times beside the first
+                made = message(kind, k)
+                made.vector.x = stamped
+                made.header = header(START + int((k + 0.1 * (k % 3)) * STEP))
+                bag.write(connection, START + k * STEP, STORE.serialize_cdr(made, kind))
+    with pytest.raises(InputError, match="another row has the same time: two sources wrote it, .*: record it again"):
+        read_bag(tmp_path / "bag", columns="command=/v.vector.x[V]")

@@ -303,3 +303,16 @@ def test_words_for_a_missing_number(tmp_path, word, comma):
     assert f"{path}: rows with no finite number in a column were taken as missing: 3" in record.notes
     measured = record.signals["measurement"].values[:, 0]
     assert measured[28] == pytest.approx((MOVED[29] + MOVED[31]) / 2) and measured[-1] == MOVED[-1]
+
+
+@pytest.mark.parametrize(
+    "end, is_noted", [("0", True), ("0.984", True), ("0.984295", False), ("0.984295\n", False), ("0\n", False)]
+)
+def test_a_last_number_that_may_be_cut_off_is_told(tmp_path, end, is_noted):
+    rows = [f"{k / 1e3:.6f},{1.0 + np.sin(k / 30):.6f},{0.2 + 0.1 * np.cos(k / 30):.6f}\n" for k in range(100)]
+    path = tmp_path / "log.csv"
+    path.write_text(f"t,u,y\n{''.join(rows)}0.100000,1.190568,{end}", encoding="utf-8")
+    [record] = import_records(path, parse_columns("time=t[s],command=u[V],measurement=y[um]"), None)
+    assert len(record.signals["command"].values) == 101
+    said = f"{path}: the last line, 102, has no line end and is the shortest: its last number may be cut off"
+    assert (said in record.notes) == is_noted

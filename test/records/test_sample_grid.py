@@ -77,7 +77,10 @@ def written(path, time, *columns):
 def test_irregular_times_are_refused_or_interpolated_with_the_error(tmp_path):
     time = np.cumsum(np.random.default_rng(2).uniform(4, 17, 900)) * 1e-3
     path = written(tmp_path / "a.csv", time, np.sin(time), np.cos(time))
-    with pytest.raises(InputError, match=r"irregular: steps of 0.00\d+ to 0.01\d+ s: --resample interpolates it at 9\d"):
+    with pytest.raises(
+        InputError,
+        match=r"irregular: steps of 0.00\d+ to 0.01\d+ s, the longest before its row 398.*: --resample interpolates it at 9\d",
+    ):
         import_records(path, COLUMNS, None)
     [record] = import_records(path, COLUMNS, None, hold="foh", resample=100.0)
     signal = record.signals["measurement"]
@@ -133,3 +136,14 @@ def test_signals_of_two_rates_are_brought_to_one():
     found, _ = on_one_clock("a", signals, "zoh", resample=0.0)
     np.testing.assert_array_equal(found["command"].time, found["measurement"].time)
     np.testing.assert_allclose(found["command"].values[:900, 0], np.repeat(np.sin(slow), 10)[:900], atol=1e-12)
+
+
+def test_a_clock_that_jumps_ahead_is_named_with_its_row(tmp_path):
+    time = 1e-3 * np.arange(400)
+    time[150:] += 3600.0
+    path = written(tmp_path / "jump.csv", time, np.sin(time), np.cos(time))
+    for gaps in (False, True):
+        with pytest.raises(
+            InputError, match=r"steps of 0.001 to 3.6e\+03 s, the longest before its row 150, after 0.149 s: .*--rows"
+        ):
+            import_records(path, parse_columns("time=1[s],command=2[V],measurement=3[um]"), None, allow_gaps=gaps)

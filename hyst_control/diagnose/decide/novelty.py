@@ -111,7 +111,7 @@ def unexplained(evidence: Evidence, chosen: int, thresholds: Thresholds) -> floa
     Of a change that needs a coefficient n times as far away as the most that is believed, that most removes all but (1 - 1/n)² of
     the energy. What an effect outside the catalogue does to the output is taken up by coefficients in just this way.
     """
-    one, before = evidence.hypotheses[chosen], evidence.hypotheses[0].energy - evidence.stated
+    one, before = evidence.hypotheses[chosen], evidence.before(chosen) - evidence.stated
     if not (one.names or one.coefficients_alone):
         return 0.0
     beyond = (1.0 - min(thresholds.many_tolerances / max(one.farthest, 1e-300), 1.0)) ** 2
@@ -138,7 +138,7 @@ def _too_many(evidence: Evidence, chosen: int, thresholds: Thresholds) -> bool:
 
 def _share_left(evidence: Evidence, chosen: int, thresholds: Thresholds) -> float:
     """Share of the gap's energy that the chosen explanation leaves, however little that is."""
-    before, after = evidence.hypotheses[0].energy, residual_of(evidence, chosen).energy
+    before, after = evidence.before(chosen), residual_of(evidence, chosen).energy
     due = evidence.stated
     # What does not follow the command varies from run to run, and no effect would explain it. Where baseline records show how much that
     # is, many times as much is something new all the same.

@@ -30,11 +30,11 @@ def lines(
     piece = problem.pieces[index]
     longest, longest_rows = piece.counted(piece.command), np.split(rows, problem.edges)[index]
     rate = 1.0 / problem.sample_time
-    spectra = periodogram(_in_time(piece, piece.driving), rate, linear=True)[1].T
-    in_time = _in_time(piece, longest_rows)
-    count = len(in_time)
+    spectra = periodogram(in_time(piece, piece.driving), rate, linear=True)[1].T
+    placed = in_time(piece, longest_rows)
+    count = len(placed)
     for axis in range(rows.shape[1]):
-        frequency, power = periodogram(in_time[:, axis], rate)
+        frequency, power = periodogram(placed[:, axis], rate)
         width = rate / count
         ratio = power / np.maximum(background(power, settings.background_bins), 1e-300)
         mains = _mains(mains_effect, problem)
@@ -74,7 +74,7 @@ def lines(
     return found
 
 
-def _in_time(piece: Piece, rows: Annotated[Array, "N A"]) -> Annotated[Array, "M A"]:
+def in_time(piece: Piece, rows: Annotated[Array, "N A"]) -> Annotated[Array, "M A"]:
     """Rows that count, at their times: moved together, a line would have another frequency. Those left out in between are at the mean."""
     begin, end = piece.first, len(piece.mask) - int(np.argmax(piece.mask[::-1]))
     found = np.repeat(rows.mean(axis=0)[None], end - begin, axis=0)

@@ -274,10 +274,10 @@ def _nearest(report: dict[str, Any], names: Sequence[str]) -> str:
             worst = report["distortions"][0]
             if worst["name"] not in {effect["name"] for effect in report["effects"]}:  # of the record itself, whatever is named
                 return "; the measurement stands on one level while the command moves on"
-            return (
-                f"; {worst['name'].replace('_', ' ')} is the nearest, but its size would have to change by "
-                f"{100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
-            )
+            plain = worst["name"].replace("_", " ")
+            alone = len(names) == 1
+            nearest = f"{plain} is the nearest, but its size" if alone else f"{together} come nearest, but the size of the {plain}"
+            return f"; {nearest} would have to change by {100 * abs(worst['change']):.0f} % with {DISTORTED_BY[worst['variable']]}"
         if names and _strain(report) > FAR_OFF and Reason.UNEXPLAINED_SHARE.value in reasons:
             return f"; {together} would, but only with coefficients {_strain(report):.0f} σ from the model's"
         if names and Reason.AT_BOUND.value in reasons:

@@ -65,6 +65,7 @@ def collect(found: Found, null: float, prepared: Prepared, configuration: Config
             (name, plain) for name, rich in EFFECTS.items() if rich.static_elsewhere for plain in EFFECTS if EFFECTS[plain].static
         ),
         _moved(found, prepared.stated),
+        float(np.mean((found.linearized.measured - found.linearized.nominal) ** 2)),
     )
 
 

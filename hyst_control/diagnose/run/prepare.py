@@ -21,7 +21,7 @@ from hyst_control.diagnose.noise.white import noise_between_periods, noise_of
 from hyst_control.diagnose.problem.coefficient_prior import pinned, scatter_of, within_own_error
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.record_checks.lines_in_clean import beyond_clean
-from hyst_control.diagnose.record_checks.spectral_lines import lines
+from hyst_control.diagnose.record_checks.spectral_lines import in_time, lines
 from hyst_control.diagnose.record_checks.summary import effect_found_by, lattice_of, record_evidence
 from hyst_control.diagnose.search.candidate import Member
 from hyst_control.diagnose.search.catalogue import catalogue
@@ -194,8 +194,11 @@ def _suggested(
     found = lines(problem, linearized.unexplained(none.residual), configuration.checks)
     if baseline is None or baseline.clean is None:
         return found
-    clean = np.split(nominal_residuals(baseline.clean), baseline.clean.edges)
-    return beyond_clean(found, problem.rows(none.residual), clean, problem.sample_time, configuration.checks)
+    clean, new = (
+        [in_time(piece, part) for piece, part in zip(of.pieces, np.split(rows, of.edges), strict=True)]
+        for of, rows in ((baseline.clean, nominal_residuals(baseline.clean)), (problem, problem.rows(none.residual)))
+    )
+    return beyond_clean(found, np.concatenate(new), clean, problem.sample_time, configuration.checks)
 
 
 def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuration: Configuration) -> tuple[RecordEvidence, ...]:

@@ -1,6 +1,6 @@
 /* Copyright 2026 The hyst_control authors */
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Closes the loop of {{ name }} against {{ plant }} on the wall clock, under SCHED_FIFO where that is allowed:  {{ name }}_main [SECONDS [HZ]] */
+/* Made by hyst export. Closes the loop of {{ name }} against {{ plant }} on the wall clock, under SCHED_FIFO where that is allowed:  {{ name }}_main [SECONDS [HZ]] */
 #define _GNU_SOURCE
 #include "{{ name }}.h"
 

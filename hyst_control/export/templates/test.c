@@ -1,6 +1,6 @@
 /* Copyright 2026 The hyst_control authors */
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Replays the golden vectors of {{ name }}, saves and restores its state, and times a step. Exit status 0 where all is as in Python.
+/* Made by hyst export. Replays the golden vectors of {{ name }}, saves and restores its state, and times a step. Exit status 0 where all is as in Python.
    With STEPS, as many steps come first whose inputs nobody should send: nothing of them may be left afterwards. */
 #define _POSIX_C_SOURCE 199309L
 #include "{{ name }}.h"

@@ -11,6 +11,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from rclpy.exceptions import NameValidationException
+from rclpy.validate_namespace import validate_namespace
+
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import shown
 from hyst_control.base.yaml_files import read_yaml
@@ -48,6 +51,21 @@ def name_of(node_class: Any) -> str:
     """Name of a node without a remap."""
     own = inspect.signature(node_class).parameters.get("name")
     return str((own and own.default) or getattr(node_class, "NAME", ""))
+
+
+def in_namespace(namespace: str) -> list[str]:
+    """ROS arguments that put nodes into a namespace, "" for none. Raises `InputError` where ROS does not allow its name."""
+    name = f"/{namespace.strip('/')}"
+    try:
+        validate_namespace(name)
+    except NameValidationException as error:
+        raise InputError(f"--namespace: {name_refusal(error)}: choose another name") from None
+    return ["-r", f"__ns:={name}"] if name != "/" else []
+
+
+def name_refusal(error: NameValidationException) -> str:
+    """The message of ROS on a name that it does not allow, in one line."""
+    return " ".join(str(error).split()).rstrip(" ^")
 
 
 def check(arguments: Sequence[str], node_classes: Iterable[Any] = ()) -> list[str]:

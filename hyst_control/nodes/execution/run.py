@@ -15,7 +15,7 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.exceptions import NotInitializedException
+from rclpy.exceptions import NameValidationException, NotInitializedException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -201,6 +201,8 @@ def _made(factory: Callable[[], EndingNode]) -> EndingNode:
         return factory()
     except InputError:
         raise
+    except NameValidationException as error:  # of a topic that a parameter names
+        raise InputError(f"{command_line.name_refusal(error)}: choose another name") from None
     except Exception as error:
         if not _secured():
             raise

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from hyst_control.records.record import Record, Signal, axis_names, increasing
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE, decode, parse_label
 from hyst_control.records.tables.columns import TIME, Column, parse_columns
-from hyst_control.records.tables.regular_signals import on_one_clock, without_repeated
+from hyst_control.records.tables.regular_signals import MAX_RUNS, SHORTEST_RUN, on_one_clock, restarts, without_repeated
 
 PENDING = 2048
 LONGEST_DEFINITION = 200_000
@@ -81,10 +81,22 @@ class _Times:
 def read_fields(
     path: Path, columns: str | Sequence[Column], hold: str | None = None, resample: float | None = None, allow_gaps: bool = False
 ) -> Record:
-    """A record of the fields that columns name: "command=/drive.data[V],measurement=/joint_states.position(2)[um]".
+    """The record of the fields of a bag that holds one run, read as by `read_runs`."""
+    found = read_runs(path, columns, hold, resample, allow_gaps)
+    if len(found) > 1:
+        raise InputError(
+            f"{path}: its clock was set back: {len(found)} runs: hyst import --columns makes a bag of each: give these"
+        )
+    return found[0]
 
-    Items of a field that is a list are numbered from 1, or named where the message has names beside it. Raises `InputError` naming the
-    topics that are there.
+
+def read_runs(
+    path: Path, columns: str | Sequence[Column], hold: str | None = None, resample: float | None = None, allow_gaps: bool = False
+) -> list[Record]:
+    """Records of the fields that columns name: "command=/drive.data[V],measurement=/joint_states.position(2)[um]".
+
+    Each run between two moments at which the clock was set back is one. Items of a field that is a list are numbered from 1, or named
+    where the message has names beside it. Raises `InputError` naming the topics that are there.
     """
     named = parse_columns(columns) if isinstance(columns, str) else list(columns)
     if any(column.topic == TIME for column in named):
@@ -99,11 +111,16 @@ def read_fields(
     times = _read(bag, every)
     if missing := [one.topic for one in every if one.topic not in times]:
         raise InputError(f"{path}: has no messages of {missing[0]}: its topics are {bag.listed()}")
-    parts = _signals(path, wanted, times, {column.topic: column.unit for column in named}, notes)
     hold = bag.hold if hold is None else hold
-    regular, more = on_one_clock(str(path), parts, hold or "zoh", resample, allow_gaps)
-    signals = {topic: _joined([regular[f"{topic} {index}"] for index in range(len(fields))]) for topic, fields in wanted.items()}
-    return Record(signals, str(path), (*notes, *more), hold or "zoh", states_hold=hold is not None)
+    found = []
+    for parts in _signals(path, wanted, times, {column.topic: column.unit for column in named}, notes):
+        regular, more = on_one_clock(str(path), parts, hold or "zoh", resample, allow_gaps)
+        signals = {
+            topic: _joined([regular[f"{topic} {index}"] for index in range(len(fields))]) for topic, fields in wanted.items()
+        }
+        found.append(Record(signals, str(path), tuple(more), hold or "zoh", states_hold=hold is not None))
+    found[0] = replace(found[0], notes=(*notes, *found[0].notes))
+    return found
 
 
 def _field_of(name: str, scale: float) -> _Field:
@@ -217,8 +234,8 @@ class _Reader:
 
 def _signals(
     path: Path, wanted: dict[str, list[_Field]], times: dict[str, _Times], units: dict[str, str], notes: list[str]
-) -> dict[str, Signal]:
-    """A raw signal for every field; those of one topic share their times."""
+) -> list[dict[str, Signal]]:
+    """A raw signal for every field, run by run; those of one topic share their times."""
     kinds = {
         topic: "their rows" if one.rows else "header stamps" if one.is_stamped else "reception" for topic, one in times.items()
     }
@@ -233,32 +250,71 @@ def _signals(
         topic: np.concatenate(one.rows) if one.rows else np.asarray((one.nanoseconds() - origin) * 1e-9, dtype=np.float64)
         for topic, one in times.items()
     }
-    begin = min(float(clock.min()) for clock in clocks.values())
-    found: dict[str, Signal] = {}
-    for topic, clock in clocks.items():
-        mine = {f"{name} {i}": one for name, fields in wanted.items() for i, one in enumerate(fields) if one.topic == topic}
-        values = {name: one.array().array() for name, one in mine.items()}
-        clock = clock - begin
-        if not increasing(clock, equal=True):
-            order = np.argsort(clock, kind="stable")
-            clock, values = clock[order], {name: rows[order] for name, rows in values.items()}
-            notes.append(f"{path}: {topic}: messages came out of order and were put in order of their time")
-        if (
-            kinds[topic] != "reception"
-            and (kept := without_repeated(f"{path}: {topic}", clock, list(values.values()), 0)) is not None
-        ):
-            clock, values = clock[kept], {name: rows[kept] for name, rows in values.items()}
-            notes.append(f"{path}: {topic}: {int(np.sum(~kept))} messages were sent twice and kept once")
-        clock = np.ascontiguousarray(clock)
-        timing = "receive" if kinds[topic] == "reception" else "layout"
-        for name, rows in values.items():
-            bad = ~np.isfinite(rows).all(axis=1)
-            if bad.any():
-                raise InputError(
-                    f"{path}: {topic}: {int(bad.sum())} messages hold NaN or infinity, the first is {int(np.argmax(bad))}"
-                )
-            found[name] = Signal(clock, rows, axis_names(rows.shape[1]), units[name.partition(" ")[0]], timing)
+    runs = {topic: _runs(path, topic, clock, notes) for topic, clock in clocks.items()}
+    if len({len(each) for each in runs.values()}) > 1:
+        said = ", ".join(f"{topic} {len(each)}" for topic, each in runs.items())
+        raise InputError(f"{path}: a clock was set back, which leaves runs of different number ({said}): record all by one clock")
+    read = {
+        topic: {
+            f"{name} {i}": one.array().array()
+            for name, fields in wanted.items()
+            for i, one in enumerate(fields)
+            if one.topic == topic
+        }
+        for topic in clocks
+    }
+    found: list[dict[str, Signal]] = []
+    for parts in zip(*runs.values(), strict=True):
+        mine = dict(zip(clocks, parts, strict=True))
+        begin = min(float(clocks[topic][rows].min()) for topic, rows in mine.items())
+        found.append({})
+        for topic, rows in mine.items():
+            values = {name: numbers[rows] for name, numbers in read[topic].items()}
+            clock, values = _in_order(f"{path}: {topic}", clocks[topic][rows] - begin, values, kinds[topic] != "reception", notes)
+            timing = "receive" if kinds[topic] == "reception" else "layout"
+            for name, numbers in values.items():
+                bad = ~np.isfinite(numbers).all(axis=1)
+                if bad.any():
+                    raise InputError(
+                        f"{path}: {topic}: {int(bad.sum())} messages hold NaN or infinity, the first is "
+                        f"{rows.start + int(np.argmax(bad))}"
+                    )
+                unit = units[name.partition(" ")[0]]
+                found[-1][name] = Signal(clock, numbers, axis_names(numbers.shape[1]), unit, timing)
     return found
+
+
+def _runs(path: Path, topic: str, clock: Array, notes: list[str]) -> list[slice]:
+    """The runs within times (N,) in the order of arrival, apart where the clock was set back."""
+    edges = restarts(clock)
+    bounds = [0, *edges, len(clock)]
+    if edges and (len(edges) >= MAX_RUNS or min(np.diff(bounds)) < SHORTEST_RUN):
+        raise InputError(
+            f"{path}: {topic}: the clock was set back {len(edges)} times, first in message {edges[0]}, which leaves a run of "
+            f"{min(np.diff(bounds))} messages: at most {MAX_RUNS} of at least {SHORTEST_RUN} are read: record with a steady clock"
+        )
+    if edges:
+        first = ", ".join(map(str, edges))
+        notes.append(
+            f"{path}: {topic}: the clock was set back in message {first}: {len(edges) + 1} runs, each of which is a record"
+        )
+    return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]
+
+
+def _in_order(
+    where: str, clock: Array, values: dict[str, Array], stamped: bool, notes: list[str]
+) -> tuple[Array, dict[str, Array]]:
+    """Times (N,) and values (N, A) of a run in the order of time, those that were sent twice once."""
+    if not increasing(clock, equal=True):
+        order = np.argsort(clock, kind="stable")
+        clock, values = clock[order], {name: rows[order] for name, rows in values.items()}
+        notes.append(f"{where}: messages came out of order and were put in order of their time")
+    if stamped:
+        remedy = "two sources wrote it, or its clock was set back: record it again"
+        if (kept := without_repeated(where, clock, list(values.values()), 0, remedy)) is not None:
+            clock, values = clock[kept], {name: rows[kept] for name, rows in values.items()}
+            notes.append(f"{where}: {int(np.sum(~kept))} messages were sent twice and kept once")
+    return np.ascontiguousarray(clock), values
 
 
 def _joined(parts: Sequence[Signal]) -> Signal:

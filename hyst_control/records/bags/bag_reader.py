@@ -22,7 +22,7 @@ from hyst_control.records.bags.bag_files import Bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing, no_topic
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE, decode, parse_label
-from hyst_control.records.tables.regular_signals import on_one_clock
+from hyst_control.records.tables.regular_signals import on_one_clock, restarts
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
 """The topics that the package knows; another topic that is no signal is left out with a note instead of refused."""
@@ -279,6 +279,10 @@ def _signal(path: Path, name: str, topic: _Topic, origin: int, unit: str, notes:
         return _ordered(path, name, Signal(time, rows.values.array(), axes, units[0], received=received), notes)
     values = rows.values.array()
     if not increasing(stamps, equal=True):
+        if edges := restarts(stamps):
+            raise InputError(
+                f"{path}: {name}: the clock was set back in message {edges[0]}: hyst import --columns makes a bag of each run: give these"
+            )
         order = np.argsort(stamps, kind="stable")
         stamps, values = stamps[order], values[order]
     time = np.asarray((stamps - origin) * 1e-9, dtype=np.float64)

@@ -21,7 +21,7 @@ def sqlite_messages(
     chosen: Collection[str] | None = None,
     types: dict[str, tuple[str, str]] | None = None,
 ) -> Iterator[tuple[str, int, bytes]]:
-    """Messages in order of their time."""
+    """Messages in the order in which they came; that of their times, a clock that was set back would mix."""
     log = file.with_name(f"{file.name}-wal")
     size = file.stat().st_size + (log.stat().st_size if not finished and log.is_file() else 0)
     try:
@@ -36,7 +36,7 @@ def sqlite_messages(
                 return
             marks = ", ".join("?" * len(topics))
             rows = database.execute(
-                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY timestamp, id", tuple(topics)
+                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id", tuple(topics)
             )
             left = size
             for topic, time, data in rows:

@@ -22,6 +22,7 @@ LATEST = 20.0
 """Steps by which messages may be received beside their ticks: they come in bursts, but none is thought to be lost."""
 
 MAX_RUNS = 100
+ROWS_REMEDY = "choose rows in which it does, or leave the time out and give the rate"
 ROUNDING = 1e-6  # Relative error of times that count as equal
 RATES_DIFFER = 0.01
 TOLD_DEVIATION = 0.01  # Steps by which times may lie beside their ticks without a note
@@ -43,14 +44,20 @@ def runs_of(where: str, time: Array, rows: Sequence[int] | Integers, gaps: bool)
                 f"least {SHORTEST_RUN} rows: choose rows beside the gaps (--rows), or give --allow-gaps in its place"
             )
         more = f" and {len(back) - 1} more" if len(back) > 1 else ""
-        raise InputError(
-            f"{where}: time: does not increase in row {rows[back[0]]}{more}: choose rows in which it does, or leave the time out and "
-            "give the rate"
-        )
+        raise InputError(f"{where}: time: does not increase in row {rows[back[0]]}{more}: {ROWS_REMEDY}")
     return [slice(first, last) for first, last in zip(bounds, bounds[1:], strict=False)]
 
 
-def without_repeated(where: str, time: Array, values: list[Array], begin: int) -> Mask | None:
+def restarts(time: Array | Integers) -> list[int]:
+    """Rows at which times (N,) in the order of arrival fall by many rows and go on from there; not those that are a few places late."""
+    falls = 1 + np.flatnonzero(np.diff(time) < 0.0)
+    near = np.arange(SHORTEST_RUN)
+    before = np.median(time[np.maximum(falls[:, None] - 1 - near, 0)], axis=1)  # which a single row elsewhere does not move
+    after = np.median(time[np.minimum(falls[:, None] + near, len(time) - 1)], axis=1)
+    return [int(row) for row in falls[after < before]]
+
+
+def without_repeated(where: str, time: Array, values: list[Array], begin: int, remedy: str = ROWS_REMEDY) -> Mask | None:
     """Mask (N,) of the rows that do not repeat the row before them, its time included; None where all are kept."""
     parts = blocks(len(time) - 1)
     again = np.concatenate(
@@ -64,8 +71,7 @@ def without_repeated(where: str, time: Array, values: list[Array], begin: int) -
     if not same.all():
         if find_grid(time) is None:
             raise InputError(
-                f"{where}: time: does not increase in row {begin + int(again[np.argmin(same)])}: another row has the same time: choose "
-                "rows in which it does, or leave the time out and give the rate"
+                f"{where}: time: does not increase in row {begin + int(again[np.argmin(same)])}: another row has the same time: {remedy}"
             )
         return None
     kept = np.ones(len(time), dtype=bool)
@@ -91,10 +97,15 @@ def on_one_clock(
     if resample is None:
         topic = next(topic for topic, grid in by_topic.items() if grid is None)
         steps = np.diff(signals[topic].time)
-        least, most = np.quantile(steps, [0.01, 0.99])
+        usual, longest = float(np.median(steps)), int(np.argmax(steps))
         raise InputError(
-            f"{where}: time: is irregular: steps of {least:.3g} to {most:.3g} s: --resample interpolates it at "
-            f"{1.0 / np.median(steps):.4g} Hz, with an error that it tells"
+            f"{where}: time: is irregular: steps of {steps.min():.3g} to {steps[longest]:.3g} s, the longest before its row "
+            f"{longest + 1}, after {signals[topic].time[longest] - signals[topic].time[0]:.6g} s: "
+            + (
+                f"--resample interpolates it at {1.0 / usual:.4g} Hz, with an error that it tells"
+                if steps[longest] <= LONGEST_FILLED * usual
+                else "the clock jumped or rows are missing: of a table, --rows takes one side, --resample makes a record of each"
+            )
         )
     return _interpolated(where, signals, by_topic, hold, resample)
 

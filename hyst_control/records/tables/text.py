@@ -8,6 +8,7 @@ import codecs
 import gzip
 import io
 import re
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -49,6 +50,7 @@ class TextTable:
     path: Path
     lines: Callable[[], Lines]
     layout: Layout
+    ends_open: Callable[[], bool]  # True where the last line has no line end
 
     def columns(self, wanted: Sequence[int]) -> tuple[Array, list[str]]:
         """Numbers (N, len(wanted)) of the columns of these numbers from 0, and notes on what was left out below the last number."""
@@ -59,6 +61,7 @@ class TextTable:
             lines = ((number, line) for number, line in source if not is_comment(line))
             left: list[tuple[int, str]] = []
             repeated: list[int] = []
+            shortest = length = np.inf  # of all lines above the last, and of the last
             while piece := [*left, *islice(lines, TEXT_ROWS - len(left))]:
                 left = []
                 try:
@@ -71,6 +74,12 @@ class TextTable:
                     else:
                         notes.append(self._end(number, line, chain(left, lines), damaged))
                         break
+                else:
+                    shortest = min(shortest, length, *(len(line) for _, line in piece[:-1]), np.inf)
+                    last, length = piece[-1][0], len(piece[-1][1])
+            else:
+                if length < shortest < np.inf and self.ends_open():
+                    notes.append(f"the last line, {last}, has no line end and is the shortest: its last number may be cut off")
             if repeated:
                 notes.append(f"lines that repeat the header were left out: {len(repeated)}, the first is line {repeated[0]}")
         return store.array(), [f"{self.path}: {note}" for note in notes]
@@ -119,7 +128,7 @@ def text_table(path: Path, skip: int = 0, lines: Callable[[], Lines] | None = No
     source = lines or (lambda: _lines(path))
 
     def behind() -> Lines:
-        return ((number, plain(line)) for number, line in source() if number > skip and _ALPHANUMERIC.search(line))
+        return ((number, plain(line.rstrip("\n"))) for number, line in source() if number > skip and _ALPHANUMERIC.search(line))
 
     with foreign_reader(path, "text", REMEDY):
         first = [line for _, line in islice(behind(), SAMPLE_LINES)]
@@ -131,11 +140,11 @@ def text_table(path: Path, skip: int = 0, lines: Callable[[], Lines] | None = No
         if len(first) == 1:
             raise InputError(f"{path}: holds no rows below its first line ({words[:40]!r} is taken as names): repair it")
         raise InputError(f"{path}: holds no rows of numbers ({words[:40]!r}, …): name the lines to skip (--skip N), or repair it")
-    return TextTable(path, behind, layout)
+    return TextTable(path, behind, layout, lambda: lines is None and not deque(source(), maxlen=1)[0][1].endswith("\n"))
 
 
 def _lines(path: Path) -> Lines:
-    """Lines of a text with their numbers."""
+    """Lines of a text with their numbers and line ends."""
     budget = Budget(path.stat().st_size)
     with open(path, "rb") as plain_file:
         file: Any = gzip.open(plain_file) if path.suffix.lower() == ".gz" else plain_file
@@ -144,7 +153,7 @@ def _lines(path: Path) -> Lines:
         with io.TextIOWrapper(file, encoding) as text:
             for number, line in enumerate(text, start=1):
                 budget.take(len(line))
-                yield number, line.rstrip("\n")
+                yield number, line
 
 
 def _encoding(start: bytes) -> str:

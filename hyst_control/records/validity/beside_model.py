@@ -216,7 +216,7 @@ def model_findings(trial: Trial, moving: Sequence[int]) -> list[Finding]:
 def _meant(trial: Trial, name: str, factor: float) -> Finding:
     rate = 1.0 / trial.sample_time
     details = {
-        "wrong_rate": f": a sample rate of {factor / trial.sample_time:.4g} Hz instead of {rate:.4g} Hz fits the model",
+        "wrong_rate": f"(at {factor / trial.sample_time:.4g} Hz instead of {rate:.4g} Hz the model fits)",
         "scaled_command": f"(scaled by {factor:g} it fits)",
     }
     return Finding(name, trial.name, "", factor, 1.0, details.get(name, "(so the model fits)"))

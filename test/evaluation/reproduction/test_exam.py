@@ -40,6 +40,14 @@ def test_without_the_records_the_command_says_what_is_missing(monkeypatch, tmp_p
         exam.run()
 
 
+@pytest.mark.parametrize("text", ["", "u,y\n", "u,y\n1\n", "u,y\n1,2\n3\n"])
+def test_a_table_that_is_cut_off_is_refused(monkeypatch, tmp_path, text):
+    (tmp_path / "tanks.csv").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(exam, "data_folder", lambda _: tmp_path)
+    with pytest.raises(InputError, match=r"tanks.csv: cannot be read .*: fetch the file again"):
+        exam.tanks()
+
+
 def test_a_machine_with_dry_friction_passes():
     """Made here by small steps of its equation of motion; the model has another damping and no friction."""
     rate, time = 200.0, np.arange(1600) / 200.0

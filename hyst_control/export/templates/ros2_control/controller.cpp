@@ -1,5 +1,6 @@
 // Copyright 2026 The hyst_control authors
 // SPDX-License-Identifier: Apache-2.0
+// Made by hyst export.
 // Chainable controller of ros2_control around {{ name }}_step. update_and_write_commands allocates no memory and never blocks.
 #include "{{ name }}.h"
 
