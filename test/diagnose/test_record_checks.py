@@ -135,6 +135,10 @@ def test_the_sentence_says_why_nothing_known_explains_a_gap():
     told = sentence(report | {"reasons": ["distortion_level"], "distortions": [stands]})
     assert "stands on one level" in told and "held samples" not in told
     told = sentence(report | {"reasons": ["distortion_level"], "distortions": [stands | {"name": "offset"}]})
+    assert "softening modes come nearest, but the size of the offset would have to change by 200 %" in told
+    told = sentence(
+        report | {"reasons": ["distortion_level"], "distortions": [{**stands, "name": "offset"}], "effects": [{"name": "offset"}]}
+    )
     assert "offset is the nearest, but its size would have to change by 200 %" in told
     both = sentence(report | {"reasons": ["energy_left", "too_many_effects"]})
     assert "leaves 50 % of it" in both and "at once" not in both
