@@ -193,6 +193,7 @@ def _stated_spectrum(
 def _carried(
     problem: Problem, clean: Problem, matches: Sequence[Sequence[Match]], spans: Array, settings: BaselineSettings
 ) -> Baseline:
+    given = clean
     problem, clean = _as_the_plant_answers(problem, clean, matches)
     pieces: list[Piece] = []
     series: list[Array] = []
@@ -215,19 +216,21 @@ def _carried(
         begin = int(np.argmax(kept))
         whole = kept.all() and piece.keep is None
         pieces.append(replace(piece, keep=None if whole else kept & piece.mask))
-        errors, clean_errors = [], []
+        errors, clean_errors, given_errors = [], [], []
         for match in found:
             matched = np.clip(np.arange(len(piece.command)) + match.shift, 0, len(match.clean.command) - 1)
             index = next(i for i, one in enumerate(clean.pieces) if one is match.clean)
             clean_errors.append(match.clean.measurement - simulated_rows(clean, index, match.clean))
             errors.append(clean_errors[-1][matched])
+            given_errors.append((match.clean.measurement - simulated_rows(given, index, match.clean))[matched])
         mean = np.mean(errors, axis=0)
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
         quiet, left = without_noise(mean, np.fmin(repeating, differing))
         series.append(quiet)
-        lefts.append(without_zero(mean[kept])[0])
+        # How near the model came that was made without this record tells how well the plant repeats; the filter was fitted to it.
+        lefts.append(without_zero(np.mean(given_errors, axis=0)[kept])[0])
         noises.append(left)
         if apart := max(_apart(piece.command, match, settings) for match in found):
             unlike.append(min(settings.error_slope * apart, 1.0) * without_zero(quiet[kept])[0])
@@ -291,8 +294,9 @@ def _as_the_plant_answers(problem: Problem, clean: Problem, matches: Sequence[Se
     taps = lacking_response(*counted)
     if not taps.any():
         return problem, clean
-    both = (replace(one, model=one.model.with_stages((*one.model.chain.stages, LackingResponse(taps)))) for one in (problem, clean))
-    return next(both), next(both)
+    lacking = LackingResponse(taps)
+    problem = replace(problem, model=problem.model.with_stages((*problem.model.chain.stages, lacking)))
+    return problem, replace(clean, model=clean.model.with_stages((*clean.model.chain.stages, lacking)))
 
 
 def _apart(command: Array, match: Match, settings: BaselineSettings) -> float:
