@@ -72,11 +72,15 @@ class Equations:
         for window in windows:
             time = np.arange(len(window.command))
             session = [np.ones(len(time)), time / len(time) - 0.5, *_real(poles, [np.exp(pole * time) for pole in poles])]
-            columns = [*session, *driven(window, poles, delay, direct), window.measurement]
+            columns = [*driven(window, poles, delay, direct), window.measurement]
             if own:
                 columns += _real(poles, _sampled_responses(poles, window.measurement - window.measurement[0]))
-            # What the first columns explain is in the first rows of the triangle.
-            parts.append(_triangle([column[window.skip :] for column in columns])[len(session) :, len(session) :])
+            if window.skip:  # rows that do not count tell free motion and drift all the same
+                basis = qr(np.column_stack(session), mode="economic")[0]
+                columns = [(column - basis @ (basis.T @ column))[window.skip :] for column in columns]
+                parts.append(_triangle(columns))
+            else:  # what the first columns explain is in the first rows of the triangle
+                parts.append(_triangle([*session, *columns])[len(session) :, len(session) :])
         triangle = parts[0] if len(parts) == 1 else _triangle(list(np.vstack(parts).T))
         return cls(poles, direct, triangle, sum(len(window.command) - window.skip for window in windows))
 
