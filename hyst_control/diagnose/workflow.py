@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import OUTSIDE, RULES, Diagnosis, diagnose
+from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose, outside_valid
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
@@ -194,7 +194,10 @@ def diagnose_records(
             document["foreseen"] = {"command": coming[0], **foresee(diagnosis, coming[1]).document()}
         except InputError as error:
             raise InputError(f"--on {coming[0]}: {error}") from None
-        document["notes"] += _beyond_valid(diagnosis.model, *coming)
+        if beyond := outside_valid(diagnosis.model, coming[1]):
+            document["notes"].append(
+                f"--on {coming[0]}: {beyond}: the reduction is that of an extrapolation; check the command's unit"
+            )
     return GapResult(document, in_words(document), diagnosis, better)
 
 
@@ -294,16 +297,3 @@ def _command(path: str, namespace: str | None, unit: str, columns: str | None, s
         return record.command
     rows = read_array(path)
     return rows[:, None] if rows.ndim == 1 else rows
-
-
-def _beyond_valid(model: Model, name: str, command: Annotated[Array, "N A"]) -> list[str]:
-    """A note where a good part of the command lies outside the range that the model is valid for."""
-    valid = np.array(model.valid.get("command", (-np.inf, np.inf)), dtype=float).reshape(-1, 2)  # of all axes, or of each
-    outside = float(np.mean((command < valid[:, 0] - 1e-9) | (command > valid[:, 1] + 1e-9)))
-    if outside < OUTSIDE:
-        return []
-    ranges = ", ".join(f"{lower:g} … {upper:g}" for lower, upper in valid)
-    return [
-        f"--on {name}: {outside:.1%} of the command lies outside the {ranges} V that the model is valid for: the reduction is that of "
-        "an extrapolation; check the command's unit"
-    ]

@@ -174,7 +174,7 @@ def test_progress_shows_on_a_terminal_and_its_parts_elsewhere(monkeypatch, is_te
 
 
 def test_the_address_of_a_page_is_printed_while_it_is_served(monkeypatch, capsys):
-    dashboard = pytest.importorskip("hyst_control.nodes.dashboard")
+    dashboard = pytest.importorskip("hyst_control.nodes.dashboard", reason="the live page is a node and needs rclpy")
 
     def serve(*settings):
         settings[-1]("http://127.0.0.1:1/token/")

@@ -1,6 +1,6 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect changes, beside a baseline record of the same command: it goes through the plant's dynamics, not the model's."""
+"""Effects beside a baseline record of the same command: their change goes through the plant's dynamics, not the model's."""
 
 from __future__ import annotations
 
@@ -69,6 +69,14 @@ def test_an_effect_on_a_machine_with_another_mode_is_named_alone(name, changed, 
     assert [one.names for one in found.listed] == [(name,)]
     [member] = found.chosen.candidate.members
     assert next(iter(member.values(found.chosen.solution.x).values())) == pytest.approx(value, rel=near)
+
+
+@pytest.mark.long_file
+def test_the_healthy_machine_has_no_gap_beside_itself():
+    model = replace(fitted(), hold="foh")
+    healthy, new = (record(drive(), machine(drive(), seed), "r") for seed in (1, 2))
+    [found] = diagnose([new], model, baseline=[healthy], cache=False).parts
+    assert found.decision.verdict is Verdict.NO_GAP
 
 
 def test_the_filter_is_the_response_that_the_model_lacks():

@@ -22,6 +22,7 @@ from hyst_control.cli import main
 from hyst_control.diagnose import workflow
 from hyst_control.diagnose.model_error.baseline import Baseline
 from hyst_control.diagnose.report.predicted_reduction import foresee, own_error_energy
+from hyst_control.diagnose.run.diagnosis import outside_valid
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.identify.model_error.learned_discrepancy import learn
@@ -199,3 +200,12 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_diagnosis(diagno
     call, asked, _ = diagnosed_bag
     assert call(option, str(tmp_path)) == 2 and not asked
     assert capsys.readouterr().err.splitlines()[-1].endswith(f"{tmp_path}: is a directory: give the name of a file")
+
+
+@pytest.mark.parametrize(
+    "valid, told", [([0.0, 50.0], "25.0% of the command lies outside the 0 … 50 V"), ([[0.0, 50.0], [0.0, 90.0]], "")]
+)
+def test_a_range_of_all_axes_or_of_each(valid, told):
+    model = SimpleNamespace(valid={"command": valid})
+    found = outside_valid(model, np.array([[10.0, 20.0], [30.0, 80.0]]))
+    assert found.startswith(told) and bool(found) == bool(told)

@@ -133,6 +133,17 @@ def test_a_larger_model_of_one_kind_never_fits_worse():
         assert len(errors) > 5 and np.all(np.diff(errors) <= 1e-6)
 
 
+def test_fits_on_all_cores_are_those_of_one(monkeypatch):
+    command = stairs(40, 50)
+    data, _ = record(command, answer(command, 1e-3, mode(1.0, 60.0, 0.1), late=3), 1e-3)
+    window = Window(data.command[:, 0], data.measurement[:, 0], 1e-3, "zoh", 0, 0)
+    together, _ = search([window], LinearOptions())
+    monkeypatch.setattr("hyst_control.base.parallel._serial", True)
+    alone, _ = search([window], LinearOptions())
+    assert together.variant == alone.variant
+    np.testing.assert_array_equal(together.solution.parameters, alone.solution.parameters)
+
+
 def test_a_record_that_is_too_short_says_how_well_the_static_gain_is_known():
     """A pole of thirty record lengths: its gain and its rate cannot be told apart, and the note's deviation covers the truth."""
     command = stairs(20, 50)

@@ -281,7 +281,6 @@ def _carried(
         own_spectrum=reduce(ErrorSpectrum.with_further, spectra) if spectra else None,
     )
     error = np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0))
-    error = np.asarray(np.sqrt(np.mean(np.concatenate([without_zero(rows)[0] for rows in series]) ** 2, axis=0)))
     return Baseline(beside, True, repeatability, usual, floor, clean, error, relative=relative_error(kept_rows, series))
 
 

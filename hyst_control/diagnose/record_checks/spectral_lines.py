@@ -75,11 +75,9 @@ def lines(
 
 
 def in_time(piece: Piece, rows: Annotated[Array, "N A"]) -> Annotated[Array, "M A"]:
-    """Rows that count, at their times: moved together, a line would have another frequency. Those left out in between are at the mean."""
-    begin, end = piece.first, len(piece.mask) - int(np.argmax(piece.mask[::-1]))
-    found = np.repeat(rows.mean(axis=0)[None], end - begin, axis=0)
-    found[piece.mask[begin:end]] = rows
-    return found
+    """Rows that count, at their times, straight lines between them: moved together, a line would have another frequency."""
+    known = np.flatnonzero(piece.mask)
+    return np.stack([np.interp(np.arange(known[0], known[-1] + 1), known, column) for column in rows.T], axis=1)
 
 
 def command_lattice(

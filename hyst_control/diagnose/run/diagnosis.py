@@ -243,15 +243,19 @@ def problem_of(
     if len(holds) > 1:
         raise InputError("some records hold the command (zoh), others do not (foh): diagnose them one by one")
     problem = Problem(model, tuple(pieces), sample_times.pop(), holds.pop(), np.ones(len(model.axes)))
-    valid = model.valid.get("command")
-    if valid:
-        commands = np.concatenate([piece.command for piece in pieces])
-        outside = float(np.mean((commands < valid[0] - 1e-9) | (commands > valid[1] + 1e-9)))
-        if outside >= OUTSIDE:
-            notes.append(f"{outside:.1%} of the command lies outside the {valid[0]:g} … {valid[1]:g} V that the model is valid for")
+    if beyond := outside_valid(model, np.concatenate([piece.command for piece in problem.pieces])):
+        notes.append(beyond)
     if not model.uncertainty and (idle := idle_tolerances(model)):
         notes.append(f"tolerance of {', '.join(idle)}: no parameter of the model's chain scatters by this name; see the model file")
     return with_noise(problem, nominal_residuals(problem), configuration), notes
+
+
+def outside_valid(model: Model, command: Annotated[Array, "N A"]) -> str:
+    """Phrase on the part of a command that lies outside the range that the model is valid for; empty where hardly any does."""
+    valid = np.array(model.valid.get("command", (-np.inf, np.inf)), dtype=float).reshape(-1, 2)  # of all axes, or of each
+    outside = float(np.mean((command < valid[:, 0] - 1e-9) | (command > valid[:, 1] + 1e-9)))
+    ranges = ", ".join(f"{lower:g} … {upper:g}" for lower, upper in valid)
+    return f"{outside:.1%} of the command lies outside the {ranges} V that the model is valid for" if outside >= OUTSIDE else ""
 
 
 def _beside(problem: Problem, clean: Problem | None, configuration: Configuration) -> Baseline | None:

@@ -184,7 +184,7 @@ def search(windows: Sequence[Window], options: LinearOptions, *, still: bool = F
 
 
 def _trials(windows: Sequence[Window], few: Sequence[Window], options: LinearOptions, still: bool, late: float) -> Trials:
-    """What fits to a few rows of the records have in common."""
+    """Trials on a few rows of the records, with what all of them share."""
     band = REACH * excited_band(few) or np.inf
     travel = max(float(np.ptp(window.measurement)) for window in windows) / max(float(np.ptp(w.command)) for w in windows)
     return Trials(
