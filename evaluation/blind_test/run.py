@@ -32,7 +32,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.files import read_json, write_json
 from hyst_control.base.parallel import Workers, map_spawned, outcomes
 from hyst_control.diagnose.report.predicted_reduction import foresee
-from hyst_control.diagnose.run.diagnosis import RULES
+from hyst_control.diagnose.run.diagnosis import BY_REGIME
 from hyst_control.diagnose.workflow import diagnosed
 from hyst_control.effects import EFFECTS
 from hyst_control.model_file import Model, load_model, save_model
@@ -61,7 +61,7 @@ class Batch:
     options: Mapping[str, Any] = field(default_factory=dict)  # Of the drawing
     role: str = ""  # "without_gap" of further cases, which only the rows of false alarms count
     left_out: int = 0  # Cases with one effect that are diagnosed again without it in the catalogue
-    core: str = RULES  # Core of the diagnosis
+    core: str = BY_REGIME  # Core of the diagnosis
 
     @property
     def labels(self) -> Path:

@@ -44,7 +44,7 @@ OPTIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("--output", "folder to write: cases, labels and reports (default blind_out)", {"default": "blind_out", "metavar": "FOLDER"}),
     ("--stop-after", "begin no further diagnosis after this time; the same call continues", {"type": float, "metavar": "SECONDS"}),
     ("--so-far", "score the cases that an interrupted run has diagnosed, without diagnosing more", {"action": "store_true"}),
-    ("--core", "core of the diagnosis (default rules)", {"choices": ("rules", "likelihood"), "default": "rules"}),
+    ("--core", "core of the diagnosis (default by_regime)", {"choices": ("by_regime", "rules", "likelihood"), "default": "by_regime"}),
     ("--workers", "with --seed: worker processes (default: one a core)", {"type": int, "metavar": "N"}),
     (
         "--cluster",

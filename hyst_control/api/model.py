@@ -232,11 +232,17 @@ class Model(model_file.Model, Shown):
                 f"limits: must be lower and upper, each a number or one for each of {', '.join(self.axes)}, got {limits!r}"
             )
         drive_limits(self, limits)
+        refused = ""
         for kind in KINDS:
             try:
-                return Inverse(self, sample_time, limits, build_compensator(self, kind, sample_time=sample_time, limits=limits))
-            except InputError:
+                compensator = build_compensator(self, kind, sample_time=sample_time, limits=limits)
+            except InputError as error:
+                refused = f"{kind}: {error}"
                 continue
+            found = Inverse(self, sample_time, limits, compensator, refused)
+            if found.left_out:
+                logging.getLogger("hyst_control").warning("inverse of %s: %s", self.name, found.left_out)
+            return found
         return Inverse(self, sample_time, limits)
 
     def save(self, path: str | Path) -> None:
@@ -259,6 +265,8 @@ class Inverse(Shown):
     compensator
         The streaming compensator that the node of the feedforward runs; None: the model has none, and is inverted over the whole
         reference by iterations.
+    refused
+        The better inverse that the model has not, and why; empty if there is none.
 
     Examples
     --------
@@ -279,16 +287,23 @@ class Inverse(Shown):
     sample_time: float
     limits: tuple[ArrayLike, ArrayLike] | None = None
     compensator: Compensator | None = None
+    refused: str = ""
+
+    @property
+    def left_out(self) -> str:
+        """Sentence on the parts of the model that are not inverted, and why; empty if all are."""
+        parts = self.compensator.left_out if self.compensator else ()
+        return f"leaves out {', '.join(parts)} ({self.refused})" if parts else ""
 
     def summary(self) -> str:
-        """Model, rate, limits and method of the inverse."""
+        """Model, rate, limits and method of the inverse, and what it leaves out."""
         lines = [f"inverse of {self.model.name} at {1.0 / self.sample_time:g} Hz"]
         if self.limits is not None:
             lines.append(f"  commands {_range(np.transpose(np.asarray(self.limits)))} V")
         elif "command" in self.model.valid:
             lines.append(f"  commands {_range(self.model.valid['command'])} V")
         how = f"looks {self.compensator.preview} samples ahead" if self.compensator else "iterates over the whole reference"
-        return "\n".join([*lines, f"  {how}"])
+        return "\n".join([*lines, f"  {how}", *([f"  {self.left_out}"] if self.left_out else [])])
 
     def plot(self, reference: ArrayLike, path: str | Path | None = None) -> list[Axes]:
         """Draw a reference, the motion that the model predicts for its command, and the command.

@@ -57,9 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add(
         "--core",
-        choices=("rules", "likelihood"),
-        default="rules",
-        help="core that weighs the hypotheses: the tuned rules, or one likelihood of all of them (default rules)",
+        choices=("by_regime", "rules", "likelihood"),
+        default="by_regime",
+        help="core that weighs the hypotheses: tuned rules, or one likelihood of all; by regime: the likelihood beside baseline records "
+        "of other commands, else the rules (default by_regime)",
     )
     add(
         "--own-records",

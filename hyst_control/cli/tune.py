@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="additional delay of the loop in ticks: 0 in lockstep (default), about 1 on wall-clock timers",
     )
     add("--gain-spread", type=float, default=0.1, help="relative spread of the plant's gain (default 0.1)")
-    add("--mode-spread", type=float, default=0.2, help="relative spread of the first resonance's frequency (default 0.2)")
+    add("--mode-spread", type=float, default=0.2, help="relative spread of the resonances' frequencies (default 0.2)")
     add("--model-error", type=float, default=0.15, help="relative error of the model's response at any frequency (default 0.15)")
     add(
         "--roll-off",
@@ -55,7 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--structure",
         choices=("pi", "pid", "notch", "damping", "auto"),
         default="pi",
-        help="pi (default), with a filtered derivative, a notch or damping of the first resonance, or the best of them (auto)",
+        help="pi (default), with a filtered derivative, a notch or damping of the resonance that peaks most in the loop, or the best of "
+        "them (auto)",
     )
     add("--output", metavar="GAINS.yaml", help="parameter file of the node pi_feedback to write")
     add("--at", type=float, nargs="+", default=[], metavar="HZ", help="print the sensitivity |S| at these frequencies as well")

@@ -60,8 +60,9 @@ def shapes(structure: str, roll_off: float | None, static: float, mode: complex 
         raise InputError(f"structure: {structure} needs a resonance below half the sample rate, {found_at}: take pid or pi")
     found: list[Shape] = []
     for corner in corners:
+        if structure in ("pid", "damping", "auto"):
+            found += [Shape(corner)]  # without a derivative, and without damping
         if structure in ("pid", "auto"):
-            found += [Shape(corner)]  # without a derivative
             found += [Shape(corner, time * sample_time, share, place / sample_time) for time, share, place in DERIVATIVES]
         if structure in ("notch", "auto") and usable:
             found += [Shape(corner, notch=(frequency, width, depth)) for width, depth in NOTCHES]

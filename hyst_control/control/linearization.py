@@ -17,11 +17,7 @@ from hyst_control.chain.chain import ParallelFilter, SeriesFilter, at_rest, reso
 from hyst_control.chain.linear.linear_stages import (
     LinearFilter,
     LinearStage,
-    LinearSystem,
-    StateSpace,
     TransferFunction,
-    stacked,
-    transfer_function_system,
 )
 from hyst_control.chain.stage import Filter
 from hyst_control.model_file import Model
@@ -125,24 +121,11 @@ def _response(running: Filter, axes: int, z: Complex) -> Complex:
     return total
 
 
-def with_first_mode(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
-    """The same linear chain with every axis' slowest pair of poles at `factor` times its frequency, damping ratio and stiffness kept."""
-    linear = {index: stage for index, stage in enumerate(stages) if isinstance(stage, LinearStage)}
-    found = [(abs(pair), index) for index, stage in linear.items() for pair in _resonances(stage, axes)]
-    if not found:
-        return tuple(stages)
-    index = min(found)[1]
-    moved = [_mode_moved(system, factor) for system in linear[index].systems(axes)]
-    whole = moved[0] if len(moved) == 1 else stacked(moved)
-    stage = StateSpace(*(getattr(whole, part).tolist() for part in "ABCD"))
-    return (*stages[:index], stage, *stages[index + 1 :])
-
-
 def modes(stages: Sequence[Stage], axes: int) -> Complex:
-    """Poles (rad/s) of all resonances of a linear chain, one of each pair, the slowest first."""
+    """Complex poles (rad/s) of a linear chain, one of each pair, the slowest first."""
     within = [modes(chain, axes) for stage in stages for chain in stage.inner_chains]
     poles = np.concatenate(
-        [np.empty(0), *within, *(_resonances(stage, axes) for stage in stages if isinstance(stage, LinearStage))]
+        [np.empty(0), *within, *(_complex_poles(stage, axes) for stage in stages if isinstance(stage, LinearStage))]
     )
     return np.asarray(poles[np.argsort(np.abs(poles))], dtype=np.complex128)
 
@@ -156,43 +139,6 @@ def has_dynamics(stages: Sequence[Stage], axes: int) -> bool:
     )
 
 
-def first_mode(stages: Sequence[Stage], axes: int) -> complex | None:
-    """Pole (rad/s) of the first resonance of a linear chain, of the slowest axis; None without complex poles."""
-    found = modes([stage for stage in stages if isinstance(stage, LinearStage)], axes)
-    return complex(found[0]) if len(found) else None
-
-
-def _resonances(stage: LinearStage, axes: int) -> Complex:
+def _complex_poles(stage: LinearStage, axes: int) -> Complex:
     poles = np.concatenate([np.linalg.eigvals(system.A) for system in stage.systems(axes)])
     return np.asarray(poles[poles.imag > 1e-6 * np.abs(poles)])
-
-
-NOTCH_WIDTH = 0.15  # Relative distance in frequency up to which a pair of zeros is a notch against a mode
-
-
-def notched(system: LinearSystem, w: float) -> bool:
-    """True when a pair of complex zeros of a `system` of one input and output lies close to its mode at `w` rad/s."""
-    if system.B.shape[1] != 1 or system.C.shape[0] != 1:
-        return False
-    a, b, d = system.A / w, system.B / w, float(system.D[0, 0])
-    numerator = np.poly(a - b @ system.C) - (1.0 - d) * np.poly(a)
-    largest = np.abs(numerator).max()
-    zeros = np.roots(numerator[np.argmax(np.abs(numerator) > 1e-12 * largest) :]) if largest > 0.0 else np.zeros(0)
-    return bool(np.any((np.abs(zeros.imag) > 0.5) & (np.abs(np.abs(zeros) - 1.0) < NOTCH_WIDTH)))
-
-
-def _mode_moved(system: LinearSystem, factor: float) -> LinearSystem:
-    values, vectors = np.linalg.eig(system.A)
-    complex_ones = np.flatnonzero(values.imag > 1e-6 * np.abs(values))
-    if not len(complex_ones):
-        return system
-    first = values[complex_ones[np.argmin(np.abs(values[complex_ones]))]]
-    if notched(system, abs(first)):
-        damping = -2.0 * first.real
-        pole = np.array([1.0, damping, abs(first) ** 2])
-        moved = np.array([1.0, factor * damping, factor**2 * abs(first) ** 2])
-        return system.then(transfer_function_system(factor**2 * pole, moved))
-    scale = np.where(np.isclose(values, first) | np.isclose(values, first.conj()), factor, 1.0)
-    # Scaling a mode's pole and its input alike keeps what it contributes at rest.
-    turn = vectors @ np.diag(scale) @ np.linalg.inv(vectors)
-    return LinearSystem((turn @ system.A).real, (turn @ system.B).real, system.C, system.D, system.bias)

@@ -26,6 +26,11 @@ class Margins:
     crossover: float
     bandwidth: float
 
+    def keep(self, gain_margin: float, phase_margin: float, peak_sensitivity: float) -> bool:
+        """True when the margins are at least these, in dB and degrees, and the peak at most this."""
+        enough = self.gain_margin >= gain_margin and self.phase_margin >= phase_margin
+        return enough and self.peak_sensitivity <= peak_sensitivity
+
 
 def margins(loop: Complex, z: Complex, sample_time: float, error: float = 0.0) -> Margins:
     """Margins of a stable loop, the worst over a relative error of its response.

@@ -1,9 +1,10 @@
 # Copyright 2026 The hyst_control authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cases of a plant for which a loop must keep its margins: gains and first resonances about a model's, and any model error beside them."""
+"""Cases of a plant for which a loop must keep its margins: gains and resonances about a model's, and any model error beside them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -11,8 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex, Mask
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.loop_margins import Margins, margins, min_distance, worst
+from hyst_control.control.moving_modes import well_damped, with_modes
 from hyst_control.model_file import Model
 
 
@@ -99,18 +101,31 @@ def closed_loop(responses: Complex, inverses: Complex, controller: Complex) -> t
 
 
 def spread_responses(
-    model: Model, sample_time: float, loop_delay: int, gain_spread: float, mode_spread: float, z: Complex
+    model: Model,
+    sample_time: float,
+    loop_delay: int,
+    gain_spread: float,
+    mode_spread: float,
+    z: Complex,
+    alone: Sequence[complex] = (),
+    quiet: Sequence[complex] = (),
 ) -> Complex:
     """Responses (K, F, A, A) at points of the z plane, the nominal model first, measurement unit per V.
 
-    The other cases are at the ends of the relative spreads of the gain and of the first resonance's frequency.
+    The other cases are at the ends of the relative spreads of the gain, and of the frequency of all resonances together and of those
+    of the poles `alone` (rad/s), each by itself. Resonances of the poles `quiet`, of none of these, are well damped.
     """
     axes = len(model.axes)
     _, greatest = hysteresis_slopes(model)
     stages = linearized(model, greatest)
+    ends = (1.0 - mode_spread, 1.0 + mode_spread)
+    together = [(end, with_modes(stages, axes, end)) for end in ends]
+    damped: Complex = np.array(quiet, dtype=np.complex128)
+    plants = [well_damped(plant, axes, np.asarray(end * damped)) for end, plant in [(1.0, stages), *together]]
+    plants += [with_modes(stages, axes, end, np.array([pole])) for pole in alone for end in ends]
     responses = []
-    for mode in (1.0, 1.0 - mode_spread, 1.0 + mode_spread):
-        response = sampled_response(with_first_mode(stages, axes, mode), axes, sample_time, z) * (z**-loop_delay)[:, None, None]
+    for plant in plants:
+        response = sampled_response(plant, axes, sample_time, z) * (z**-loop_delay)[:, None, None]
         responses += [gain * response for gain in (1.0, 1.0 - gain_spread, 1.0 + gain_spread)]
     return np.array(responses)
 

@@ -5,7 +5,7 @@
 The loop is L(z) = P(z) z^-d F(z) (kp + ki T z / (z - 1) + D(z) - G(z)): P exact for the held command, delays included, d further
 ticks where the loop carries them (a loop closed over topics on wall-clock timers carries about one), F the roll-off and the notches
 of the feedback, D its derivative and G its damping (`feedback.filters`), where they are asked for. Among all gains that keep the
-margins for every case of plant gain and first resonance, the one with the greatest ki is taken: it has the least integral of the
+margins for every case of plant gain and resonances, the one with the greatest ki is taken: it has the least integral of the
 error after a load step (Astrom and Hagglund, Advanced PID Control, 2006, §4.6 and §6.3). Among shapes (`feedback_shapes`), each with
 its gains, the one whose step has the least integral of the absolute error is taken: the greatest ki of all belongs to a low corner
 and a great kp, which overshoot.
@@ -23,21 +23,24 @@ nothing of either where the plant is not normal; gain and phase margin are those
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from hyst_control.base.arrays import Array, Complex
 from hyst_control.base.errors import InputError
 from hyst_control.base.quantity import Quantity
+from hyst_control.chain import Stage
 from hyst_control.control.feedback.filters import Filters, response
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.feedback_shapes import STRUCTURES, Shape, shapes
 from hyst_control.control.linear_step import Step, law_sections, linear_step
-from hyst_control.control.linearization import first_mode, has_dynamics, hysteresis_slopes, linearized, modes
+from hyst_control.control.linearization import has_dynamics, hysteresis_slopes, linearized, modes, sampled_response
 from hyst_control.control.loop_margins import Margins, courses_of, crossing_180, phase_margin_of
+from hyst_control.control.moving_modes import Resonances, resonances
 from hyst_control.control.plant_cases import Plants, spread_responses
 from hyst_control.model_file import Model, Simulator
 from hyst_control.reporting.tables import Table
@@ -48,6 +51,10 @@ UNKNOWN = 0.1
 """Greatest |L| where a model without dynamics is not known: a resonance there may amplify 5 times within a gain margin of 6 dB."""
 AROUND = 60
 """Points of a response on either side of a resonance, in equal ratios from a tenth of its half width to a tenth of its frequency."""
+MUCH = 2.0
+"""Times its bandwidth that a loop would have without a resonance from which on that is said: what a notch or damping may well gain."""
+NAMED = 3
+"""Resonances that such a sentence names at most."""
 LOWEST_SCALE = 1e-15
 """Of the gain at which the gain margin would be kept; a loop that cannot keep its margins at this little of it never does."""
 
@@ -174,7 +181,7 @@ def tune(
     gain_spread
         Relative spread of the plant's gain, over which the margins hold too.
     mode_spread
-        Relative spread of the first resonance's frequency, over which the margins hold too.
+        Relative spread of the resonances' frequencies, all together and each by itself, over which the margins hold too.
     model_error
         Relative error of the model's response at any frequency, on top of the spreads: a motion of the model is wrong by this share of
         its size, in any direction. Gain and phase margins of axes that drive each other hold for errors that all of them share.
@@ -182,8 +189,8 @@ def tune(
         Corner of the feedback's roll-off, Hz; 0 for none, "auto" to choose it along with the gains, which then keep the margins
         only with it.
     structure
-        "pi"; "pid" with a derivative behind a low-pass; "notch" at the first resonance; "damping" of the first resonance; or "auto" for
-        the best of them. The margins hold only with these filters.
+        "pi"; "pid" with a derivative behind a low-pass; "notch" at the resonance that peaks most in the loop; "damping" of that resonance;
+        or "auto" for the best of them. The margins hold only with these filters.
 
     Returns
     -------
@@ -204,39 +211,59 @@ def tune(
         asked.checked(value)
     mean, greatest = hysteresis_slopes(model)
     stages, axes = linearized(model, mean), len(model.axes)
-    poles, mode = modes(stages, axes), first_mode(linearized(model, greatest), axes)
+    ringing = _loop_peaks(linearized(model, greatest), axes, sample_time)
+    mode = complex(ringing.poles[0]) if len(ringing.poles) else None
     limits = 10.0 ** (gain_margin / 20.0), np.radians(phase_margin), peak_sensitivity, model_error
 
     def step(law: PI) -> Step:
         return linear_step(stages, axes, law, loop_delay)
 
-    def search(plants: Plants) -> PI:
+    def ranked(plants: Plants, static: float) -> list[Shape]:
+        tried = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
+        if len(tried) == 1:
+            return tried
+        few = plants.part(every=3)  # the least absolute error of the step first; a third of the frequencies ranks them
+        coarse = [(shape, law) for shape in tried if (law := _greatest_integral(few, static, sample_time, shape, limits))]
+        return [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
+
+    def search(plants: Plants, order: list[Shape]) -> tuple[PI, list[Shape]]:
         static = float(np.abs(plants.loci[:, 0]).max())
         if np.any(plants.loci[:, 0].real <= 0.0):
             raise InputError("chain: the output falls when the command rises at rest: PI gains are positive; invert the axis")
-        tried = shapes(structure, None if roll_off == AUTOMATIC else float(roll_off), static, mode, sample_time)
-        if len(tried) > 1:  # the least absolute error of the step first; a third of the frequencies ranks them
-            few = plants.part(every=3)
-            coarse = [(shape, law) for shape in tried if (law := _greatest_integral(few, static, sample_time, shape, limits))]
-            tried = [shape for shape, law in sorted(coarse, key=lambda pair: step(pair[1]).absolute_error)]
-        for shape in tried:
+        order = order or ranked(plants, static)
+        for shape in order:
             if law := _greatest_integral(plants, static, sample_time, shape, limits):
-                return law
+                return law, order
         decouple = ", or decouple the axes, which drive each other" if plants.mixed else ""
+        tiny = PI(0.0, 10.0 / float(np.abs(plants.loci[:, 0] / (1.0 - 1.0 / z[0])).min()) / sample_time, sample_time, -1e300, 1e300)
+        why = _violated(plants, controller_response(tiny, z), sample_time, limits)
         raise InputError(
-            f"margins: no controller of this structure keeps them for this model: ask for less, or sample faster{decouple}"
+            f"margins: no controller of this structure keeps them for this model{f' ({why} at any gain)' if why else ''}: ask for "
+            f"less, or sample faster{decouple}"
         )
 
     known, least, dynamic = known_band(model), 0.0, has_dynamics(stages, axes)
     lowest = LOWEST * (1e-3 if Plants.nominal(model, sample_time, loop_delay, np.array([1j])).mixed else 1.0)
+
+    def cases(alone: Complex) -> Plants:
+        found = spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z, alone.tolist())
+        return Plants(z, found, beyond & (not dynamic))
+
     while least < 1.0:  # from where the integral action prevails
-        z = _points(poles, mode_spread, sample_time, lowest)
+        z = _points(modes(stages, axes), ringing.poles, mode_spread, sample_time, lowest)
         beyond = np.angle(z) > 2.0 * np.pi * sample_time * known * (1.0 + 1e-9)
-        plants = Plants(z, spread_responses(model, sample_time, loop_delay, gain_spread, mode_spread, z), beyond & (not dynamic))
-        law = search(plants)
-        controller = controller_response(law, z)
-        least = float(np.abs(plants.loci[:, 0] * controller[0]).min()) * (1.0 - model_error)
+        plants = cases(np.empty(0, complex))
+        law, order = search(plants, [])
+        least = float(np.abs(plants.loci[:, 0] * controller_response(law, z)[0]).min()) * (1.0 - model_error)
         lowest *= 0.1 * least
+    if len(ringing.poles) > 1 and mode_spread:  # the gains for modes that move together mostly suit those that move each by itself
+        heard = np.abs(controller_response(law, np.exp(1j * ringing.poles.imag * sample_time))) * ringing.peaks
+        plants = cases(ringing.poles[heard > model_error / peak_sensitivity])
+        if not plants.margins(controller_response(law, z), sample_time, model_error).keep(
+            gain_margin, phase_margin, peak_sensitivity
+        ):
+            law, _ = search(plants, order)
+    controller = controller_response(law, z)
     found = step(law)
     settling = found.settling_ticks() * sample_time
     if np.isnan(settling):
@@ -246,6 +273,25 @@ def tune(
     nominal, worst = plants.part(1).margins(controller, sample_time), plants.margins(controller, sample_time, model_error)
     reached = dynamic and np.abs(plants.loci * controller)[:, beyond].max(initial=0.0) * (1.0 + model_error) * limits[0] > 1.0
     notes = _notes(plants, known, model_error, dynamic, reached)
+
+    @cache
+    def bandwidth_without(count: int) -> float:
+        """Bandwidth (Hz) of a PI loop whose first so many resonances are well damped."""
+        few = plants.part(every=3)
+        quiet = spread_responses(
+            model, sample_time, loop_delay, gain_spread, mode_spread, few.z, quiet=ringing.poles[:count].tolist()
+        )
+        damped = replace(few, responses=quiet)
+        static = float(np.abs(damped.loci[:, 0]).max())
+        pi = _greatest_integral(damped, static, sample_time, Shape(), limits)
+        return damped.part(1).margins(controller_response(pi, few.z), sample_time).bandwidth if pi else 0.0
+
+    notes += _held_back(ringing, nominal.bandwidth, bandwidth_without, structure)
+    if structure == "damping" and not law.filters.damping_gain:
+        tried = next(shape for shape in shapes(structure, 0.0, 1.0, mode, sample_time) if shape.damping_gain)
+        least_damping = replace(tried, damping_gain=tried.damping_gain / float(np.abs(plants.loci[:, 0]).max()))
+        why = _violated(plants, controller_response(least_damping.law(0.0, 0.0, 0.0, sample_time), z), sample_time, limits)
+        notes += (f"No damping is used: the gains are those of PI alone{f' (the least damping tried: {why})' if why else ''}.",)
     return Tuning(law.kp, law.ki, sample_time, nominal, worst, settling, found.overshoot, law.roll_off, law.filters, notes)
 
 
@@ -275,15 +321,64 @@ def _notes(plants: Plants, known: float, error: float, dynamic: bool, reached: b
     return tuple(found)
 
 
-def _points(poles: Complex, mode_spread: float, sample_time: float, lowest: float) -> Complex:
-    """Points of the unit circle up to half the sampling rate: evenly, and close by every resonance, the first one where it may be."""
+def _held_back(ringing: Resonances, bandwidth: float, without: Callable[[int], float], structure: str) -> tuple[str, ...]:
+    """Sentence on the fewest resonances, in the order of their peaks, without which a loop would be much faster."""
+    poles = ringing.poles
+    if not len(poles) or without(len(poles)) < MUCH * bandwidth:
+        return ()
+    few = next((count for count in range(1, min(len(poles), NAMED)) if without(count) >= MUCH * bandwidth), min(len(poles), NAMED))
+    reached, others = without(few), ""
+    if reached < MUCH * bandwidth:
+        reached, others = without(len(poles)), " and others"
+    places = [f"{abs(pole) / (2.0 * np.pi):.4g} Hz (damping ratio {-pole.real / abs(pole):.2g})" for pole in poles[:few]]
+    several = few > 1 or others
+    advice = (
+        "Damp the machine" if structure == AUTOMATIC else "Try a roll-off, or the structure auto, which compares notch and damping"
+    )
+    return (
+        f"The resonance{'s' if several else ''} at {', '.join(places)}{others} limit{'' if several else 's'} the loop to a bandwidth of "
+        f"{bandwidth:.3g} Hz. Well damped, PI alone would reach about {float(f'{reached:.2g}'):g} Hz. {advice}.",
+    )
+
+
+def _violated(plants: Plants, controller: Complex, sample_time: float, limits: Limits) -> str:
+    """Margin that loops with a controller (F,) do not keep, with its frequency; empty where all are kept."""
+    gain_margin, phase_margin, peak_sensitivity, error = limits
+    frequency = np.angle(plants.z) / (2.0 * np.pi * sample_time)
+    sensitivity, complementary = plants.sensitivities(controller)
+    distance = ((1.0 - error * complementary) / sensitivity).min(axis=0)  # below 0 where an error may reach -1
+    found, loops = plants.margins(controller, sample_time, error), plants.loci * controller
+    if distance.min() * peak_sensitivity < 1.0:
+        peak = f"{1.0 / distance.min():.3g}" if distance.min() > 0.0 else "without bound"
+        return f"peak sensitivity {peak} at {frequency[distance.argmin()]:.4g} Hz"
+    if found.gain_margin < 20.0 * np.log10(gain_margin):
+        crossed = np.append(loops.imag[:, :-1] * loops.imag[:, 1:] <= 0.0, np.ones((len(loops), 1), bool), axis=1)
+        at = np.where(crossed, -loops.real, 0.0).max(axis=0).argmax()
+        return f"gain margin {found.gain_margin:.3g} dB at {frequency[at]:.4g} Hz"
+    if found.phase_margin < np.degrees(phase_margin):
+        return f"phase margin {found.phase_margin:.3g} degrees at {found.crossover:.4g} Hz"
+    return ""
+
+
+def _loop_peaks(stages: Sequence[Stage], axes: int, sample_time: float) -> Resonances:
+    """Resonances below half the sampling rate with their peaks in V^-1, the one first that peaks most in a loop of integral action."""
+    found = resonances(stages, axes)
+    below = found.poles.imag * sample_time < np.pi
+    poles, z = found.poles[below], np.exp(1j * found.poles.imag[below] * sample_time)
+    peaks = found.peaks[below] * np.linalg.norm(sampled_response(stages, axes, sample_time, z), axis=(1, 2))
+    order = np.argsort(-peaks / np.abs(poles))
+    return Resonances(poles[order], peaks[order])
+
+
+def _points(poles: Complex, ringing: Complex, mode_spread: float, sample_time: float, lowest: float) -> Complex:
+    """Points of the unit circle up to half the sampling rate: evenly, and close by every pole, those that ring where they may be."""
     angles = [np.geomspace(LOWEST, 1.0, 1500) * np.pi]
     if lowest < LOWEST:
         angles.append(np.geomspace(lowest, LOWEST, 2 + int(300 * np.log10(LOWEST / lowest))) * np.pi)
-    for index, pole in enumerate(poles):
+    for pole in poles:
         steps = np.geomspace(min(0.1 * abs(pole.real) / abs(pole), 0.1) + 1e-9, 0.1, AROUND)
         places = np.concatenate([1.0 - steps, [1.0], 1.0 + steps]) * pole.imag * sample_time
-        angles += [places * factor for factor in ((1.0 - mode_spread, 1.0, 1.0 + mode_spread) if index == 0 else (1.0,))]
+        angles += [places * factor for factor in ((1.0 - mode_spread, 1.0, 1.0 + mode_spread) if pole in ringing else (1.0,))]
     every = np.unique(np.concatenate(angles))
     return np.asarray(np.exp(1j * every[(every > 0.0) & (every <= np.pi)]), dtype=np.complex128)
 

@@ -28,7 +28,7 @@ from hyst_control.diagnose.report.gap_structure import gap_structure
 from hyst_control.diagnose.report.invalid_records import invalid_report, write_invalid_page
 from hyst_control.diagnose.report.predicted_reduction import foresee
 from hyst_control.diagnose.report.unknown_remainder import remainder_of, with_learned_residual
-from hyst_control.diagnose.run.diagnosis import RULES, Diagnosis, diagnose, outside_valid
+from hyst_control.diagnose.run.diagnosis import BY_REGIME, Diagnosis, diagnose, outside_valid
 from hyst_control.diagnose.simulator import named_simulator, read_parameters, simulator_model
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects import EFFECTS
@@ -101,7 +101,7 @@ def diagnose_bags(
     on: str | None = None,
     baseline: Sequence[str | Path] = (),
     learned_residual: bool = False,
-    core: str = RULES,
+    core: str = BY_REGIME,
     own_records: bool = False,
     simulator: str | None = None,
     parameters: str | Path | None = None,
@@ -232,7 +232,7 @@ def diagnosed(
     warm_up: float = 0.0,
     baseline: Sequence[Record] = (),
     learned_residual: bool = False,
-    core: str = RULES,
+    core: str = BY_REGIME,
     own_records: bool = False,
     go_on: Callable[[], None] = lambda: None,
 ) -> tuple[dict[str, Any], Diagnosis, Model | None]:

@@ -187,6 +187,7 @@ def feedforward(
     unit, axes = model.units["measurement"], model.axes
     early = f", {running.preview} ticks ahead of the command" if running.preview else ""
     late = [f"The command is {running.residual_delay_ticks} ticks late."] if running.residual_delay_ticks else []
+    left_out = [f"The inverse leaves out {', '.join(running.left_out)} of the model."] if running.left_out else []
     chosen = ", ".join(f"{item.name} {getattr(options, item.name)!r}" for item in fields(options))
     program = Program(
         name or f"{model.name}_{options.kind}",
@@ -195,10 +196,10 @@ def feedforward(
         tuple(Slot(f"reference_{axis}", unit + early) for axis in axes),
         tuple(Slot(f"command_{axis}", "V") for axis in axes),
         time,
-        _facts(model, "feedforward", [f"Options: {chosen}.", *late]),
+        _facts(model, "feedforward", [f"Options: {chosen}.", *late, *left_out]),
         real,
     )
-    return Exported(program, running, _reference_span(model, running))
+    return Exported(program, running, _reference_span(model, running), tuple(left_out))
 
 
 def check_preview(preview: int, reference_ahead: bool) -> None:

@@ -15,7 +15,7 @@ import hyst_control as hc
 from hyst_control.api.shown import promoted
 from hyst_control.base.config_files import config_path
 from hyst_control.chain import Chain
-from hyst_control.chain.linear.linear_stages import TransferFunction
+from hyst_control.chain.linear.linear_stages import CrossCoupling, TransferFunction
 from hyst_control.chain.memoryless import Gain
 from hyst_control.identify import identify
 from hyst_control.model_file import Model, simulate
@@ -124,6 +124,16 @@ def test_the_inverse_of_a_mirror_has_its_dynamics(frequency):
     error = mirror.simulate(inverse(reference)).signal("measurement").values - reference
     ahead = inverse.compensator.preview
     assert np.sqrt(np.mean(error[2000 : len(error) - ahead] ** 2)) < 0.01 * np.std(reference)
+
+
+def test_an_inverse_that_leaves_out_parts_of_the_model_says_which_and_why(caplog):
+    """The mirror's curves have an inverse of each axis, its coupling has not; the whole inverse of the mirror alone leaves out nothing."""
+    mirror = hc.load_model("fsm_mhl")
+    assert mirror.inverse().left_out == "" and "leaves out" not in str(mirror.inverse()) and not caplog.records
+    coupled = promoted(hc.Model, mirror.with_stages([*mirror.chain.stages, CrossCoupling([[1.0, 0.1], [0.1, 1.0]])]))
+    inverse = coupled.inverse()
+    assert "leaves out the dynamics, the delay, the cross-coupling (mhl_inverse: chain (cross_coupling)" in str(inverse)
+    assert len(caplog.records) == 1 and inverse.left_out in caplog.text
 
 
 @pytest.mark.parametrize(("amplitude", "lines"), [(0.5, 0), (20.0, 1)])

@@ -439,3 +439,19 @@ def test_lead_by_tustins_rule_is_its_response_at_the_warped_frequency(rate_filte
         lead = [(k1[i] * s + b1[i]) / (k2[i] * s + 1.0) for i in range(2)]
         filtered = 1.0 if rate_filter is None else 1.0 / np.polyval(rate_filter, s)
         np.testing.assert_allclose(found, np.diag(lead) * filtered, rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "parts"),
+    [
+        ("hampi", {}, ()),
+        ("hampi", {"inverse": "none"}, ("the dynamics",)),
+        ("none", {}, ("the hysteresis", "the dynamics")),
+        ("mhl_static", {}, ("the rate dependence", "the dynamics", "the delay")),
+        ("mhl", {}, ("the dynamics", "the delay")),
+        ("mhl_inverse", {}, ()),
+    ],
+)
+def test_a_compensator_names_what_it_leaves_out(kind, options, parts):
+    model = load_model(MODELS / ("fsm_mhl.yaml" if kind.startswith("mhl") else "pea_hampi.yaml"))
+    assert build_compensator(model, kind, **options).left_out == parts

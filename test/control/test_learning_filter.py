@@ -24,7 +24,8 @@ from hyst_control.control.learning.learning_filter import (
     robustness,
 )
 from hyst_control.control.learning.learning_loop import run_learning_loop
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
+from hyst_control.control.moving_modes import with_modes
 from hyst_control.control.tuning import controller_response, tune
 from hyst_control.model_file import Model, Simulator, load_model, simulate
 from hyst_control.records.excitation import excitation
@@ -53,7 +54,7 @@ def test_a_trial_leaves_what_theory_says(gain, mode, controller):
     """E_1 / E_0 of every line in the loop against |1 - Q (1 / G + C) P S|: the filter knows G alone, the plant is another."""
     model = linear(Delay(5e-4), MODE)
     filter_ = model_filter(model, PERIOD, model_error=0.0, mode_spread=0.2)
-    moved = (*with_first_mode(model.chain.stages, 1, mode), Gain(gain))
+    moved = (*with_modes(model.chain.stages, 1, mode), Gain(gain))
     plant = Simulator(linear(*moved))
     reference = np.random.default_rng(1).standard_normal((PERIOD, 1))
     learner = IterativeLearning(filter_, settling=12, averaged=2, trials=3).start()
@@ -62,7 +63,7 @@ def test_a_trial_leaves_what_theory_says(gain, mode, controller):
     before, after = (np.abs(np.fft.rfft(error[period])) for period in (13, 27))
     z = lines_of(PERIOD)
     z[0] = np.exp(1e-9j)  # at rest the integral's response has no bound
-    response = sampled_response((*with_first_mode(model.chain.stages, 1, mode), TransferFunction([gain], [1.0])), 1, TIME, z)
+    response = sampled_response((*with_modes(model.chain.stages, 1, mode), TransferFunction([gain], [1.0])), 1, TIME, z)
     theory = contraction(filter_, response, controller_response(controller, z))
     found = before > 1e-6
     np.testing.assert_allclose((after[found] / before[found]), theory[found], atol=2e-4)
@@ -88,7 +89,7 @@ def test_it_converges_for_every_plant_that_it_allows_for(loop, gain, mode):
     z[0] = np.exp(1e-9j)
     feedback = controller_response(tuning.law, z)
     mean, _ = hysteresis_slopes(model)
-    plant = sampled_response(with_first_mode(linearized(model, gain * mean), axes, mode), axes, ts, z)
+    plant = sampled_response(with_modes(linearized(model, gain * mean), axes, mode), axes, ts, z)
     if model is not MHL:
         plant = gain * plant
     left = contraction(filter_, plant, feedback)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tuning against closed-form loops, simulated responses, and the nonlinear models with their spread."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,10 +21,11 @@ from hyst_control.chain.memoryless import Gain
 from hyst_control.control.feedback.loop import run_loop
 from hyst_control.control.feedback.pi import PI
 from hyst_control.control.linear_step import linear_step
-from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response, with_first_mode
+from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.loop_margins import margins
+from hyst_control.control.moving_modes import with_modes
 from hyst_control.control.plant_cases import Plants
-from hyst_control.control.tuning import _largest_scale, tune
+from hyst_control.control.tuning import _largest_scale, controller_response, tune
 from hyst_control.model_file import Model, Simulator, load_model
 from hyst_plant_sim.physics import load_plant
 
@@ -78,8 +80,7 @@ def test_first_mode_moves_and_stiffness_stays():
     stages = (Delay(1e-4), TransferFunction([3e6], [1.0, 200.0, 1e6]), TransferFunction([4e8], [1.0, 9000.0, 4e8]))
     w = 2 * np.pi * np.linspace(20.0, 400.0, 2000) * SAMPLE_TIME
     before, after = (
-        np.abs(sampled_response(each, 1, SAMPLE_TIME, np.exp(1j * w)))[:, 0, 0]
-        for each in (stages, with_first_mode(stages, 1, 1.2))
+        np.abs(sampled_response(each, 1, SAMPLE_TIME, np.exp(1j * w)))[:, 0, 0] for each in (stages, with_modes(stages, 1, 1.2))
     )
     assert w[np.argmax(after)] / w[np.argmax(before)] == pytest.approx(1.2, abs=0.01)
     assert after[0] == pytest.approx(before[0], rel=0.02)
@@ -118,7 +119,7 @@ def test_margins_hold_on_the_nonlinear_model_with_its_spread(model, sample_time,
     before = next(i for i, stage in enumerate(model.chain.stages) if isinstance(stage, TransferFunction))
     for gain in (0.9, 1.1):
         for mode in (0.8, 1.2):
-            linear = with_first_mode(model.chain.stages[before:], axes, mode)
+            linear = with_modes(model.chain.stages[before:], axes, mode)
             spread = model.with_stages([*model.chain.stages[:before], *linear, Gain(gain)])
             for factor, tolerance in ((1.0, 0.005), (1.95, 0.05)):
                 controller = PI(factor * result.kp, factor * result.ki, sample_time, 0.0, 100.0).start(axes)
@@ -151,7 +152,7 @@ def test_margins_with_roll_off_from_impulse_responses(rolled, axis, gain, mode):
     impulse = np.zeros((count, 2))
     impulse[0, axis] = 1.0
     _, greatest = hysteresis_slopes(MHL)
-    stages = with_first_mode(linearized(MHL, gain * greatest), 2, mode)
+    stages = with_modes(linearized(MHL, gain * greatest), 2, mode)
     plant = Simulator(MHL.with_stages(stages), found.sample_time)
     plant.reset(np.zeros(2))
     answer = np.concatenate([np.zeros((1, 2)), plant.step(impulse)[:-1]])[:, axis]
@@ -173,7 +174,7 @@ def test_a_loop_with_roll_off_settles_at_all_corners_of_the_spread_and_at_twice_
     found = rolled["auto"]
     for gain in (0.9, 1.1):
         for mode in (0.8, 1.2):
-            stages = with_first_mode(linearized(MHL, gain * hysteresis_slopes(MHL)[1]), 2, mode)
+            stages = with_modes(linearized(MHL, gain * hysteresis_slopes(MHL)[1]), 2, mode)
             for factor, ticks in ((1.0, 80), (1.95, 800)):
                 controller = PI(factor * found.kp, factor * found.ki, 2e-4, -1e9, 1e9, roll_off=found.roll_off).start(2)
                 output = run_loop(np.ones((ticks, 2)), None, controller, Simulator(MHL.with_stages(stages), 2e-4))["measurement"]
@@ -265,21 +266,99 @@ def test_a_loop_whose_gain_margin_is_no_limit_is_scaled_to_its_phase_margin():
     assert found == pytest.approx(np.sqrt(2.0), rel=2e-3)
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_a_moved_mode_leaves_the_notch_that_hid_it_where_it_is(factor):
-    """(s² + 2 ζ' w s + w²) / (s² + 2 ζ w s + w²): the poles move, with their damping ratio and the gain at rest, the zeros do not."""
-    w, damping, notch = 2 * np.pi * 100.0, 0.04, 0.06
-    zeros, frequency = [1.0 / w**2, 2 * notch / w, 1.0], np.array([1.0, 60.0, 80.0, 100.0, 120.0, 300.0])
-    z = np.exp(2j * np.pi * frequency * SAMPLE_TIME)
+def sum_of(*modes: tuple[float, float, float]) -> Model:
+    """Modes of a frequency (Hz), damping ratio and gain at rest, added in one stage, behind 0.13 ms of delay, at 10 kHz."""
+    num, den = np.zeros(1), np.ones(1)
+    for w, damping, gain in angular(*modes):
+        own = np.array([1.0, 2 * damping * w, w**2])
+        num, den = np.polyadd(np.polymul(num, own), gain * w**2 * den), np.polymul(den, own)
+    return replace(plain(Delay(1.3e-4), TransferFunction(num.tolist(), den.tolist())), sample_time=1e-4)
 
-    def response(mode: float) -> np.ndarray:
-        den = np.polymul([1.0 / (mode * w) ** 2, 2 * damping / (mode * w), 1.0], [1e-4, 1.0])
-        return sampled_response([TransferFunction(zeros, den)], 1, SAMPLE_TIME, z)
 
-    present = [TransferFunction(zeros, np.polymul([1.0 / w**2, 2 * damping / w, 1.0], [1e-4, 1.0]))]
-    found = sampled_response(with_first_mode(present, 1, factor), 1, SAMPLE_TIME, z)
-    np.testing.assert_allclose(found, response(factor), rtol=1e-6)
-    assert np.abs(found - response(1.0)).max() > 1.0
+def angular(*modes):
+    return [(2 * np.pi * frequency, damping, gain) for frequency, damping, gain in modes]
+
+
+def peak_of(found, *modes) -> float:
+    """Greatest |S| of a tuned loop around a sum of modes behind 0.13 ms, sampled by scipy: 0.1 ms as a tick, 0.03 ms by superposition."""
+    step, fine = (
+        1e-4,
+        1e-5,
+    )  # the command changes at 0.03 ms of a tick: at every tenth step of a plant that is sampled ten times as fast
+    near = [f * (1.0 + np.linspace(-10.0, 10.0, 401) * zeta) for f, zeta, _ in modes]
+    frequency = np.concatenate([np.geomspace(1.0, 4999.0, 4000), *near])
+    z = np.exp(2j * np.pi * frequency * step)
+    plant = np.zeros(len(z), complex)
+    for w, damping, gain in angular(*modes):
+        parts = [[0.0, 1.0], [-w * w, -2 * damping * w]], [[0.0], [gain * w * w]], [[1.0, 0.0]], [[0.0]]
+        a, b, c, *_ = cont2discrete(tuple(map(np.array, parts)), fine)
+        power = [np.linalg.matrix_power(a, n) for n in range(11)]
+        early, late = sum(power[n] @ b for n in range(7)), sum(power[n] @ b for n in range(7, 10))
+        plant += np.array([(c @ np.linalg.solve(each * np.eye(2) - power[10], early + late / each))[0, 0] / each for each in z])
+    return float(np.abs(1.0 / (1.0 + plant * controller_response(found.law, z))).max())
+
+
+def test_a_weak_mode_beside_its_zeros_costs_nothing():
+    """0.5 % of the motion rings at 700 Hz: wherever it moves to, it remains 0.5 %."""
+    main, weak = (2200.0, 0.05, 0.1), (700.0, 0.005, 0.0005)
+    with_it, without = tune(sum_of(main, weak)), tune(sum_of(main))
+    assert with_it.ki == pytest.approx(without.ki, rel=0.01)
+    assert all(peak_of(with_it, main, (share * 700.0, *weak[1:])) < 2.0 for share in (0.8, 0.9, 1.0, 1.1, 1.2))
+
+
+@pytest.mark.parametrize("structure", ["pi", "notch"])
+def test_the_margins_hold_where_modes_move_together_and_each_by_itself(structure):
+    modes = [(600.0, 0.02, 0.06), (850.0, 0.005, 0.04)]
+    found = tune(sum_of(*modes), structure=structure)
+    peaks = {}
+    for first in (0.8, 1.0, 1.2):
+        for second in (0.8, 1.0, 1.2):
+            moved = [(factor * f, zeta, 1.1 * gain) for factor, (f, zeta, gain) in zip((first, second), modes, strict=True)]
+            peaks[first, second] = peak_of(found, *moved)
+    promised = [peak for (first, second), peak in peaks.items() if first == second or 1.0 in (first, second)]
+    assert max(promised) <= found.worst.peak_sensitivity <= 2.0 + 1e-6
+
+
+def test_the_notch_lies_at_the_resonance_and_not_at_a_slower_filter():
+    w = 2 * np.pi * 293.0
+    amplifier, slow = TransferFunction([1.0], [w**-2, 1.4 / w, 1.0]), TransferFunction([1.0, 53.9, 764.0], [1.0, 53.6, 764.0])
+    stages = (*sum_of((850.0, 0.02, 0.08), (2200.0, 0.015, 0.02)).chain.stages, amplifier, slow)
+    found = tune(replace(plain(*stages), sample_time=1e-4), structure="notch")
+    assert found.filters.notch_frequency == pytest.approx((850.0,))
+
+
+def test_a_resonance_without_which_the_loop_would_be_much_faster_is_named():
+    """Of two modes the one at 300 Hz limits; where its damping is that of no peak the loop is as fast as the sentence says."""
+    light, damped, other = (300.0, 0.03, 0.09), (300.0, np.sqrt(0.5), 0.09), (1500.0, 0.3, 0.01)
+    found, without = tune(sum_of(light, other)), tune(sum_of(damped, other))
+    (note,) = found.notes
+    assert note.startswith("The resonance at 300 Hz (damping ratio 0.03) limits") and "the structure auto" in note
+    reached = float(re.search(r"would reach about ([\d.]+) Hz", note)[1])
+    assert reached == pytest.approx(without.nominal.bandwidth, rel=0.2) and reached > 2.0 * found.nominal.bandwidth
+    assert without.notes == ()
+
+
+def test_two_axes_of_which_each_has_a_resonance_name_both():
+    """Without one of them the loop, which is the same for both axes, is no faster."""
+    num, den = zip(*([[0.1], [1.0 / w**2, 0.04 / w, 1.0]] for w, _, _ in angular((850.0, 0, 0), (920.0, 0, 0))), strict=True)
+    model = Model("m", ("x", "y"), {"command": "V", "measurement": "um"}, 1e-4, Chain((TransferFunction(list(num), list(den)),)))
+    (note,) = tune(model).notes
+    assert note.startswith("The resonances at 850 Hz (damping ratio 0.02), 920 Hz (damping ratio 0.02) limit the loop")
+
+
+def test_where_no_damping_helps_the_gains_are_those_of_pi_alone():
+    """A late loop around a light mode: a low-passed positive feedback only shakes it. What violates which margin is said."""
+    w = 2 * np.pi * 700.0
+    model = replace(plain(Delay(4e-4), TransferFunction([0.1], [1.0 / w**2, 0.02 / w, 1.0])), sample_time=1e-4)
+    found, pi = tune(model, structure="damping"), tune(model)
+    assert (found.kp, found.ki) == pytest.approx((pi.kp, pi.ki), rel=0.05) and not found.filters.damping_gain
+    where = re.search(r"those of PI alone \(the least damping tried: .* at ([\d.]+) Hz\)", found.notes[-1])
+    assert 0.8 * 700.0 <= float(where[1]) <= 1.25 * 700.0
+
+
+def test_a_refusal_names_the_margin_and_its_frequency(skew):
+    with pytest.raises(InputError, match=r"\(peak sensitivity [\d.]+ at [\d.e-]+ Hz at any gain\)"):
+        tune(skew, mode_spread=0.0)
 
 
 STRUCTURES = ("pi", "pid", "notch", "damping")
@@ -298,7 +377,7 @@ def test_margins_of_every_structure_from_impulse_responses(structures, structure
     found, count = structures[structure], 1 << 15
     impulse, rest = np.zeros((count, 1)), np.zeros((count, 1))
     impulse[0] = 1.0
-    stages = with_first_mode(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
+    stages = with_modes(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
     plant = Simulator(HAMPI.with_stages(stages), found.sample_time)
     plant.reset(np.zeros(1))
     answer = np.concatenate([np.zeros((1, 1)), plant.step(impulse)[:-1]])[:, 0]
@@ -326,7 +405,7 @@ def test_every_structure_settles_as_it_says_and_stays_stable_at_twice_its_gain(s
     filters = replace(law.filters, kd=1.95 * law.filters.kd, damping_gain=1.95 * law.filters.damping_gain)
     for gain in (0.9, 1.1):
         for mode in (0.8, 1.2):
-            stages = with_first_mode(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
+            stages = with_modes(linearized(HAMPI, gain * hysteresis_slopes(HAMPI)[1]), 1, mode)
             controller = replace(law, kp=1.95 * law.kp, ki=1.95 * law.ki, filters=filters).start(1)
             output = run_loop(np.ones((6000, 1)), None, controller, Simulator(HAMPI.with_stages(stages), found.sample_time))
             assert np.abs(output["measurement"][-10:] - 1.0).max() < 0.05, (gain, mode)

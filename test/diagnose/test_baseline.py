@@ -347,6 +347,8 @@ def test_a_carried_error_loses_its_noise_and_keeps_what_follows_the_command():
     assert np.sqrt(np.mean((found - lines) ** 2)) < 0.4 * 0.2
     assert np.sqrt(np.mean(without_noise(noise)[0] ** 2)) < 0.5
     assert np.mean(without_noise(noise + 3.0)[0]) == pytest.approx(np.mean(noise) + 3.0, abs=1e-9)
+    true_left = found - without_noise(lines)[0]
+    assert left.std() == pytest.approx(true_left.std(), rel=0.2)
 
 
 @pytest.mark.parametrize("half_width, verdict", [(0.0, "no_gap"), (0.05, "effect")])

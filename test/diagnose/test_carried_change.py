@@ -8,15 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, cont2discrete, lfilter
 
 from hyst_control.chain import Chain, Sampling
 from hyst_control.chain.linear.linear_stages import TransferFunction
 from hyst_control.diagnose.model_error.plant_response import lacking_response
 from hyst_control.diagnose.model_error.uncertain_change import relative_error, with_uncertain_change
+from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LackingResponse
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.diagnose.run.diagnosis import diagnose
+from hyst_control.diagnose.search.beam_search import carried_noise
+from hyst_control.diagnose.search.candidate import Candidate
+from hyst_control.diagnose.search.catalogue import catalogue
+from hyst_control.diagnose.search.fit import Linearized, fit
 from hyst_control.diagnose.verdict import Verdict
 from hyst_control.effects.backlash import Backlash
 from hyst_control.effects.placement import insert
@@ -108,6 +113,31 @@ def test_what_acts_on_the_motion_acts_on_the_carried_error_too():
     stages = (TransferFunction((1.0,), (1.0,)), LackingResponse(np.zeros((1, 1))), CarriedError((np.zeros((5, 1)),)))
     names = [stage.name for stage in insert(stages, "motion", Backlash(0.1))]
     assert names == ["transfer_function", "lacking_response", "carried_error", "backlash"]
+
+
+def test_noise_that_an_effect_takes_off_the_carried_error_is_no_gain():
+    """Of white noise a low-pass leaves the power of its impulse response, and a delay all of it."""
+    rows, step = 20000, 1e-3
+    command, noise = np.sin(0.01 * np.arange(rows))[:, None], 0.5 * np.random.default_rng(7).standard_normal((rows, 1))
+    carried = CarriedError((np.zeros((rows, 1)),), noise=(noise,))
+    chain = Chain((TransferFunction((1.0,), (1.0,)), carried))
+    model = Model("gain", ("x",), {"command": "V", "measurement": "um"}, step, chain)
+    problem = Problem(model, (Piece(command, command),), step, "foh", np.ones(1), beside_error=True)
+    linearized = Linearized(problem, scatter_of(model))
+
+    def share(name: str, **values: float) -> float:
+        member = next(one for one in catalogue(problem, {}) if one.name == name and one.place == "sensor")
+        member = replace(member, parameters=(), fixed=tuple(values.items()))
+        candidate = Candidate((member,))
+        energy = carried_noise(linearized, candidate, fit(linearized, candidate.unknowns()))
+        return energy / carried_noise(linearized, None, fit(linearized))
+
+    assert carried_noise(linearized, None, fit(linearized)) == pytest.approx(0.5 * rows * 0.25, rel=0.03)
+    pole = 2 * np.pi * 50.0
+    b, a, _ = cont2discrete(([pole], [1.0, pole]), step, "foh")
+    impulse = lfilter(b.ravel(), a, np.arange(300) == 0.0)
+    assert share("sensor_lowpass", cutoff=50.0, order=1.0) == pytest.approx(impulse @ impulse, rel=0.03)
+    assert share("delay", tau=2 * step) == pytest.approx(1.0, rel=0.01)
 
 
 def test_a_change_is_known_as_well_as_the_output():

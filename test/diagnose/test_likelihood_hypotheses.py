@@ -84,7 +84,7 @@ def test_a_residual_of_an_effect_names_it():
     effects = {"first": random.standard_normal(COUNT), "second": random.standard_normal(COUNT)}
     weighed = weigh(fits(2.0 * effects["second"] + random.standard_normal(COUNT), effects), Priors())
     assert (weighed[0].kind, weighed[0].names) == (Kind.EFFECTS, ("second",))
-    judged = judge(weighed, fits(2.0 * effects["second"], effects), 0.1, 0.9)
+    judged = judge(weighed, fits(2.0 * effects["second"], effects), 0.1, 0.9, 0.5)
     assert judged.verdict is Verdict.EFFECT
 
 
@@ -92,15 +92,15 @@ def test_noise_alone_is_nothing():
     random = np.random.default_rng(2)
     effects = {"first": random.standard_normal(COUNT)}
     some = fits(random.standard_normal(COUNT), effects)
-    assert judge(weigh(some, Priors()), some, 0.1, 0.9).verdict is Verdict.NO_GAP
+    assert judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5).verdict is Verdict.NO_GAP
 
 
 def test_what_is_too_small_to_matter_is_no_gap():
     random = np.random.default_rng(3)
     effects = {"first": random.standard_normal(COUNT)}
     some = fits(1.5 * effects["first"] + random.standard_normal(COUNT), effects)
-    assert judge(weigh(some, Priors()), some, 0.1, 0.9).verdict is Verdict.EFFECT
-    assert judge(weigh(some, Priors()), some, 5.0, 0.9).verdict is Verdict.NO_GAP
+    assert judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5).verdict is Verdict.EFFECT
+    assert judge(weigh(some, Priors()), some, 5.0, 0.9, 0.5).verdict is Verdict.NO_GAP
 
 
 @pytest.mark.parametrize(("off", "verdict"), [(0.003, Verdict.EFFECT), (0.7, Verdict.UNKNOWN)])
@@ -109,7 +109,7 @@ def test_a_stage_that_is_a_little_off_is_its_effect_and_one_that_is_far_off_is_s
     effects = {"first": 100.0 * random.standard_normal(COUNT)}
     wrong = off * 100.0 * random.standard_normal(COUNT)
     some = fits(effects["first"] + wrong + random.standard_normal(COUNT), effects)
-    assert judge(weigh(some, Priors()), some, 0.1, 0.9).verdict is verdict
+    assert judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5).verdict is verdict
 
 
 def test_two_effects_that_cannot_be_separated_are_both_named():
@@ -117,7 +117,7 @@ def test_two_effects_that_cannot_be_separated_are_both_named():
     column = random.standard_normal(COUNT)
     effects = {"first": column, "second": column + 1e-3 * random.standard_normal(COUNT)}
     some = fits(2.0 * column + random.standard_normal(COUNT), effects)
-    judged = judge(weigh(some, Priors()), some, 0.1, 0.9)
+    judged = judge(weigh(some, Priors()), some, 0.1, 0.9, 0.5)
     assert judged.verdict is Verdict.AMBIGUOUS
     assert {one.names for one in judged.named} >= {("first",), ("second",)}
 

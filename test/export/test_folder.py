@@ -86,6 +86,14 @@ def test_the_feedforward_of_a_late_plant_is_small(tmp_path):
     compared(tmp_path / "c", FIRST)
 
 
+def test_a_feedforward_says_what_it_leaves_out():
+    model, options = load_model(config_path("models/fsm_mhl.yaml")), programs.FeedforwardOptions("mhl", preview=False)
+    exported = programs.feedforward(model, options)
+    assert exported.notes == ("The inverse leaves out the dynamics, the delay of the model.",)
+    assert exported.notes[0] in exported.program.facts
+    assert programs.feedforward(model, replace(options, kind="mhl_inverse")).notes == ()
+
+
 def tracking(folder: Path, filters: str) -> str:
     """File of a controller with learned rows."""
     model = str(config_path("models/pea_hampi.yaml"))
@@ -94,8 +102,17 @@ def tracking(folder: Path, filters: str) -> str:
     return str(folder / "tracking.yaml")
 
 
-def test_a_controller_without_filters_equals_python(tmp_path):
-    file = tracking(tmp_path, "roll_off: 0.0")
+@pytest.mark.parametrize(
+    "filters",
+    [
+        "roll_off: 0.0",
+        "kd: 1.0e-5, derivative_corner: 3.0e+3",
+        "damping_gain: 0.5, damping_corner: 985.0",
+        "notch_frequency: [1230.0]",
+    ],
+)
+def test_a_controller_with_few_filters_or_none_equals_python(filters, tmp_path):
+    file = tracking(tmp_path, filters)
     assert main(["export", file, "--reference-ahead", "--output", str(tmp_path / "controller")]) == 0
     compared(tmp_path / "controller", FIRST)
 

@@ -214,6 +214,21 @@ def test_the_references_are_held_against_the_rows_where_the_model_is_worst():
     assert poor.reference < 1e-3 < poor.left and poor.follows
 
 
+def test_a_mode_that_a_model_lacks_shows_in_the_few_rows_of_its_sweep():
+    """Slow loops for a minute, then a small sweep: the error as a whole is less than 1 % of the range."""
+    slow, fast = np.arange(60_000) * STEP, np.linspace(0.0, 1.0, 2_000)
+    command = np.concatenate([50.0 * np.sin(2 * np.pi * slow), np.sin(2 * np.pi * 250.0 * fast**2)])
+    turn = np.exp((-0.02 + 1j) * 2 * np.pi * 180.0 * STEP)
+    mode = 0.02 * lfilter([0.0, 1.0], [1.0, -2.0 * turn.real, abs(turn) ** 2], command)
+    plain = command * mode.dot(command) / command.dot(command)
+    record = sampled_record("sweep", command[:, None], mode[:, None], STEP, ("x",), "um", "zoh", start="settled")
+    error = mode - plain
+    assert np.std(error) < 0.01 * np.ptp(mode)
+    [poor] = poorly_explained([record], [error[:, None]])
+    assert poor.linear and poor.reference < 0.2 * poor.left
+    assert poorly_explained([record], [0.1 * error[:, None]]) == []
+
+
 def test_a_hum_does_not_follow_the_command():
     """A reference whose poles ring through the record would make a hum of any beginning, and blame the command's frequency."""
     random = np.random.default_rng(3)

@@ -220,6 +220,15 @@ def test_the_smaller_part_of_the_rows_is_held_out(lengths, kept, held):
     assert [[len(data.command) for data in part] for part in coupled_linear.held_out_split(records)] == [kept, held]
 
 
+def test_the_part_that_moves_is_held_out_where_the_end_of_a_record_is_at_rest():
+    command = np.random.default_rng(1).normal(size=(900, 1))
+    command[500:] = 0.0
+    data = sampled_record("r", command, command, 1e-3, ("x",), "um", "zoh", start="settled")
+    kept, held = coupled_linear.held_out_split([data])
+    assert [len(part.command) for part in kept] == [300, 300]
+    np.testing.assert_array_equal(held[0].command, command[300:600])
+
+
 def test_a_long_record_is_taken_in_parts(monkeypatch):
     """A slow sweep, of which no part excites the whole band, and a rest at its end: as good as whole, and never held twice."""
     rows, part = 2**16, 2**12

@@ -266,3 +266,60 @@ def test_a_virgin_curve_does_not_pass_for_coupling():
     y += np.random.default_rng(2).normal(0.0, 3e-4, y.shape)
     found = fit_coupling(model, [sampled_record("virgin", command, y, 1.0 / rate, ("x", "y"), "mrad", start="settled")])
     assert found is not None and found.matrix[1, 0] == pytest.approx(truth, rel=0.05)
+
+
+def two_modes(modes: tuple[tuple[float, float, float], ...]) -> Record:
+    """Play operators and modes (Hz, damping, share) under the identification signal, made without the package's chains."""
+    rate = 10_000.0
+    command = excitation.mhl_identification(1.0 / rate)[:, 0]
+    hysteresis = np.zeros(len(command))
+    for threshold, weight in ((0.0, 0.75), (4.0, 0.08), (10.0, 0.08), (20.0, 0.06), (35.0, 0.06)):
+        state = 0.0
+        for row, value in enumerate(command):
+            state = min(max(state, value - threshold), value + threshold)
+            hysteresis[row] += weight * state
+    measured = np.zeros(len(command))
+    for frequency, damping, share in modes:
+        w = 2 * np.pi * frequency
+        num, den, _ = signal.cont2discrete(([share * w**2], [1.0, 2 * damping * w, w**2]), 1.0 / rate, "zoh")
+        measured += signal.lfilter(num[0], den, np.append([0.0, 0.0], hysteresis[:-2]))
+    measured += np.random.default_rng(3).normal(0.0, 0.02, len(measured))
+    return sampled_record("two", command[:, None], measured[:, None], 1.0 / rate, ("x",), "um", "zoh")
+
+
+@pytest.mark.parametrize("seed", [None, 1])
+def test_a_sweep_shows_two_light_modes_whatever_the_last_digit_of_the_record(seed):
+    """The second mode passes in 30 ms of 10 s; the figure of held-out rows agrees with the error behind the initial loading curve."""
+    data = two_modes(((850.0, 0.02, 0.8), (2200.0, 0.004, 0.2)))
+    if seed is not None:
+        noise = 2e-3 * np.random.default_rng(seed).normal(size=data.measurement.shape)
+        data = data.with_values(measurement=data.measurement + noise)
+    fit = identify([data], "mhl")
+    (den,) = (stage.den for stage in fit.model.chain.stages if isinstance(stage, TransferFunction))
+    poles = np.roots(den)
+    poles = sorted(poles[poles.imag > 0], key=abs)[:2]
+    np.testing.assert_allclose(np.abs(poles) / (2 * np.pi), [850.0, 2200.0], rtol=2e-3)
+    np.testing.assert_allclose([-pole.real / abs(pole) for pole in poles], [0.02, 0.004], rtol=0.1)
+    assert fit.model.valid["frequency"][1] > 3900.0
+    loaded = fit.residuals[0][len(data.command) // 10 :, 0]
+    error = 100.0 * np.std(loaded) / np.ptp(data.measurement)
+    assert error < 0.15 and 0.5 * error < fit.report["held_out_nrmse"][0] < 2.0 * error
+
+
+def test_a_third_mode_is_found():
+    fit = identify([two_modes(((310.0, 0.03, 0.5), (1100.0, 0.01, 0.3), (2600.0, 0.006, 0.2)))], "mhl")
+    (den,) = (stage.den for stage in fit.model.chain.stages if isinstance(stage, TransferFunction))
+    poles = np.roots(den)
+    light = np.sort(np.abs(poles[(poles.imag > 0) & (-poles.real < 0.1 * np.abs(poles))])) / (2 * np.pi)
+    np.testing.assert_allclose(light, [310.0, 1100.0, 2600.0], rtol=3e-3)
+
+
+def test_notes_name_poles_by_their_frequency():
+    structure = Structure(modes=1, lags=1, zeros=1, delay=True)
+    factors = structure.factors(
+        np.array([np.log(2 * np.pi * 2200.0), np.log(0.03), np.log(2 * np.pi * 50.0), 0.5, 0.3]),
+        np.array([0.1, 20.0, 1.0, 0.1, 0.0]),
+    )
+    assert factors[1] == ("the damping of the pole pair at 2200 Hz", pytest.approx(0.03), pytest.approx(0.6), "")
+    assert factors[2] == ("the frequency of the real pole", pytest.approx(50.0), pytest.approx(50.0), "Hz")
+    assert factors[3][1:] == (pytest.approx(100.0), pytest.approx(20.0), "Hz")

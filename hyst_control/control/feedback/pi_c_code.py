@@ -52,7 +52,9 @@ def _filters(controller: RunningPI) -> int:
 
 def _text(text: str, controller: RunningPI) -> str:
     kind = "FILTERED" if _filters(controller) else "PLAIN"
-    return c_filled(text, {name.removeprefix(f"{kind}_"): part for name, part in C.items()})
+    # A loop over no filters would still be compiled, and a compiler may warn of what it reads.
+    before = {f"BEFORE_{part}": C[f"EACH_{part}"] if len(controller.before) else "" for part in ("RESTING", "ERROR")}
+    return c_filled(text, {**{name.removeprefix(f"{kind}_"): part for name, part in C.items()}, **before})
 
 
 def constants(controller: RunningPI) -> Mapping[str, Member]:

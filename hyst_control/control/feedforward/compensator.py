@@ -51,8 +51,11 @@ class Compensator:
     """A running compensator: reference (N, A) in the measurement unit to command (N, A) in V, streaming.
 
     With `preview` q > 0 the output row i belongs to the tick of input row i - q. `residual_delay_ticks` says by how many
-    ticks the command is late where preview was declined. `limits` (2, A) is the drive that it never leaves.
+    ticks the command is late where preview was declined. `limits` (2, A) is the drive that it never leaves. `left_out` names the
+    parts of the model that it does not invert.
     """
+
+    left_out: tuple[str, ...] = ()
 
     def __init__(
         self, stages: Sequence[Stage], model: Model, sample_time: float, preview: int, residual_delay_ticks: int, limits: Array
@@ -167,7 +170,27 @@ def build_compensator(
         raise InputError(f"smoothing: must be >= 0, got {smoothing}")
     bounds = drive_limits(model, limits)
     time, how = float(sample_time or model.sample_time), (inverse, discretisation, preview, iterations)
-    return KINDS[kind](model, Design(kind, time, bounds, *how, inverse_model, rate_filter, smoothing))
+    design = Design(kind, time, bounds, *how, inverse_model, rate_filter, smoothing)
+    compensator = KINDS[kind](model, design)
+    compensator.left_out = _left_out(model, design, KINDS[kind])
+    return compensator
+
+
+def _left_out(model: Model, design: Design, builder: Builder) -> tuple[str, ...]:
+    """Parts of a model that a kind of compensator replaces by their gain at rest."""
+    static = builder in (_proportional, _mhl) or (builder is _inverse_chain and design.inverse == "none")
+    if not static or design.inverse_model is not None:
+        return ()
+    stages, axes = model.chain.stages, len(model.axes)
+    linear = [stage for stage in stages if isinstance(stage, LinearStage)]
+    found = {
+        "the hysteresis": builder is _proportional and any(stage.has_compensator for stage in stages),
+        "the rate dependence": design.kind == "mhl_static" and any(isinstance(stage, Parallel) for stage in stages),
+        "the dynamics": any(len(system.A) for stage in linear for system in stage.systems(axes)),
+        "the delay": any(np.any(per_axis_scalar(stage.tau, axes, "tau")) for stage in stages if isinstance(stage, Delay)),
+        "the cross-coupling": axes > 1 and any(stage.mixes_axes for stage in linear),
+    }
+    return tuple(name for name, absent in found.items() if absent)
 
 
 def _proportional(model: Model, design: Design) -> Compensator:
@@ -212,7 +235,7 @@ def _mhl_stages(model: Model, design: Design, rate_filter: Sequence[float] | Non
 
 def model_rate_filter(model: Model) -> tuple[float, ...] | None:
     """Denominator of N(s), descending powers of s: a low-pass of second order below the first resonance; None without one."""
-    from hyst_control.control.linearization import first_mode  # here, not above: it imports more of scipy than a node needs
+    from hyst_control.control.moving_modes import first_mode  # here, not above: it imports more of scipy than a node needs
 
     before, _, after = split(model)
     mode = first_mode([*before, *after], len(model.axes))

@@ -27,7 +27,8 @@ import numpy as np
 
 from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.base.errors import InputError
-from hyst_control.control.linearization import first_mode, linearized, sampled_response
+from hyst_control.control.linearization import linearized, sampled_response
+from hyst_control.control.moving_modes import first_mode
 from hyst_control.control.plant_cases import Plants, singular_values, spread_responses
 from hyst_control.identify.modal.frequency_response import excited_lines, local_polynomial
 from hyst_control.model_file import Model

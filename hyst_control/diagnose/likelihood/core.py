@@ -41,7 +41,7 @@ def by_likelihood(
     if FLICKER in prepared.without:
         weighed = tuple(one for one in weighed if not one.flicker)
     weighed = _changed(weighed, found, prepared.clean, priors)
-    judged = judge(weighed, fits, prepared.floor, priors.level)
+    judged = judge(weighed, fits, prepared.floor, priors.level, priors.alarm)
     evidence = _with_scores(collect(found, 0.0, prepared, configuration), weighed)
     decision, evidence = _decision(judged, evidence, prepared, baseline, found, configuration)
     asked: Mapping[str, float] = {}

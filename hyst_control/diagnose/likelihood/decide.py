@@ -27,8 +27,10 @@ class Judgement:
     something_else: float  # Probability of something else
 
 
-def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float) -> Judgement:
-    """Judge the weights of hypotheses. floor: rms that matters, in units of noise and discrepancy; level: of the set that is named."""
+def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float, alarm: float) -> Judgement:
+    """Judge the weights of hypotheses."""
+    # floor: rms that matters, in units of noise and discrepancy; level: probability of the set that is named; alarm: probability of
+    # no gap from which none is told, so that few records without one raise an alarm
     nothing = sum(one.probability for one in weighed if not _matters(one, fits, floor))
     other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE and _matters(one, fits, floor))
     known = [one for one in weighed if one.kind in (Kind.EFFECTS, Kind.PARAMETERS) and _matters(one, fits, floor)]
@@ -38,9 +40,9 @@ def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float) ->
     def judgement(verdict: Verdict, reason: Reason, named: Sequence[Weighed]) -> Judgement:
         return Judgement(verdict, (reason,), tuple(named), probability, nothing, other)
 
-    if nothing >= max(other, total):
-        best = weighed[0].kind is Kind.NOTHING
-        return judgement(Verdict.NO_GAP, Reason.BELOW_NULL if best else Reason.BELOW_PRACTICAL_SIZE, ())
+    if nothing >= min(alarm, max(other, total)):
+        small = weighed[0].kind is not Kind.NOTHING and not _matters(weighed[0], fits, floor)
+        return judgement(Verdict.NO_GAP, Reason.BELOW_PRACTICAL_SIZE if small else Reason.BELOW_NULL, ())
     if other > total or not known:
         return judgement(Verdict.UNKNOWN, Reason.SOMETHING_ELSE, known[:1])
     shares = np.cumsum([one.probability for one in known]) / total

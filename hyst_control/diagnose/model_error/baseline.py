@@ -74,6 +74,11 @@ class Baseline:
     # By frequency, the model's error as a share of its output; None where that error is not carried over
     relative: ErrorSpectrum | None = None
 
+    @property
+    def is_of_other_commands(self) -> bool:
+        """True where baseline records tell the model discrepancy on other commands only."""
+        return self.clean is not None and not self.carried
+
     def error_energy(self, command: Annotated[Array, "N A"], sample_time: float) -> float:
         """Predict the energy of the model discrepancy on a command."""
         if self.learned is None:
@@ -227,11 +232,11 @@ def _carried(
         repeating = [noise_between_periods([column], [piece.command]) for column in mean.T]
         # What the new record has too is no noise of the clean one, however rough.
         differing = white_noise((piece.measurement - simulated_rows(problem, len(series), piece) - mean)[kept]) / np.sqrt(2.0)
-        quiet, left = without_noise(mean, np.fmin(repeating, differing))
+        quiet, still = without_noise(mean, np.fmin(repeating, differing))
         series.append(quiet)
         # How near the model came that was made without this record tells how well the plant repeats; the filter was fitted to it.
         lefts.append(without_zero(np.mean(given_errors, axis=0)[kept])[0])
-        noises.append(left)
+        noises.append(still)
         if apart := max(_apart(piece.command, match, settings) for match in found):
             unlike.append(min(settings.error_slope * apart, 1.0) * without_zero(quiet[kept])[0])
         apart_by = [without_zero((error - errors[0])[kept])[0] for error in errors[1:]]
@@ -249,10 +254,10 @@ def _carried(
     # Both records of a difference have noise, and the mean of n clean ones a part of it; what is carried has what is left of it.
     both = float(np.sqrt(1.0 + 1.0 / min(len(found) for found in matches)))
     alone = repeatability / both
-    noise = np.hypot(alone, np.max(noises, axis=0)) if differences else alone
+    noise = np.hypot(alone, np.max([one.std(axis=0) for one in noises], axis=0)) if differences else alone
     kept_rows = replace(problem, pieces=tuple(pieces))
     memory = initial_memory(kept_rows, settings.memory_share)
-    stages = (*problem.model.chain.stages, CarriedError(tuple(series)), *memory)
+    stages = (*problem.model.chain.stages, CarriedError(tuple(series), noise=tuple(noises)), *memory)
     zero = _zero(replace(problem, model=problem.model.with_stages(stages)), spans, np.zeros((len(spans), len(SHAPES))), settings)
     floor, motions = settings.same_floor * repeatability, []
     if (

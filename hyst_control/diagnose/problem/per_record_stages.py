@@ -94,10 +94,16 @@ class CarriedError(Stage):
     place: ClassVar[str] = "mechanics"  # What acts on the motion acts on the error too
     series: tuple[Array, ...]  # By record, measurement unit; row k belongs to t = k sample times
     index: int
+    noise: tuple[Array, ...]  # By record, noise as that of the baseline records which the series still have; empty: none
 
-    def __init__(self, series: tuple[Array, ...], record: int = 0) -> None:
+    def __init__(self, series: tuple[Array, ...], record: int = 0, noise: tuple[Array, ...] = ()) -> None:
         object.__setattr__(self, "series", series)
         object.__setattr__(self, "index", record)
+        object.__setattr__(self, "noise", noise)
+
+    def noisier(self) -> CarriedError:
+        """The same with as much noise of the baseline records again."""
+        return CarriedError(tuple(rows + noise for rows, noise in zip(self.series, self.noise, strict=True)), self.index)
 
     @property
     def commutes_with_delay(self) -> bool:

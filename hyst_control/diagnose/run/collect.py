@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
+from scipy.fft import dct
 
 from hyst_control.base.arrays import Array
 from hyst_control.diagnose.configuration import Configuration
@@ -34,6 +35,9 @@ from hyst_control.diagnose.validate.predictability import predictable_share
 from hyst_control.diagnose.validate.unexplained_residual import leftover
 from hyst_control.effects import EFFECTS
 from hyst_control.effects.effect import RecordCheck
+from hyst_control.identify.model_error.error_spectrum import ErrorSpectrum
+
+NORMAL_KURTOSIS = 3.0  # Mean fourth power of a normal variable over the square of its mean square
 
 
 def collect(found: Found, null: float, prepared: Prepared, configuration: Configuration) -> Evidence:
@@ -164,14 +168,29 @@ def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> Hypo
         scored.names,
         scored.inflated,
         scored.score,
-        weighed(problem, solution),
+        weighed(problem, scored),
         energy,
         strain(solution),
         farthest=farthest,
         at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
         taken_up=taken_up,
+        taken_off=_taken_off(problem, found.none.solution.residual, solution.residual),
         axes=() if scored.candidate is None or len(problem.model.axes) == 1 else tuple(m.axis for m in scored.candidate.members),
     )
+
+
+def _taken_off(problem: Problem, before: Annotated[Array, "M"], after: Annotated[Array, "M"]) -> float | None:
+    """Energy that a hypothesis takes off in the frequencies that its change is in, and not more than the change has in all; or None.
+
+    Beside a spectrum of the model discrepancy every frequency counts alike, excited or not: a slow effect would be small by being slow.
+    """
+    if not isinstance(problem.own_spectrum, ErrorSpectrum) or not np.any(change := before - after):
+        return None
+    bins = np.concatenate([dct(rows, norm="ortho", axis=0).reshape(-1) for rows in problem.by_piece(change)]) ** 2
+    narrower = len(bins) * float(np.mean(bins**2) / np.sum(bins) ** 2) * len(bins) / NORMAL_KURTOSIS
+    unit = problem.own_spectrum.rms(problem.sigma)
+    size = float(np.mean((problem.rows(change) / unit) ** 2))
+    return min(max(narrower, 1.0) * float(np.mean(before**2) - np.mean(after**2)), size)
 
 
 def _has_holes(piece: Piece) -> bool:

@@ -41,7 +41,7 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
 OUTSIDE = 5e-4  # Share of a command outside the model's range from which a note says it
-RULES, LIKELIHOOD = "rules", "likelihood"  # Cores that weigh hypotheses
+RULES, LIKELIHOOD, BY_REGIME = "rules", "likelihood", "by_regime"  # Cores that weigh hypotheses, and whichever does better
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,10 @@ def diagnose(
     warm_up: float = 0.0,
     configuration: Configuration = CONFIGURATION,
     baseline: Sequence[Record] = (),
-    core: str = RULES,
+    core: str = BY_REGIME,
 ) -> Diagnosis:
     """Diagnose records against a model."""
-    # core: "rules" or "likelihood", which of the two cores weighs the hypotheses
+    # core: which of the two cores weighs the hypotheses; by regime: the likelihood beside baseline records of other commands
     # model: nominal model; None: a baseline record of the same command is the prediction, and only effects behind the mechanics are
     # tried
     model, problem, notes, beside = with_clean(records, model, warm_up, configuration, baseline, without)
@@ -119,17 +119,17 @@ def diagnose(
     for part, known, bare in beside:
         begin = sum(len(one.axes) for one in parts)
         axes = tuple(range(begin, begin + len(part.model.axes)))
-        if core == LIKELIHOOD:
-            from hyst_control.diagnose.likelihood.core import by_likelihood  # only here, it takes long to load
-
-            found, evidence, decision, known, asked = by_likelihood(part, known, bare, without, progress, configuration)
-            here = found.linearized
-            parts.append(AxisDiagnosis(axes, here.problem, here, found, evidence, decision, known, structure=asked))
-            continue
-        first = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         # Only one effect by itself would be taken from a second look.
         singles = replace(configuration, search=replace(configuration.search, depth_with_own_error=1))
         again = partial(_axis, sensor_side=bare, axes=axes, seed=seed, cache=cache, progress=progress, configuration=singles)
+        if core == LIKELIHOOD or (core == BY_REGIME and known is not None and known.is_of_other_commands):
+            first = _by_likelihood(part, known, bare, axes, without, progress, configuration)
+            if core == BY_REGIME and first.decision.verdict is Verdict.NO_GAP:  # an octave has too many bins to show one line
+                second = again(part, known, without=sorted((set(EFFECTS) - _line_effects()) | set(without)))
+                first = second if _is_one_of(second, _line_effects()) else first
+            parts.append(first)
+            continue
+        first = _axis(part, known, bare, axes, seed, without, cache, progress, configuration)
         if _may_hide_a_line(first, configuration):
             by_spectrum = with_discrepancy(part, configuration.baseline, by_spectrum=True)
             # A diagnosis of lines alone is quick, and where it is not sure of one, that of all effects is not either.
@@ -272,6 +272,22 @@ def _clean_problem(baseline: Sequence[Record], problem: Problem, warm_up: float,
             f"baseline: has a sample time of {clean.sample_time:g} s, the record {problem.sample_time:g} s: record both at one rate"
         )
     return clean
+
+
+def _by_likelihood(
+    problem: Problem,
+    baseline: Baseline | None,
+    sensor_side: bool,
+    axes: tuple[int, ...],
+    without: Sequence[str],
+    progress: Callable[[str], None],
+    configuration: Configuration,
+) -> AxisDiagnosis:
+    from hyst_control.diagnose.likelihood.core import by_likelihood  # only here, it takes long to load
+
+    found, evidence, decision, baseline, asked = by_likelihood(problem, baseline, sensor_side, without, progress, configuration)
+    here = found.linearized
+    return AxisDiagnosis(axes, here.problem, here, found, evidence, decision, baseline, structure=asked)
 
 
 def _axis(

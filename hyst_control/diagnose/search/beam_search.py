@@ -27,6 +27,7 @@ from hyst_control.base.errors import InputError
 from hyst_control.base.parallel import beside, map_known
 from hyst_control.diagnose.configuration import CONFIGURATION, Configuration, SearchSettings, Thresholds
 from hyst_control.diagnose.decide.policy import strained as are_strained
+from hyst_control.diagnose.problem.per_record_stages import CarriedError
 from hyst_control.diagnose.problem.problem import Problem
 from hyst_control.diagnose.search.candidate import Candidate, Member
 from hyst_control.diagnose.search.combinations import Tangent, closest_combinations, tangents_at, tangents_of_starts
@@ -48,6 +49,7 @@ class FittedHypothesis:
     score: float  # Evidence over "no effect", nats
     inflated: bool = False  # Whether it is coefficients alone, beyond their tolerance
     tolerances: float = 1.0  # Size of the fit's unit of the coefficients, in tolerances
+    noise: float = 0.0  # Misfit that is noise of the baseline records, carried over and changed by the effects (nats)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -164,18 +166,20 @@ def search(
         together = _with_fewer_limits(linearized, fits + combinations, without, thresholds.added_share)
         fits, combinations = together[: len(fits)], together[len(fits) :]
         temper = effective_sample_weight(linearized.problem, min(everything, key=lambda solution: solution.misfit).residual)
-        nothing = weighed(linearized.problem, none.solution)
+        none = replace(none, noise=carried_noise(linearized, None, none.solution))
+        nothing = weighed(linearized.problem, none)
 
         def scored(candidate: Candidate, solution: Solution) -> FittedHypothesis:
             count = len(candidate.members)
             # Every parameter beyond the first may also follow the model discrepancy, which is no white noise.
             further = settings.own_error_parameter * (len(solution.x) - count) if leaves >= thresholds.own_error_energy else 0.0
-            gain = temper * (nothing - weighed(linearized.problem, solution))
+            found = FittedHypothesis(candidate, solution, 0.0, noise=carried_noise(linearized, candidate, solution))
+            gain = temper * (nothing - weighed(linearized.problem, found))
             # Beside baseline records ranges are as wide as physics allows, and say nothing of how probable an effect is: the information
             # criterion of Schwarz (1978) is the most that parameters cost.
             most = 0.5 * np.log(size) * len(solution.x) if whitened else np.inf
             among = count * alternatives + sum(np.log(realizations[name]) for name in candidate.names)
-            return FittedHypothesis(candidate, solution, float(gain - _occam(solution, temper, most) - among - further))
+            return replace(found, score=float(gain - _occam(solution, temper, most) - among - further))
 
         def ranked(found: Sequence[tuple[Candidate, Solution]]) -> tuple[FittedHypothesis, ...]:
             return tuple(sorted((scored(*item) for item in found), key=lambda item: -item.score))
@@ -192,9 +196,10 @@ def search(
                 FittedHypothesis(
                     None,
                     fitted,
-                    temper * float(nothing - weighed(linearized.problem, fitted)) + cost - freedom(factor),
+                    temper * float(nothing - weighed(linearized.problem, replace(none, solution=fitted))) + cost - freedom(factor),
                     True,
                     factor,
+                    none.noise,
                 )
                 for factor, fitted in wider
             ),
@@ -301,11 +306,26 @@ def _strained(solution: Solution, thresholds: Thresholds) -> bool:
     return are_strained(strain(solution), len(solution.z), thresholds)
 
 
-def weighed(problem: Problem, solution: Solution) -> float:
-    """The misfit with the model discrepancy's bins, and the coefficients that it moves, by as much as they are independent."""
-    residual = solution.residual
+def weighed(problem: Problem, scored: FittedHypothesis) -> float:
+    """The misfit with the model discrepancy's bins, and the coefficients that it moves, by as much as they are independent.
+
+    What the noise of baseline records adds to it is taken off: else an effect that smooths it would gain by that.
+    """
+    solution, residual = scored.solution, scored.solution.residual
     rest = solution.misfit - 0.5 * problem.weight * float(residual @ residual)
-    return problem.nats(residual) + rest - (1.0 - problem.independent) * strain(solution)
+    return problem.nats(residual) - scored.noise + rest - (1.0 - problem.independent) * strain(solution)
+
+
+def carried_noise(linearized: Linearized, candidate: Candidate | None, solution: Solution) -> float:
+    """Misfit (nats) of a hypothesis that is noise of the baseline records, carried over with the model's error."""
+    stages = linearized.scatter.at(solution.z)
+    carried = [stage for stage in stages if isinstance(stage, CarriedError) and stage.noise]
+    if not carried:
+        return 0.0
+    noisier = tuple(stage.noisier() if stage in carried else stage for stage in stages)
+    either = (noisier, stages) if candidate is None else (candidate.unknowns().stages(one, solution.x) for one in (noisier, stages))
+    more, less = (linearized.problem.simulate(one) for one in either)
+    return linearized.problem.nats(more - less)
 
 
 def strain(solution: Solution) -> float:

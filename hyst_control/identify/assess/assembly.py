@@ -18,9 +18,10 @@ from scipy.linalg import block_diag
 from hyst_control.base.arrays import Array
 from hyst_control.chain import Chain, Stage
 from hyst_control.chain.hysteresis.creep_operators import CreepOperators
-from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
+from hyst_control.chain.linear.linear_stages import Delay, StateSpace, TransferFunction
 from hyst_control.chain.memoryless import Gain, Offset
 from hyst_control.identify.assess.fit_report import (
+    SPECTRUM_ROWS,
     command_bandwidth,
     error_rows,
     noise_sigma,
@@ -29,11 +30,14 @@ from hyst_control.identify.assess.fit_report import (
     with_own_rows,
     with_state,
 )
+from hyst_control.identify.data.excited_band import excited_band
 from hyst_control.identify.data.fit import Fit, Number, ParameterRow, Report, StructureRow
+from hyst_control.identify.data.fit_windows import as_window
 from hyst_control.identify.data.initial_memory import beginning_rows
 from hyst_control.identify.solve.parameter_covariance import PRIOR, STEP, derivatives, uncertainty_of
 from hyst_control.model_file import Model
 from hyst_control.records.record import Record
+from hyst_control.records.stream.row_store import spread_parts
 
 NEUTRAL: dict[type[Stage], Stage] = {
     Delay: Delay(0.0),
@@ -119,9 +123,27 @@ def chain_model(records: Sequence[Record], stages: Sequence[Stage], name: str) -
         chain=Chain(tuple(stages)),
         valid={
             "command": [min(float(data.command.min()) for data in records), max(float(data.command.max()) for data in records)],
-            "frequency": [0.0, float(f"{max(command_bandwidth(data.command, data.sample_time) for data in records):.4g}")],
+            "frequency": [0.0, float(f"{_known_band(records, stages):.4g}")],
         },
     )
+
+
+def _known_band(records: Sequence[Record], stages: Sequence[Stage]) -> float:
+    """Frequency (Hz) up to which commands excite dynamics of every axis enough; without dynamics, below which nearly all power lies."""
+
+    def excited(axis: int) -> float:
+        return excited_band(
+            [
+                as_window(data.rows(part.start, part.stop), axis, 0)
+                for data in records
+                for part in spread_parts(len(data.command), SPECTRUM_ROWS)
+            ]
+        )
+
+    power = max(command_bandwidth(data.command, data.sample_time) for data in records)
+    if not any(isinstance(stage, TransferFunction | StateSpace) for stage in stages):
+        return power  # a jump in slow loops tells nothing of dynamics that the model does not have
+    return max(power, min(map(excited, range(len(records[0].axes)))))
 
 
 def fit_of(
@@ -174,7 +196,7 @@ def fit_of(
         "parameters": [row for own in found for row in own] + list(rows),
         "notes": [
             *(note for axis, own in zip(axes, found, strict=True) for note in axis.notes(own)),
-            *known.notes(f"The commands' power ends at {model.valid['frequency'][1]:.3g} Hz."),
+            *known.notes(f"The commands excite the motion up to {model.valid['frequency'][1]:.3g} Hz."),
         ],
         "beginnings": beginning_rows(begun),
     }

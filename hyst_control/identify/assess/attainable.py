@@ -56,21 +56,26 @@ def poorly_explained(records: Sequence[Record], errors: Sequence[Array]) -> list
     found = []
     cleaned = [without_zero(error)[0] for error in errors]
     for axis, name in enumerate(records[0].axes):
-        shares = []
-        for data, error in zip(records, cleaned, strict=True):
-            sigma = noise_sigma([error[:, axis : axis + 1]])[0] if len(error) > 3 else 0.0
-            span = float(data.span[axis])
-            shares.append(np.sqrt(max(mean_square(error[:, axis]) - sigma**2, 0.0)) / span if span > 0.0 else 0.0)
+        columns, spans = [error[:, axis] for error in cleaned], [float(data.span[axis]) for data in records]
+        left = max(map(_share_left, columns, spans))
+        # A sweep passes a mode in few rows of a long record: where the error is small as a whole, those in which it changes most count.
+        rows = [_worst_rows(column if left > LITTLE else np.diff(column)) for column in columns]
+        shares = [_share_left(column[own], span) for column, own, span in zip(columns, rows, spans, strict=True)]
         worst = int(np.argmax(shares))
         if shares[worst] > LITTLE:
-            poor = _compared(records[worst], cleaned[worst][:, axis], axis, name, float(shares[worst]))
+            poor = _compared(records[worst], columns[worst], rows[worst], axis, name, left)
             found += [poor] if poor is not None else []
     return found
 
 
-def _compared(data: Record, error: Array, axis: int, name: str, left: float) -> Poor | None:
+def _share_left(error: Array, span: float) -> float:
+    """Rms of an error beside its white noise, as a share of the range; 0 where there is none."""
+    sigma = noise_sigma([error[:, None]])[0] if len(error) > 3 else 0.0
+    return float(np.sqrt(max(mean_square(error) - sigma**2, 0.0))) / span if span > 0.0 else 0.0
+
+
+def _compared(data: Record, error: Array, rows: slice, axis: int, name: str, left: float) -> Poor | None:
     first = len(data.command) - len(error)
-    rows = _worst_rows(error)
     command, measurement = data.command[first:, axis][rows], data.measurement[first:, axis][rows]
     noise, span = noise_sigma([error[rows, None]])[0] ** 2, float(data.span[axis])
     if not np.ptp(command) > 0.0:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -182,23 +183,36 @@ def stretches(windows: Sequence[Window], rows: int, length: float = 1.0) -> list
 
 
 def short_stretches(windows: Sequence[Window], rows: int, length: float, settle: float) -> list[Window]:
-    """Choose at least three short stretches of every window; creeping records stay whole, but coarser (`thinned`)."""
+    """Choose the fastest stretches, and at least three more of every window; creeping records stay whole, but coarser (`thinned`).
+
+    A sweep passes each mode in a few rows, which even stretches would miss: half of the rows are those whose command moves fastest.
+    """
     if sum(len(window.command) for window in windows) <= rows:
         return list(windows)
     whole = [(window, thinned(window)) for window in windows]
     chosen = [thin for window, thin in whole if thin is not window]
     quick = [window for window, thin in whole if thin is window]
-    rows -= sum(len(window.command) for window in chosen)
     total = sum(len(window.command) for window in quick)
-    for window in quick:
-        n = len(window.command)
-        size = min(int(length / window.sample_time), n)
-        count = max(int(round(n * max(rows, total // 50) / total / size)), 3)
-        if count * size >= n:
-            chosen.append(window)
-        else:
-            chosen += cut(window, np.unique(np.linspace(0, n - size, count).astype(int)), size, settle)
+    left = max(rows - sum(len(window.command) for window in chosen), total // 50) // 2
+    speeds = [_speeds(window, length) for window in quick]
+    cells = [(speed, len(window.command) / len(own)) for window, own in zip(quick, speeds, strict=True) for speed in own]
+    cells.sort(reverse=True)
+    beyond = np.flatnonzero(np.cumsum([size for _, size in cells]) > left)
+    limit = cells[beyond[0]][0] if len(beyond) else 0.0
+    for window, own in zip(quick, speeds, strict=True):
+        used = own > limit
+        used[np.linspace(0, len(own) - 1, max(round(len(own) * left / total), 3)).astype(int)] = True
+        edges = np.linspace(0, len(window.command), len(own) + 1).astype(int)
+        for first, last in np.flatnonzero(np.diff(used, prepend=False, append=False)).reshape(-1, 2):
+            chosen += cut(window, [edges[first]], edges[last] - edges[first], settle)
     return chosen
+
+
+def _speeds(window: Window, length: float) -> Array:
+    """Mean square speed (n,) of the command in each of the equal parts of about a length (s)."""
+    count = max(int(len(window.command) * window.sample_time / length), 1)
+    edges = np.linspace(0, len(window.command), count + 1).astype(int)
+    return np.array([np.mean(np.square(np.diff(window.command[a : b + 1]))) for a, b in pairwise(edges)]) / window.sample_time**2
 
 
 def thinned(window: Window) -> Window:

@@ -18,6 +18,7 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.base.parallel import map_forked
+from hyst_control.chain.chain import at_rest
 from hyst_control.identify.assess.assembly import chain_model, fit_of, side_by_side
 from hyst_control.identify.data.fit import Fit, check_records
 from hyst_control.identify.data.fit_windows import response_sign, short_stretches, thinned, virgin_rows, whole_records, with_sign
@@ -31,6 +32,7 @@ from hyst_control.identify.mhl.madelung import (
 )
 from hyst_control.identify.mhl.madelung_curves import Curves
 from hyst_control.identify.mhl.mhl_axis import K2_UNIT, Axis, Found, MhlOptions
+from hyst_control.identify.modal.late_modes import MOST_MODES, late_modes
 from hyst_control.identify.solve.gram_sums import Window
 from hyst_control.identify.solve.pole_zero_pair import (
     PAIR_DAMPINGS,
@@ -150,6 +152,8 @@ def fit_joint(windows: Sequence[Window], options: MhlOptions, like: Found | None
         first = curves if form == options.curves else options.curves.like(form, curves)
         start = np.concatenate([first, like.vector[options.curves.size :]])
         chosen = minimize_simulation_error(few, axis.parametrization(), start, nuisance=options.nuisance, passes=12)
+        if options.structure is None:
+            axis, chosen = with_late_modes(few, axis, chosen, options)
     else:
         axis, chosen = choose_structure(few, replace(blank, curves=form), curves, options)
     found = Found(axis, chosen.parameters, chosen.covariance, 0.0, chosen.held_out)
@@ -170,11 +174,12 @@ def refined(turned: Sequence[Window], found: Found, nuisance: str, passes: int) 
 
 
 def refit(records: Sequence[Record], index: int, found: Found, nuisance: str) -> Found:
-    """Last passes over every row of every record, with the covariance of the parameters and the offset."""
+    """Last passes over every row of every record: the error on rows held out, then everything with its covariance and the offset."""
     turned, problem = axis_windows(records, index, found.axis.sign), found.axis.parametrization()
-    solution = minimize_simulation_error(turned, problem, found.vector, nuisance=nuisance, passes=LAST_PASSES, everything=True)
+    chosen = minimize_simulation_error(turned, problem, found.vector, nuisance=nuisance, passes=LAST_PASSES)
+    solution = minimize_simulation_error(turned, problem, chosen.parameters, nuisance=nuisance, passes=LAST_PASSES, everything=True)
     offset = mean_offset(solution, turned, nuisance)
-    return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset)
+    return replace(found, vector=solution.parameters, covariance=solution.covariance, offset=offset, held_out=chosen.held_out)
 
 
 def slowest(windows: Sequence[Window]) -> list[Window]:
@@ -205,14 +210,14 @@ def choose_structure(windows: Sequence[Window], blank: Axis, curves: Array, opti
     axis, best = better(plain, rich)
     if best is plain[1]:
         best = minimize_simulation_error(windows, axis.parametrization(), best.parameters, nuisance=options.nuisance, passes=25)
+    axis, best = with_late_modes(windows, axis, best, options)
     while True:
-        # From the plainer to the richer: the first that is worth it.
-        for grown in extended(windows, axis, best, extensions(axis.structure), options):
-            if better((axis, best), grown) is grown:
-                axis, best = grown
-                break
-        else:
+        grown = extended(windows, axis, best, extensions(axis.structure), options)
+        lowest = min([best.held_out, *(each.held_out for _, each in grown)])
+        if not lowest < (1.0 - WORTHWHILE) * best.held_out:
             return axis, best
+        # From the plainer to the richer: the first of those that do about as well as the best one.
+        axis, best = next(each for each in grown if each[1].held_out <= (1.0 + WORTHWHILE) * lowest)
 
 
 def searched(
@@ -301,6 +306,22 @@ def extended(
     return found
 
 
+def with_late_modes(windows: Sequence[Window], axis: Axis, best: Solution, options: MhlOptions) -> tuple[Axis, Solution]:
+    """The best of a fit and of modes behind a delay alone, from those that vector fitting sees behind the curves of this fit."""
+    curves = axis.split(best.parameters)[0]
+    stage, parts = axis.curves.stage(curves, axis.ends, axis.output_scale), []
+    for window in windows:
+        if window.sample_time == axis.sample_time:
+            earlier = np.zeros(0) if window.memory is None else window.memory
+            hysteresis = at_rest([stage], np.append(earlier, window.command)[:, None])[len(earlier) :, 0]
+            parts.append(replace(window, command=hysteresis))
+    for structure, dynamics in late_modes(parts, axis.structure) if parts else []:
+        late, start = replace(axis, structure=structure), np.concatenate([curves, np.zeros(2), dynamics])
+        fit = minimize_simulation_error(windows, late.parametrization(), start, nuisance=options.nuisance, passes=12)
+        axis, best = better((axis, best), (late, fit))
+    return axis, best
+
+
 def better(plain: tuple[Axis, Solution], rich: tuple[Axis, Solution]) -> tuple[Axis, Solution]:
     """The `rich` structure with its fit where it lowers the held-out error enough, else the `plain` one."""
     return rich if rich[1].held_out < (1.0 - WORTHWHILE) * plain[1].held_out else plain
@@ -328,7 +349,7 @@ def with_parted_pair(model: Model, records: Sequence[Record], found: Found, inde
         begin = virgin_rows(data.command[:, index])
         signals.append((data.command[begin:, index], error[begin:, index]))
     frequency = unexplained_frequency(signals, axis.sample_time)
-    if axis.structure.modes > 1 or frequency is None:
+    if axis.structure.modes > MOST_MODES or frequency is None:
         return found
     turned = axis_windows(records, index, axis.sign)
     # Short stretches would miss the moment at which a sweep passes the frequency.

@@ -133,15 +133,23 @@ class Found:
             self.held_out,
             tolerance=axis.curves.tolerance(axis.split(self.vector)[0], self.covariance),
             structure=axis.structure.describe(),
-            notes=lambda rows: range_notes(records, index, axis.ends) + _unresolved(name, rows),
+            notes=lambda rows: range_notes(records, index, axis.ends) + _unresolved(name, rows, self._factors()),
             steps=self.steps,
         )
 
+    def _factors(self) -> list[tuple[str, float, float, str]]:
+        """The factors of G(s) with their standard errors."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return self.axis.structure.factors(*(self.axis.split(each)[2] for each in (self.vector, errors)))
 
-def _unresolved(axis: str, rows: Sequence[ParameterRow]) -> list[str]:
-    """Parameters that the data cannot tell, with their standard errors."""
+
+def _unresolved(axis: str, rows: Sequence[ParameterRow], factors: Sequence[tuple[str, float, float, str]]) -> list[str]:
+    """Parameters, and factors of G(s), that the data cannot tell, with their standard errors."""
+    found = [
+        (row["name"], row["value"], row["standard_error"] or 0.0, row["unit"]) for row in rows if row["name"] in ("k1", "k2", "tau")
+    ]
     return [
-        f"axis {axis}: {row['name']} is not identifiable: {row['value']:.2g} ± {row['standard_error']:.2g} {row['unit']}".rstrip()
-        for row in rows
-        if row["name"] in ("k1", "k2", "tau", "num[0]", "den[1]") and (row["standard_error"] or 0.0) > 0.5 * abs(row["value"])
+        f"axis {axis}: {name} is not identifiable: {value:.2g} ± {error:.2g} {unit}".rstrip()
+        for name, value, error, unit in [*found, *factors]
+        if error > 0.5 * abs(value)
     ]

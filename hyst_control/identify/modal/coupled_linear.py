@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -98,7 +99,7 @@ def spectra_of(data: Record, most: int = MAX_LINES) -> Spectra:
 
 
 def held_out_split(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Divide records into those to fit and those to judge by: every third record, or the last third of a single record.
+    """Divide records into those to fit and those to judge by: every third record, or a third of a single record, the last that moves.
 
     Of the longest record too, where the records to fit would have fewer rows than those to judge by. No data are held out when the rest
     would not excite every axis, or the held-out part would hardly move.
@@ -106,20 +107,27 @@ def held_out_split(records: Sequence[Record]) -> tuple[list[Record], list[Record
     records = list(records)
     held = records[2::3] or records[1:]
     kept = [data for data in records if not any(data is other for other in held)]
+    splits = [(kept, held)]
     if not held or sum(map(len, kept)) < sum(map(len, held)):
         longest = max(records, key=len)
-        cut = 2 * len(longest) // 3
-        kept = [longest.rows(0, cut) if data is longest else data for data in records]
-        held = [longest.rows(cut, len(longest))]
+        others = [data for data in records if data is not longest]
+        edges = [number * len(longest) // 3 for number in range(4)]
+        thirds = [longest.rows(*rows) for rows in pairwise(edges)]
+        splits = [
+            ([*others, longest.rows(0, edges[2])], thirds[2:]),
+            ([*others, thirds[0], thirds[2]], thirds[1:2]),
+            ([*others, longest.rows(edges[1], edges[3])], thirds[:1]),
+        ]
 
     def motion(part: list[Record]) -> Array:
         found: Array = np.sqrt(sum(_mean_square_step(data.command) for data in part) / len(part))
         return found
 
-    everything = motion(records)
-    if np.any(motion(kept) < 0.2 * everything) or np.any(motion(held) < 0.2 * everything) or min(map(len, held)) < 64:
-        return records, []
-    return kept, held
+    least = 0.2 * motion(records)
+    for kept, held in splits:
+        if np.all(motion(kept) >= least) and np.all(motion(held) >= least) and min(map(len, held)) >= 64:
+            return kept, held
+    return records, []
 
 
 def _mean_square_step(command: Array) -> Array:

@@ -21,10 +21,11 @@ from hyst_control.identify.data.excited_band import REACH, excited_band
 from hyst_control.identify.data.fit_windows import largest_drift, stretches, whole_records
 from hyst_control.identify.families.options import INTEGER, NUMBERS, TRUTH, Options, methods_option, option
 from hyst_control.identify.families.shared_options import nuisance_option, structure_option
-from hyst_control.identify.modal.vector_fitting import Partial, spread_poles, vector_fit
+from hyst_control.identify.modal.late_modes import MOST_MODES, late_modes
+from hyst_control.identify.modal.vector_fitting import spread_poles, vector_fit
 from hyst_control.identify.solve.gram_sums import Operators, Window, simulated_rows, weighted_operators
-from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair, with_numerator
-from hyst_control.identify.solve.stable_dynamics import TAU_UNIT, Structure, pace
+from hyst_control.identify.solve.pole_zero_pair import pole_zero_pair
+from hyst_control.identify.solve.stable_dynamics import Structure, pace
 from hyst_control.identify.solve.variable_projection import Problem, Solution, solve
 from hyst_control.records.record import Record
 from hyst_control.records.stream.row_store import largest_change, largest_size
@@ -32,15 +33,12 @@ from hyst_control.records.stream.row_store import largest_change, largest_size
 SELECTION_ROWS = 60_000
 MIN_FOR_LOADING = 6  # Number of operators below which the first loading gets none
 PRECISION = 1e-3  # Share of the bracket to which the widening with the rate is found
-MOST_MODES = 2  # Largest number of modes of G
 MOST_PAIRS = 4  # Largest number of modes of G, where the further ones come with zeros of their own
 SEEN_ROWS = 16_000  # Rows in which vector fitting looks for modes
 SPACING, FOLLOWED = 1.6, 2
 """Ratio of the frequencies at which a single mode is looked for, and how many of them are starts."""
 MIN_IMPROVEMENT = 0.03  # A factor of G is kept when it lowers the held-out mean square error by more than this fraction
 PAIR_IMPROVEMENT = 0.12  # The same for a mode with a pair of zeros, which has four parameters
-DELAYS = (0.0, 1.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 24.0, 32.0)
-"""Delays (samples) at which modes are looked for together with a delay."""
 
 
 @dataclass(frozen=True)
@@ -211,38 +209,10 @@ def _late_modes(problem: Problem, best: Solution) -> list[Solution]:
 
 
 def _late_starts(problem: Problem, at: Solution) -> list[tuple[Structure, Array]]:
-    """Starts of modes behind a delay: vector fits of the steps from row to row, in which slow loops hide no mode."""
-    from scipy.signal import invres  # takes a second
-
+    """Starts of modes behind a delay, where the command moves fastest."""
     if not at.structure.size:  # the weights of a resonant record without dynamics mean nothing
         at = replace(at, theta=np.eye(len(at.theta))[0])
-    sample_time, parts = fastest_parts(problem, at)
-    parts = [
-        replace(each, command=np.diff(each.command), measurement=np.diff(each.measurement), skip=max(each.skip - 1, 0))
-        for each in parts
-    ]
-    rows = [len(part.command) for part in parts]
-    delays = [delay for delay in DELAYS if delay <= min(rows) / 8]
-    found: list[tuple[Structure, Array]] = []
-
-    def fits(count: int, delays: Sequence[float]) -> list[Partial]:
-        start = spread_poles(2 * count, max(rows))
-        return list(map_forked(lambda index: vector_fit(parts, start, delays[index], False, relocations=4), len(delays)))
-
-    for count in range(1, MOST_MODES + 1):
-        tried = fits(count, delays)
-        nearest = int(np.argmin([each.error for each in tried]))
-        pairs = tried[nearest].poles.imag > 0
-        poles, residues = (values[pairs] / sample_time for values in (tried[nearest].poles, tried[nearest].residues))
-        if len(poles):
-            structure = replace(at.structure, modes=len(poles), lags=0, zeros=2 * len(poles) - 2, slow_pair=False, delay=True)
-            parts_of = structure.split(structure.start(1.0))
-            parts_of["modes"][:] = np.log(np.column_stack([np.abs(poles), -poles.real / np.abs(poles)]))
-            parts_of["delay"][:] = delays[nearest] * sample_time / (TAU_UNIT * structure.pace)
-            num = invres(np.append(residues, residues.conj()), np.append(poles, poles.conj()), [])[0].real
-            found.append((structure, with_numerator(parts_of, num[-1 - structure.zeros :])))
-        delays = delays[max(nearest - 2, 0) : nearest + 3]
-    return found
+    return late_modes(fastest_parts(problem, at)[1], at.structure)
 
 
 def _solved(problem: Problem, best: Solution, starts: Sequence[tuple[Structure, Array]]) -> list[Solution]:
