@@ -13,7 +13,7 @@ from hyst_control.chain import Chain
 from hyst_control.chain.hysteresis.prandtl_ishlinskii import PrandtlIshlinskii
 from hyst_control.diagnose.problem.coefficient_prior import scatter_of
 from hyst_control.diagnose.problem.problem import Piece, Problem
-from hyst_control.diagnose.search.beam_search import search, weighed
+from hyst_control.diagnose.search.beam_search import FittedHypothesis, search, weighed
 from hyst_control.diagnose.search.catalogue import catalogue
 from hyst_control.diagnose.search.fit import Linearized, Solution
 from hyst_control.diagnose.validate.present_in_baseline import CleanRecords
@@ -70,7 +70,8 @@ def test_a_misfit_counts_the_coefficients_by_the_same_share():
     beside = replace(problem(np.zeros(COUNT), power=99.0), independent=0.01)
     residual, z = np.random.default_rng(3).normal(size=COUNT), np.array([3.0, 4.0])
     solution = Solution(0.5 * float(residual @ residual) + 12.5 + 2.0, z, np.zeros(0), residual, np.eye(2), np.zeros((0, 0)))
-    assert weighed(beside, solution) == pytest.approx(beside.nats(residual) + 0.01 * 12.5 + 2.0)
+    scored = FittedHypothesis(None, solution, 0.0, noise=1.5)
+    assert weighed(beside, scored) == pytest.approx(beside.nats(residual) + 0.01 * 12.5 + 2.0 - 1.5)
 
 
 def test_scores_are_of_the_weighed_misfits():

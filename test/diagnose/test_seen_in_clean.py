@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.signal import StateSpace, lsim
 
 from hyst_control.chain import Chain
@@ -57,3 +58,15 @@ def test_a_mode_that_the_model_never_had_is_no_change():
     others = [name for name in EFFECTS if name not in RIVALS]
     report, *_ = diagnosed([record(noise(20.0, 3), 3)], MODEL, cache=False, baseline=clean, without=others)
     assert report["verdict"] in ("no_gap", "parameters")
+
+
+def test_a_change_beside_such_a_mode_is_named():
+    """A gain that falls by 6 % over the record, with a mode that the model never had."""
+    clean, new = [record(noise(5.0, seed), seed) for seed in (1, 2)], record(noise(10.0, 3), 3)
+    measured = new.signals["measurement"]
+    fallen = measured.values * (1.0 - 0.06 * measured.time / measured.time[-1])[:, None]
+    new = Record({**new.signals, "measurement": Signal(measured.time, fallen, ("x",), "um")}, "new", hold="foh")
+    others = [name for name in EFFECTS if name not in RIVALS | {"gain_drift"}]
+    report, *_ = diagnosed([new], MODEL, cache=False, baseline=clean, without=others)
+    assert [one["name"] for one in report["effects"]] == ["gain_drift"]
+    assert report["effects"][0]["parameters"]["change"]["value"] == pytest.approx(-0.06, rel=0.1)

@@ -77,8 +77,12 @@ def _changed(weighed: tuple[Weighed, ...], found: Found, clean: CleanRecords | N
         known = clean.show(found.hypotheses[best.hypothesis.index], priors.followed)
         if not known:
             break
-        weighed = tuple(one for one in weighed if not known.intersection(one.names))
-    return weighed
+        # What explains less than effects that were there before explains a part of these.
+        alone = known.issuperset(best.names)
+        kept = (Kind.NOTHING, Kind.PARAMETERS)
+        weighed = tuple(one for one in weighed if not (known.intersection(one.names) or (alone and one.kind not in kept)))
+    total = sum(one.probability for one in weighed)
+    return tuple(replace(one, probability=one.probability / total) for one in weighed) if total > 0.0 else weighed
 
 
 def _with_spectrum(problem: Problem, baseline: Baseline | None, configuration: Configuration) -> Baseline | None:

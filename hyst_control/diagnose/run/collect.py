@@ -180,7 +180,7 @@ def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> Hypo
 
 
 def _taken_off(problem: Problem, before: Annotated[Array, "M"], after: Annotated[Array, "M"]) -> float | None:
-    """Energy that a hypothesis takes off in the frequencies that its change is in, and not more than the change has in all; or None.
+    """Energy that a hypothesis takes off, in all frequencies or in those that its change is in, as far as the change has as much; or None.
 
     Beside a spectrum of the model discrepancy every frequency counts alike, excited or not: a slow effect would be small by being slow.
     """
@@ -189,8 +189,8 @@ def _taken_off(problem: Problem, before: Annotated[Array, "M"], after: Annotated
     bins = np.concatenate([dct(rows, norm="ortho", axis=0).reshape(-1) for rows in problem.by_piece(change)]) ** 2
     narrower = len(bins) * float(np.mean(bins**2) / np.sum(bins) ** 2) * len(bins) / NORMAL_KURTOSIS
     unit = problem.own_spectrum.rms(problem.sigma)
-    size = float(np.mean((problem.rows(change) / unit) ** 2))
-    return min(max(narrower, 1.0) * float(np.mean(before**2) - np.mean(after**2)), size)
+    size, everywhere = float(np.mean((problem.rows(change) / unit) ** 2)), float(np.mean(before**2) - np.mean(after**2))
+    return max(everywhere, min(narrower * everywhere, size))
 
 
 def _has_holes(piece: Piece) -> bool:

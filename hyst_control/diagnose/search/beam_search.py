@@ -318,11 +318,10 @@ def weighed(problem: Problem, scored: FittedHypothesis) -> float:
 
 def carried_noise(linearized: Linearized, candidate: Candidate | None, solution: Solution) -> float:
     """Misfit (nats) of a hypothesis that is noise of the baseline records, carried over with the model's error."""
-    stages = linearized.scatter.at(solution.z)
-    carried = [stage for stage in stages if isinstance(stage, CarriedError) and stage.noise]
-    if not carried:
+    stages = linearized.problem.model.chain.stages  # coefficients move next to none of it
+    noisier = tuple(stage.noisier() if isinstance(stage, CarriedError) and stage.noise else stage for stage in stages)
+    if all(one is other for one, other in zip(noisier, stages, strict=True)):
         return 0.0
-    noisier = tuple(stage.noisier() if stage in carried else stage for stage in stages)
     either = (noisier, stages) if candidate is None else (candidate.unknowns().stages(one, solution.x) for one in (noisier, stages))
     more, less = (linearized.problem.simulate(one) for one in either)
     return linearized.problem.nats(more - less)
