@@ -18,10 +18,19 @@ from scipy.linalg import eig, eigvals
 
 from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.chain import Stage
-from hyst_control.chain.linear.linear_stages import MAX_SKEW, LinearStage, LinearSystem, StateSpace, stacked
+from hyst_control.chain.linear.linear_stages import (
+    MAX_SKEW,
+    LinearStage,
+    LinearSystem,
+    StateSpace,
+    stacked,
+    transfer_function_system,
+)
 
 WELL_DAMPED = float(np.sqrt(0.5))
 """Damping ratio from which the response of a pair of poles has no peak above its value at rest."""
+NOTCH_WIDTH = 0.15  # Relative distance in frequency up to which a pair of zeros may be a notch against a mode
+NOTCH_DAMPING = 0.15  # Least damping ratio of a notch's own poles, be they fitted to a record
 FAR = 1e5
 """Distance of zeros, relative to the farthest pole, from which they are at infinity but for rounding errors."""
 
@@ -56,6 +65,30 @@ def with_modes(stages: Sequence[Stage], axes: int, factor: float, only: Complex 
     return _moved(stages, axes, lambda poles: np.where(_among(poles, chosen), factor * poles, poles))
 
 
+def with_first_pole(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
+    """The same linear chain with its slowest resonance at `factor` times its frequency, and zeros close by where they are.
+
+    Beside damped poles a model does not tell a weak mode, whose zeros move with it, from a notch of the drive against the first mode.
+    """
+    first = first_mode(stages, axes)
+    chosen = np.array([] if first is None else [first], complex)
+
+    def moved(system: LinearSystem, step: float | None) -> LinearSystem:
+        if step or system.B.shape[1] != 1 or system.C.shape[0] != 1 or not len(system.A):
+            return system
+        poles = np.linalg.eigvals(system.A)
+        if np.count_nonzero(-poles.real >= NOTCH_DAMPING * np.abs(poles)) < 2:
+            return system  # a notch has a pair of poles of its own
+        for pole in poles[_among(poles, chosen) & (poles.imag > 0.0)]:
+            if np.any(_close(_zeros(system), pole)):
+                before = np.array([1.0, -2.0 * pole.real, abs(pole) ** 2])
+                after = before * np.array([1.0, factor, factor**2])
+                return system.then(transfer_function_system(factor**2 * before, after))
+        return system
+
+    return _with_systems(stages, axes, moved)
+
+
 def well_damped(stages: Sequence[Stage], axes: int, only: Complex) -> tuple[Stage, ...]:
     """The same linear chain with the resonances of some poles (rad/s) damped until they have no peak."""
     quiet = complex(-WELL_DAMPED, np.sqrt(1.0 - WELL_DAMPED**2))
@@ -82,6 +115,11 @@ def _among(poles: Complex, pairs: Complex) -> Mask:
     return np.asarray(np.isclose(upper[:, None], pairs, rtol=1e-6, atol=0.0).any(axis=1))
 
 
+def _close(zeros: Complex, pole: complex) -> Mask:
+    """Zeros of a pair that lie so close by a pole that they may be a notch against its mode."""
+    return np.asarray((np.abs(zeros.imag) > 0.5 * abs(pole)) & (np.abs(np.abs(zeros) / abs(pole) - 1.0) < NOTCH_WIDTH))
+
+
 def _linear(stages: Sequence[Stage]) -> Iterator[LinearStage]:
     for stage in stages:
         for chain in stage.inner_chains:
@@ -92,14 +130,21 @@ def _linear(stages: Sequence[Stage]) -> Iterator[LinearStage]:
 
 def _moved(stages: Sequence[Stage], axes: int, move: Callable[[Complex], Complex]) -> tuple[Stage, ...]:
     """The chain with all poles (rad/s) where `move` has them."""
+    return _with_systems(stages, axes, lambda system, step: _system_moved(system, step, move))
+
+
+def _with_systems(
+    stages: Sequence[Stage], axes: int, change: Callable[[LinearSystem, float | None], LinearSystem]
+) -> tuple[Stage, ...]:
+    """The chain with all its linear systems changed, each given with its sample time, None for a continuous one."""
     found: list[Stage] = []
     for stage in stages:
         if stage.inner_chains:
-            stage = stage.with_inner_chains([_moved(chain, axes, move) for chain in stage.inner_chains])
+            stage = stage.with_inner_chains([_with_systems(chain, axes, change) for chain in stage.inner_chains])
         elif isinstance(stage, LinearStage):
             step = stage.sample_time if isinstance(stage, StateSpace) else None
             systems = stage.systems(axes)
-            moved = [_system_moved(system, step, move) for system in systems]
+            moved = [change(system, step) for system in systems]
             if any(one is not other for one, other in zip(moved, systems, strict=True)):
                 whole = moved[0] if len(moved) == 1 else stacked(moved)
                 stage = StateSpace(whole.A.tolist(), whole.B.tolist(), whole.C.tolist(), whole.D.tolist(), step)

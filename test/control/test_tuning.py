@@ -600,3 +600,20 @@ def test_margins_that_rest_on_a_response_nobody_has_seen_are_noted():
     """At 100 kHz the loop of a model of 5 kHz has half its gain, and more, beyond 2.5 kHz."""
     assert tune(MHL, sample_time=2e-4).notes == ()
     assert "above 2500 Hz" in tune(MHL, sample_time=1e-5).notes[0]
+
+
+def test_a_notch_of_the_drive_fitted_in_one_stage_with_its_mode_stays_where_it_is():
+    """The mode moves by 20 %, the notch against it does not: the loop keeps its margins on that plant, too."""
+    w, factor = 2 * np.pi * 800.0, 1.2
+
+    def plant(mode: float) -> Model:
+        num = np.array([w**-2, 2 * 0.02 / w, 1.0])
+        den = np.polymul([mode**-2, 2 * 0.02 / mode, 1.0], [w**-2, 2 * 0.5 / w, 1.0])
+        return replace(plain(TransferFunction((0.1 * num).tolist(), den.tolist())), sample_time=1e-4)
+
+    found = tune(plant(w))
+    z = np.exp(2j * np.pi * np.geomspace(1e-4, 0.5, 20000))
+    for moved in (w / factor, factor * w):
+        stages = plant(moved).chain.stages
+        loop = sampled_response(stages, 1, 1e-4, z)[:, 0, 0] * controller_response(found.law, z)
+        assert np.abs(1.0 / (1.0 + loop)).max() < 2.1
