@@ -76,7 +76,7 @@ def with_first_pole(stages: Sequence[Stage], axes: int, factor: float) -> tuple[
     def moved(system: LinearSystem, step: float | None) -> LinearSystem:
         if step or system.B.shape[1] != 1 or system.C.shape[0] != 1 or not len(system.A):
             return system
-        poles = np.linalg.eigvals(system.A)
+        poles = np.linalg.eigvals(system.A).astype(complex)
         if np.count_nonzero(-poles.real >= NOTCH_DAMPING * np.abs(poles)) < 2:
             return system  # a notch has a pair of poles of its own
         for pole in poles[_among(poles, chosen) & (poles.imag > 0.0)]:
