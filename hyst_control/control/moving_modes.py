@@ -30,7 +30,7 @@ from hyst_control.chain.linear.linear_stages import (
 WELL_DAMPED = float(np.sqrt(0.5))
 """Damping ratio from which the response of a pair of poles has no peak above its value at rest."""
 NOTCH_WIDTH = 0.15  # Relative distance in frequency up to which a pair of zeros may be a notch against a mode
-NOTCH_DAMPING = 0.15  # Least damping ratio of a notch's own poles, be they fitted to a record
+NOTCH_DAMPING = 0.15  # Min. damping ratio of a notch's own poles, also if they are fitted to a record
 FAR = 1e5
 """Distance of zeros, relative to the farthest pole, from which they are at infinity but for rounding errors."""
 
@@ -65,10 +65,11 @@ def with_modes(stages: Sequence[Stage], axes: int, factor: float, only: Complex 
     return _moved(stages, axes, lambda poles: np.where(_among(poles, chosen), factor * poles, poles))
 
 
-def with_first_pole(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
-    """The same linear chain with its slowest resonance at `factor` times its frequency, and zeros close by where they are.
+def with_fixed_zeros(stages: Sequence[Stage], axes: int, factor: float) -> tuple[Stage, ...]:
+    """The same linear chain with its slowest resonance at `factor` times its frequency, and close zeros at theirs.
 
-    Beside damped poles a model does not tell a weak mode, whose zeros move with it, from a notch of the drive against the first mode.
+    Zeros close to a mode belong to a weak mode, and move with it, or to a notch of the drive, and stay. If damped poles are there too,
+    which a notch has, a model cannot separate the two.
     """
     first = first_mode(stages, axes)
     chosen = np.array([] if first is None else [first], complex)
@@ -105,18 +106,18 @@ def _rings(poles: Complex) -> Mask:
 
 
 def _broad(roots: Complex) -> Mask:
-    """Where a pole or zero is as wide as its frequency is high, at half its power: it belongs to a filter rather than to a mode."""
+    """Poles or zeros with a damping ratio of at least a half: those of a filter rather than of a mode."""
     return np.asarray(-2.0 * roots.real >= np.abs(roots))
 
 
 def _among(poles: Complex, pairs: Complex) -> Mask:
-    """Where poles are those of some pairs, given by their upper poles."""
+    """Poles that belong to one of the given pairs, each of which is given by its upper pole."""
     upper = poles.real + 1j * np.abs(poles.imag)
     return np.asarray(np.isclose(upper[:, None], pairs, rtol=1e-6, atol=0.0).any(axis=1))
 
 
 def _close(zeros: Complex, pole: complex) -> Mask:
-    """Zeros of a pair that lie so close by a pole that they may be a notch against its mode."""
+    """Complex zeros close enough to a pole to be a notch against its mode."""
     return np.asarray((np.abs(zeros.imag) > 0.5 * abs(pole)) & (np.abs(np.abs(zeros) / abs(pole) - 1.0) < NOTCH_WIDTH))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from hyst_control.base.arrays import Array, Complex, Mask
 from hyst_control.control.linearization import hysteresis_slopes, linearized, sampled_response
 from hyst_control.control.loop_margins import Margins, margins, min_distance, worst
-from hyst_control.control.moving_modes import well_damped, with_first_pole, with_modes
+from hyst_control.control.moving_modes import well_damped, with_fixed_zeros, with_modes
 from hyst_control.model_file import Model
 
 
@@ -124,7 +124,7 @@ def spread_responses(
     plants = [well_damped(plant, axes, np.asarray(end * damped)) for end, plant in [(1.0, stages), *together]]
     plants += [with_modes(stages, axes, end, np.array([pole])) for pole in alone for end in ends]
     if mode_spread and not len(damped):
-        plants += [with_first_pole(stages, axes, end) for end in ends]
+        plants += [with_fixed_zeros(stages, axes, end) for end in ends]
     responses = []
     for plant in plants:
         response = sampled_response(plant, axes, sample_time, z) * (z**-loop_delay)[:, None, None]

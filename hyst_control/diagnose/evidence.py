@@ -147,8 +147,8 @@ class HypothesisEvidence:
     at_bound: bool = False
     # Energy that its coefficients take off by what of their distance is not believed, noise energies
     taken_up: float = np.inf
-    # Energy that it takes off where its change is, noise energies; None: in all frequencies alike
-    taken_off: float | None = None
+    # Reduction of the energy, at the frequencies that it changes if that is more, noise energies; None: at all frequencies
+    reduction: float | None = None
     # Axis of each effect, None where it is on all; empty where the record has one axis
     axes: tuple[int | None, ...] = ()
 

@@ -195,8 +195,8 @@ def _worth_naming(one: HypothesisEvidence, evidence: Evidence, thresholds: Thres
     if one.coefficients_alone and _has_own_error(evidence) and before <= evidence.stated:
         return False
     # What leaves no more than the model leaves on baseline records is no gap.
-    taken_off = before - one.energy if one.taken_off is None else one.taken_off
-    if taken_off > least and (unweighted or before > evidence.stated):
+    reduction = before - one.energy if one.reduction is None else one.reduction
+    if reduction > least and (unweighted or before > evidence.stated):
         return True
     if unweighted and evidence.stated >= thresholds.own_error_energy:
         return False

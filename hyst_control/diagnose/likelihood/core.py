@@ -77,7 +77,7 @@ def _changed(weighed: tuple[Weighed, ...], found: Found, clean: CleanRecords | N
         known = clean.show(found.hypotheses[best.hypothesis.index], priors.followed)
         if not known:
             break
-        # What explains less than effects that were there before explains a part of these.
+        # A hypothesis that is less probable than effects of the baseline records explains a part of these.
         alone = known.issuperset(best.names)
         kept = (Kind.NOTHING, Kind.PARAMETERS)
         weighed = tuple(one for one in weighed if not (known.intersection(one.names) or (alone and one.kind not in kept)))

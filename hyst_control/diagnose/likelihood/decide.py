@@ -29,8 +29,8 @@ class Judgement:
 
 def judge(weighed: Sequence[Weighed], fits: Fits, floor: float, level: float, alarm: float) -> Judgement:
     """Judge the weights of hypotheses."""
-    # floor: rms that matters, in units of noise and discrepancy; level: probability of the set that is named; alarm: probability of
-    # no gap from which none is told, so that few records without one raise an alarm
+    # floor: rms that matters, in units of noise and discrepancy; level: probability of the set that is named; alarm: a gap is named
+    # only if "no gap" is less probable than this
     nothing = sum(one.probability for one in weighed if not _matters(one, fits, floor))
     other = sum(one.probability for one in weighed if one.kind is Kind.SOMETHING_ELSE and _matters(one, fits, floor))
     known = [one for one in weighed if one.kind in (Kind.EFFECTS, Kind.PARAMETERS) and _matters(one, fits, floor)]

@@ -71,7 +71,7 @@ class Priors:
     flicker_sizes: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # Its power at the top in that of the white noise
     temperature: float = 0.5  # Factor of the log evidences: by log loss on cases of tuning seeds
     level: float = 0.9  # Probability of the set of explanations that is named
-    alarm: float = 0.05  # Probability of no gap from which no gap is told
+    alarm: float = 0.05  # A gap is named only if "no gap" is less probable than this
     combined: float = 1e-6  # Probability of something else from which combinations of effects are tried
     parents: int = 2  # Explanations that a further effect is added to
     screened: int = 3  # More starts of an effect are ranked first, by a linear step from each

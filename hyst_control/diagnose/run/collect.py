@@ -174,15 +174,16 @@ def _hypothesis(found: Found, scored: FittedHypothesis, believed: float) -> Hypo
         farthest=farthest,
         at_bound=scored.candidate is not None and scored.candidate.is_at_bound(solution.x),
         taken_up=taken_up,
-        taken_off=_taken_off(problem, found.none.solution.residual, solution.residual),
+        reduction=_reduction(problem, found.none.solution.residual, solution.residual),
         axes=() if scored.candidate is None or len(problem.model.axes) == 1 else tuple(m.axis for m in scored.candidate.members),
     )
 
 
-def _taken_off(problem: Problem, before: Annotated[Array, "M"], after: Annotated[Array, "M"]) -> float | None:
-    """Energy that a hypothesis takes off, in all frequencies or in those that its change is in, as far as the change has as much; or None.
+def _reduction(problem: Problem, before: Annotated[Array, "M"], after: Annotated[Array, "M"]) -> float | None:
+    """Mean reduction of the energy per bin: of all bins, or if that is more of those that a hypothesis changes; None without a spectrum.
 
-    Beside a spectrum of the model discrepancy every frequency counts alike, excited or not: a slow effect would be small by being slow.
+    A slow effect changes few bins, and in the mean of all of them it would be too small to matter. It counts as no more than the mean
+    square of its change.
     """
     if not isinstance(problem.own_spectrum, ErrorSpectrum) or not np.any(change := before - after):
         return None

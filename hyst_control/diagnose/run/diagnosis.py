@@ -41,7 +41,7 @@ from hyst_control.model_file import Model
 from hyst_control.records.record import Record
 
 OUTSIDE = 5e-4  # Share of a command outside the model's range from which a note says it
-RULES, LIKELIHOOD, BY_REGIME = "rules", "likelihood", "by_regime"  # Cores that weigh hypotheses, and whichever does better
+RULES, LIKELIHOOD, BY_REGIME = "rules", "likelihood", "by_regime"  # Cores that weigh hypotheses; the better one of each regime
 
 
 @dataclass(frozen=True)
