@@ -23,7 +23,7 @@ from hyst_control.records.bags.bag_reader import read_bag as read_signals
 from hyst_control.records.editing import EditableRecord
 from hyst_control.records.excitation.excitation import build
 from hyst_control.records.tables.columns import Column, unit_and_scale
-from hyst_control.records.tables.importing import import_table, record_of_run, write_bag
+from hyst_control.records.tables.importing import described_columns, import_table, record_of_run, write_bag
 from hyst_control.records.tables.selection import column_indices
 from hyst_control.records.tables.units import unit_of
 from hyst_control.reporting.frequency_figures import bode_of_record
@@ -179,8 +179,8 @@ class Record(EditableRecord, Shown):
 
 def read_csv(
     path: str | Path,
-    command: str | Sequence[str],
-    measurement: str | Sequence[str],
+    command: str | Sequence[str] | None = None,
+    measurement: str | Sequence[str] | None = None,
     rate: float | None = None,
     *,
     time: str | None = None,
@@ -197,7 +197,8 @@ def read_csv(
         The file.
     command, measurement
         Column and unit, such as "u [V]" or "pos [5um/V]" (a sensor of 5 um/V); several for several axes. A column is named as in the
-        file's header, with its unit there or without, or numbered from 1.
+        file's header, with its unit there or without, or numbered from 1. Without both, and without `time`, names and units in the
+        file say what each column is ("time [s],command [V],position [um]").
     rate
         Sample rate, Hz; None where `time` is given.
     time
@@ -555,9 +556,10 @@ def _imported(
     *how: Any,
     **more: Any,
 ) -> Record:
-    """The record of a file; a column of times that is not named is left out."""
+    """The record of a file; a column of times that is not named is left out, and where none is named the file's names are taken."""
     columns = [column(topic, given) for topic, given in named.items() if given is not None]
     with keywords():
+        columns = columns or described_columns(Path(path), how[0], 'name them, as in command="2 [V]", measurement="3 [um]"')
         return promoted(Record, import_table(path, columns, *how, **more))
 
 

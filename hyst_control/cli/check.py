@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bags", nargs="+", metavar="BAG", help="recorded bags, of this package or of others")
     add("--namespace", help="namespace of the topics")
     add("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    add("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+    add("--columns", help="fields of bags of other messages, or columns of tables, as in hyst import --columns")
 
 
 def run(arguments: argparse.Namespace) -> CommandResult:

@@ -4,7 +4,8 @@
 
 Read are .npy, .npz, .mat, .xlsx, .parquet, .h5, .tdms, .json and text datasets of universal files (.uff).
 
-Without --columns the columns of the file are listed with a description of them that can be pasted. A bag of this package's signals needs
+Without --columns the columns are taken by their names, if each says what it is and in which unit ("time [s],command [V],position [um]").
+Else they are listed with a description of them that can be pasted. A bag of this package's signals needs
 no columns, even if its recorder was killed: its readable part is written as a finished bag for other tools.
 
 examples:
@@ -83,11 +84,16 @@ def run(arguments: argparse.Namespace) -> CommandResult:
     from hyst_control.records.bags.bag_fields import read_runs
     from hyst_control.records.bags.bag_reader import read_bag
     from hyst_control.records.tables.importing import import_records, parse_columns
-    from hyst_control.records.tables.listing import listed_columns
+    from hyst_control.records.tables.listing import listed_columns, named_columns
 
     progress.step(f"read {arguments.file}")
     is_bag = Path(arguments.file).is_dir() or arguments.file.endswith((".mcap", ".db3"))
-    if arguments.columns is None and not is_bag:
+    asked = arguments.columns
+    if asked is None and arguments.output is not None and not is_bag:
+        asked = named_columns(Path(arguments.file), arguments.variable, arguments.skip, arguments.rate is not None)
+        if asked is not None:
+            print(f"--columns {asked!r}: by the names and units in {arguments.file}")
+    if asked is None and not is_bag:
         lines, suggestion = listed_columns(Path(arguments.file), arguments.variable, arguments.skip)
         print("\n".join(lines))
         raise InputError(
@@ -95,7 +101,7 @@ def run(arguments: argparse.Namespace) -> CommandResult:
         )
     if arguments.output is None:
         raise InputError("--output: is missing: name the bag to write")
-    columns = None if arguments.columns is None else parse_columns(arguments.columns)
+    columns = None if asked is None else parse_columns(asked)
     if columns is None:
         return written(arguments.output, [read_bag(arguments.file).shifted(arguments.shift)])
     if is_bag:

@@ -22,7 +22,7 @@ PASSED_ON = ("hold", "start", "namespace", "unit", "columns", "shift", "strict")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of this command to `parser`."""
     parser.add_argument("model", metavar="MODEL.yaml", help="model file")
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags")
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="recorded bags, or tables")
     add_options(parser)
 
 
@@ -31,7 +31,7 @@ def add_bag_options(parser: argparse.ArgumentParser) -> None:
     add_shift(parser)
     parser.add_argument("--namespace", help="namespace of the topics, where a bag holds several plants")
     parser.add_argument("--unit", default="unknown", help="unit of the measurement in bags without a layout, such as um")
-    parser.add_argument("--columns", help="topics and fields of bags of other messages, as in hyst import --columns")
+    parser.add_argument("--columns", help="fields of bags of other messages, or columns of tables, as in hyst import --columns")
 
 
 def add_shift(parser: argparse.ArgumentParser) -> None:

@@ -242,9 +242,9 @@ def test_a_folder_that_is_no_bag_says_why(tmp_path):
     refused(tmp_path / "nowhere", "does not exist: give the path of a bag")
     refused(tmp_path, "is no bag: must be a rosbag2 directory")
     (tmp_path / "a.txt").write_text("x")
-    refused(
-        tmp_path / "a.txt", "is no bag: must be a rosbag2 directory.*; hyst import .*a.txt, or read_csv in Python, makes a record"
-    )
+    refused(tmp_path / "a.txt", "holds no rows below its first line")
+    (tmp_path / "a.bin").write_text("x")
+    refused(tmp_path / "a.bin", "is no bag: must be a rosbag2 directory.*; a table needs its ending, such as .csv, or hyst import")
     (tmp_path / "empty.mcap").write_bytes(b"")
     refused(tmp_path / "empty.mcap", "is empty: the recording wrote nothing")
     folder = small_bag(tmp_path / "bag")

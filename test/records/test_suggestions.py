@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+import hyst_control as hc
 from hyst_control.base.errors import InputError
 from hyst_control.cli import main
 from hyst_control.records.bags.bag_reader import read_bag
 from hyst_control.records.tables.columns import parse_columns
+from hyst_control.records.tables.exporting import export_record
 from hyst_control.records.tables.importing import import_records, import_table
 from hyst_control.records.tables.listing import listed_columns
 
@@ -226,3 +228,70 @@ def test_a_column_without_any_number_is_told_as_one(tmp_path):
     path.write_text("t,u,y\n" + "".join(f"{t:.3f},{u},\n" for t, u in zip(TIME, DRIVE, strict=True)))
     with pytest.raises(InputError, match="measurement: no row holds a finite number: name another column"):
         import_records(path, parse_columns("time=t[s],command=u[V],measurement=3[um]"), None)
+
+
+def table(path, header, columns):
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+    return path
+
+
+SWEEP = np.arange(400) * 1e-3, 30.0 + 20.0 * np.sin(np.arange(400) * 0.05), 3.0 + np.cos(np.arange(400) * 0.05)
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["time [s],command [V],measurement [um]", "t [s],u [V],y [um]", "Time (s),Drive voltage (V),Position (um)", "t_s,cmd_V,pos_um"],
+)
+def test_a_table_that_says_all_itself_is_a_record_for_every_reader(tmp_path, header):
+    path = table(tmp_path / "run.csv", header, SWEEP)
+    due = hc.from_arrays(SWEEP[1], SWEEP[2], rate=1000)
+    for record in (read_bag(path), hc.read_csv(path)):
+        for topic in ("command", "measurement"):
+            np.testing.assert_allclose(record.signal(topic).values, due.signal(topic).values, rtol=1e-6)
+            np.testing.assert_allclose(record.signal(topic).time, due.signal(topic).time, atol=1e-9)
+    assert main(["import", str(path), "--output", str(tmp_path / "bag")]) == 0
+    np.testing.assert_array_equal(
+        read_bag(tmp_path / "bag").signal("measurement").values, read_bag(path).signal("measurement").values
+    )
+
+
+def test_the_axes_of_an_exported_table_come_back(tmp_path):
+    record = hc.from_arrays(np.column_stack(SWEEP[1:]), np.column_stack(SWEEP[:0:-1]), rate=1000, unit="mrad")
+    export_record(record, tmp_path / "run.csv", "csv")
+    back = hc.read_csv(tmp_path / "run.csv")
+    np.testing.assert_array_equal(back.signal("measurement").values, record.signal("measurement").values)
+    np.testing.assert_array_equal(back.signal("command").values, record.signal("command").values)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time [s],output [V],input [um]",  # of the plant, or of the converters?
+        "time [s],target [um],position [um]",
+        "time [s],command [V],position error [um]",
+        "time [s],command [V],measurement",  # in what unit?
+        "sample [s],command [V],measurement [um]",
+        "time [s],command [V],temperature [degC]",
+    ],
+)
+def test_a_table_that_leaves_anything_open_is_not_guessed_at(tmp_path, header):
+    path = table(tmp_path / "run.csv", header, SWEEP)
+    with pytest.raises(InputError, match="leave open which is which.*try hyst import .* --columns"):
+        read_bag(path)
+    with pytest.raises(InputError, match=r"leave open which is which.*name them, as in command="):
+        hc.read_csv(path)
+    assert main(["import", str(path), "--output", str(tmp_path / "bag")]) == 2
+    assert not (tmp_path / "bag").exists()
+
+
+def test_the_inputs_and_outputs_of_a_converter_are_told_by_their_units(tmp_path):
+    _, suggestion = listed_columns(table(tmp_path / "run.csv", "time [s],output [V],input [um]", SWEEP))
+    assert suggestion == '--columns "time=1[s],command=2[V],measurement=3[um]"'
+
+
+def test_a_rate_stands_for_the_times(tmp_path):
+    path = table(tmp_path / "run.csv", "command [V],measurement [um]", SWEEP[1:])
+    assert main(["import", str(path), "--output", str(tmp_path / "bag"), "--rate", "1000"]) == 0
+    assert hc.read_csv(path, rate=1000).signal("command").time[-1] == pytest.approx(0.399)
+    with pytest.raises(InputError, match="leave open"):
+        hc.read_csv(path)

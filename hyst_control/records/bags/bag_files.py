@@ -187,7 +187,7 @@ def _files(path: Path, metadata: _Metadata | None) -> list[Path]:
     else:
         files = sorted(file for file in path.iterdir() if file.name.endswith(known))
     if not files or not all(file.name.endswith(known) for file in files):
-        table = f"; hyst import {path}, or read_csv in Python, makes a record of a table" if path.is_file() else ""
+        table = f"; a table needs its ending, such as .csv, or hyst import {path}" if path.is_file() else ""
         raise InputError(f"{path}: is no bag: must be a rosbag2 directory, or an .mcap or .db3 file{table}")
     if len({file.name.removesuffix(".zstd").rpartition(".")[2] for file in files}) > 1:
         raise InputError(f"{path}: holds both MCAP and SQLite3 files: keep one bag per directory")

@@ -22,6 +22,7 @@ from hyst_control.records.bags.bag_files import Bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times, commonest_step, increasing, no_topic
 from hyst_control.records.stream.row_store import RowStore
 from hyst_control.records.stream.signal_message import MESSAGE_TYPE, decode, parse_label
+from hyst_control.records.tables.importing import is_table, read_table
 from hyst_control.records.tables.regular_signals import on_one_clock, restarts
 
 SIGNALS = ("reference", "feedforward", "feedback", "command", "measurement")
@@ -48,12 +49,12 @@ def read_bag(
     topics: Collection[str] | None = None,
     columns: str | None = None,
 ) -> Record:
-    """Read every signal topic of a bag: a rosbag2 directory, or a single .mcap or .db3 file.
+    """Read every signal topic of a bag (a rosbag2 directory, or a single .mcap or .db3 file), or the columns of a table.
 
     Parameters
     ----------
     path
-        Bag to read.
+        Bag to read, or table.
     namespace
         Namespace of the topics, needed where several namespaces have a topic of the same name.
     unit
@@ -62,7 +63,7 @@ def read_bag(
         Last parts of the names of the topics to read, which must be there; all by default.
     columns
         Topics and fields that stand for the signals, such as "command=/drive.data[V],measurement=/joint_states.position[um]", for a
-        bag of other messages.
+        bag of other messages; columns of a table, whose names and units need none where they say what each is.
 
     Returns
     -------
@@ -75,6 +76,8 @@ def read_bag(
         The bag cannot be read, holds no signal messages, or one of its signals is not valid; the text names file and remedy.
     """
     path = Path(path)
+    if is_table(path):
+        return read_table(path, columns)
     if columns is not None:
         return read_fields(path, columns)
     notes: list[str] = []

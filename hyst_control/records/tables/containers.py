@@ -145,3 +145,4 @@ _READERS: dict[str, tuple[str, Callable[[Path, Any], Container]]] = {
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), ("json", _json)),
     **dict.fromkeys((".uff", ".unv", ".uf", ".58"), ("numpy", lambda path, _: Container(*universal_arrays(path)))),
 }
+CONTAINERS = tuple(_READERS)

@@ -18,14 +18,18 @@ from hyst_control.records.bags.rosbag2_writer import open_bag
 from hyst_control.records.record import Record, Signal, axis_names, check_times
 from hyst_control.records.stream.row_store import blocks, empty_rows
 from hyst_control.records.stream.signal_message import Encoder, label_for
+from hyst_control.records.tables.array_files import KINDS as ARRAYS
 from hyst_control.records.tables.columns import TIME, Column, parse_columns
+from hyst_control.records.tables.containers import CONTAINERS
 from hyst_control.records.tables.frequency_response import response_record
+from hyst_control.records.tables.listing import listed_columns, named_columns
 from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, without_repeated
 from hyst_control.records.tables.sample_grid import DAY, LONGEST_FILLED, gap_remedies, midnights
-from hyst_control.records.tables.selection import read_columns
+from hyst_control.records.tables.selection import SHEETS, read_columns
 
-__all__ = ["import_records", "import_table", "parse_columns", "write_bag", "write_bags"]
+__all__ = ["described_columns", "import_records", "import_table", "is_table", "parse_columns", "read_table", "write_bag", "write_bags"]
 
+TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 RATE_TOLERANCE = 0.01  # Relative difference between a rate that is given and that of the column of times
 
 BLOCK = 50
@@ -37,6 +41,27 @@ def import_table(path: str | Path, columns: Sequence[Column], *how: Any, **named
     if len(found) > 1:
         raise InputError(f"{path}: holds {len(found)} runs: choose the rows of one")
     return found[0]
+
+
+def is_table(path: Path) -> bool:
+    """Check that a name is that of a file of columns, a text or arrays."""
+    name = path.name.lower().removesuffix(".gz")
+    return name.endswith((*TEXTS, *SHEETS, *ARRAYS, *CONTAINERS)) and path.is_file()
+
+
+def read_table(path: Path, columns: str | None = None) -> Record:
+    """The record of a file that holds one run, by a description of its columns or by the names and units that it has itself."""
+    return import_table(path, described_columns(path) if columns is None else parse_columns(columns), None)
+
+
+def described_columns(path: Path, rate: float | None = None, remedy: str | None = None) -> list[Column]:
+    """The columns of a file whose names and units say what each is. Raises `InputError` with a suggestion where these do not."""
+    described = named_columns(path, has_rate=rate is not None)
+    if described is None:
+        lines, suggestion = listed_columns(path)
+        found = "; ".join(line.strip() for line in lines[1:6]) + "; …" * (len(lines) > 6)
+        raise InputError(f"{path}: names and units of its columns leave open which is which ({found}): {remedy or f'try hyst import {path} --output BAG {suggestion}'}")
+    return parse_columns(described)
 
 
 def import_records(

@@ -30,6 +30,18 @@ MEASUREMENT_WORDS = (
     *("y", "yk", "adc", "measurement", "meas", "pos", "sensor", "out", "output", "disp", "actual", "current pos", "micron"),
     *("angle", "strain"),
 )
+MOTION = ("um", "mrad", "deg", "arcsec")
+SURE_WORDS = {
+    TIME: ("t", "time", "timestamp", "zeit"),
+    "command": ("command", "cmd", "drive", "u"),
+    "measurement": ("measurement", "measured", "meas", "pos", "position", "displacement", "disp", "angle", "tilt", "sensor", "y"),
+    "reference": ("reference", "ref"),
+    "feedforward": ("feedforward",),
+    "feedback": ("feedback",),
+}
+"""First words of names that say what a column is: an "output" may be a sensor's or a converter's, and is not among them."""
+WORDS_BEHIND = ("x", "y", "z", "axis", "stage", "piezo", "voltage", "signal", "value", "values")  # "position error" is another thing
+
 RESPONSE_WORDS = (
     ("frequency", ("freq", "omega", "f", "w")),
     ("magnitude", ("magnitude", "mag", "gain", "amplitude", "abs", "g", "h")),
@@ -54,6 +66,49 @@ class _Found:
 
 def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tuple[list[str], str]:
     """Lines about the columns of a file, and options of import that take them. Raises `InputError` where it cannot be read."""
+    found, sample_time = _columns_of(path, variable, skip)
+    lines = [f"{path}: columns of numbers, with their ranges"]
+    for one in found[:LISTED]:
+        finite = one.values[np.isfinite(one.values)]
+        span = f"{finite.min():.4g} to {finite.max():.4g}" if len(finite) else "no finite number"
+        title = f" {one.title!r}" if one.title and one.title != one.asked else ""
+        lines.append(f"  {one.asked}{title}: {len(one.values)} rows, {span}{f' {one.unit}' if one.unit else ''}")
+    if len(found) > LISTED:
+        lines.append(f"  and {len(found) - LISTED} more")
+    return lines, _suggestion(found, sample_time)
+
+
+def named_columns(path: Path, variable: str | None = None, skip: int = 0, has_rate: bool = False) -> str | None:
+    """The description of a file whose names and units say alone what each column is; None where anything is left to guess."""
+    found, sample_time = _columns_of(path, variable, skip)
+    groups: dict[str, list[_Found]] = {}
+    for one in found:
+        topic = _sure_topic(one)
+        if topic is None or one.unit is None or not _is_accepted(topic, one.unit) or not _can_be_asked(one.asked):
+            return None
+        groups.setdefault(topic, []).append(one)
+    times = groups.get(TIME, [])
+    is_clear = len(times) == 1 or (not times and (has_rate or sample_time is not None))
+    axes = {len(group) for topic, group in groups.items() if topic != TIME}
+    if not {"command", "measurement"} <= set(groups) or not is_clear or len({len(one.values) for one in found}) + len(axes) != 2:
+        return None
+    return ",".join(
+        f"{topic}={'+'.join(f'{one.asked}[{one.unit}]' for one in group)}" if len({one.unit for one in group}) > 1
+        else f"{topic}={'+'.join(one.asked for one in group)}[{group[0].unit}]"
+        for topic, group in groups.items()
+    )  # fmt: skip
+
+
+def _sure_topic(one: _Found) -> str | None:
+    """The signal that a name stands for, where all of its words say so."""
+    parts = re.findall(r"[^\W\d_]+", without_unit(one.title or one.asked).lower().removesuffix(f"_{(one.unit or '').lower()}"))
+    if not parts or not set(parts[1:]) <= set(WORDS_BEHIND):
+        return None
+    return next((topic for topic, words in SURE_WORDS.items() if parts[0] in words), None)
+
+
+def _columns_of(path: Path, variable: str | None, skip: int) -> tuple[list[_Found], float | None]:
+    """The columns of numbers in a file, and the sample time (s) where it states one. Raises `InputError` where it has none."""
     table = open_table(path, variable, skip)
     if isinstance(table, TextTable):
         layout = table.layout
@@ -76,15 +131,7 @@ def listed_columns(path: Path, variable: str | None = None, skip: int = 0) -> tu
             ]
     if not found:
         raise InputError(f"{path}: holds no columns of numbers: check how it was written, or save it as CSV")
-    lines = [f"{path}: columns of numbers, with their ranges"]
-    for one in found[:LISTED]:
-        finite = one.values[np.isfinite(one.values)]
-        span = f"{finite.min():.4g} to {finite.max():.4g}" if len(finite) else "no finite number"
-        title = f" {one.title!r}" if one.title and one.title != one.asked else ""
-        lines.append(f"  {one.asked}{title}: {len(one.values)} rows, {span}{f' {one.unit}' if one.unit else ''}")
-    if len(found) > LISTED:
-        lines.append(f"  and {len(found) - LISTED} more")
-    return lines, _suggestion(found, sample_time)
+    return found, sample_time
 
 
 def _asked(layout: Layout, index: int) -> str:
@@ -131,7 +178,9 @@ def _suggestion(found: list[_Found], sample_time: float | None) -> str:
     others = [one for one in left if not _named(one, MEASUREMENT_WORDS)]
     command = _first(others or left, COMMAND_WORDS, ("V", "A", "%"))
     left = [one for one in left if one is not command]
-    measurement = _first(left, MEASUREMENT_WORDS, ("um", "mrad", "deg", "arcsec"))
+    measurement = _first(left, MEASUREMENT_WORDS, MOTION)
+    if command is not None and measurement is not None and _has_unit(command, MOTION) and _has_unit(measurement, ("V",)):
+        command, measurement = measurement, command  # a converter's "input [um]" is the sensor's
     chosen = ((TIME, time, "s"), ("command", command, UNKNOWN), ("measurement", measurement, UNKNOWN))
     parts = {topic: _entry(topic, one, usual) for topic, one, usual in chosen if one is not None and _can_be_asked(one.asked)}
     if not {"command", "measurement"} & set(parts):
@@ -195,9 +244,13 @@ def _can_be_asked(name: str) -> bool:
 
 def _first(left: list[_Found], words: tuple[str, ...], units: tuple[str, ...]) -> _Found | None:
     """The first column of such a name, else of such a unit, else the first."""
-    known = [(one, (scaled_unit(one.unit) or ("",))[0] if one.unit else "") for one in left]
-    by_unit = [one for one, unit in known if any(unit == due or unit.endswith(due) for due in units)]
+    by_unit = [one for one in left if _has_unit(one, units)]
     return next(iter([*(one for one in left if _named(one, words)), *by_unit, *left]), None)
+
+
+def _has_unit(one: _Found, units: tuple[str, ...]) -> bool:
+    unit = (scaled_unit(one.unit) or ("",))[0] if one.unit else ""
+    return any(unit == due or unit.endswith(due) for due in units)
 
 
 def _name(one: _Found) -> str:

@@ -17,6 +17,7 @@ from hyst_control.records.tables.containers import Container, read_container, sh
 from hyst_control.records.tables.header import without_unit
 from hyst_control.records.tables.text import TextTable, text_table
 
+SHEETS = (".xlsx", ".xlsm")
 WIDE = 16  # Columns a row from which a matrix is thought to hold its signals in its rows
 
 _PART = re.compile(r"(?P<name>.*)\((?P<row>:|\d{1,6}),(?P<column>:|\d{1,6})\)")
@@ -42,7 +43,7 @@ def open_table(path: Path, variable: str | None = None, skip: int = 0) -> TextTa
         )
     suffixes = [suffix.lower() for suffix in path.suffixes]
     kind = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else (suffixes[-1] if suffixes else "")
-    if kind in (".xlsx", ".xlsm"):
+    if kind in SHEETS:
         return text_table(path, skip, sheet_lines(path, variable))
     return read_container(path, kind) or text_table(path, skip)
 
