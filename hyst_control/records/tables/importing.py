@@ -27,7 +27,16 @@ from hyst_control.records.tables.regular_signals import on_one_clock, runs_of, w
 from hyst_control.records.tables.sample_grid import DAY, LONGEST_FILLED, gap_remedies, midnights
 from hyst_control.records.tables.selection import SHEETS, read_columns
 
-__all__ = ["described_columns", "import_records", "import_table", "is_table", "parse_columns", "read_table", "write_bag", "write_bags"]
+__all__ = [
+    "described_columns",
+    "import_records",
+    "import_table",
+    "is_table",
+    "parse_columns",
+    "read_table",
+    "write_bag",
+    "write_bags",
+]
 
 TEXTS = (".csv", ".txt", ".tsv", ".dat", ".asc")
 RATE_TOLERANCE = 0.01  # Relative difference between a rate that is given and that of the column of times
@@ -60,7 +69,8 @@ def described_columns(path: Path, rate: float | None = None, remedy: str | None 
     if described is None:
         lines, suggestion = listed_columns(path)
         found = "; ".join(line.strip() for line in lines[1:6]) + "; …" * (len(lines) > 6)
-        raise InputError(f"{path}: names and units of its columns leave open which is which ({found}): {remedy or f'try hyst import {path} --output BAG {suggestion}'}")
+        remedy = remedy or f"try hyst import {path} --output BAG {suggestion}"
+        raise InputError(f"{path}: names and units of its columns leave open which is which ({found}): {remedy}")
     return parse_columns(described)
 
 

@@ -40,7 +40,18 @@ SURE_WORDS = {
     "feedback": ("feedback",),
 }
 """First words of names that say what a column is: an "output" may be a sensor's or a converter's, and is not among them."""
-WORDS_BEHIND = ("x", "y", "z", "axis", "stage", "piezo", "voltage", "signal", "value", "values")  # "position error" is another thing
+WORDS_BEHIND = (
+    "x",
+    "y",
+    "z",
+    "axis",
+    "stage",
+    "piezo",
+    "voltage",
+    "signal",
+    "value",
+    "values",
+)  # "position error" is another thing
 
 RESPONSE_WORDS = (
     ("frequency", ("freq", "omega", "f", "w")),
