@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from hyst_control.base.errors import InputError
 from hyst_control.chain import Chain, Sampling
-from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator
+from hyst_control.chain.hysteresis.prandtl_ishlinskii import ModifiedPrandtlIshlinskii, PlayOperator, PrandtlIshlinskii
 from hyst_control.chain.linear.linear_stages import Delay, TransferFunction
 from hyst_control.chain.stage import frozen
 from hyst_control.identify import Fit, identify
@@ -37,6 +38,11 @@ def plant(tau: float = 4e-5) -> Model:
     return Model("plant", ("x",), {"command": "V", "measurement": "um"}, SAMPLE_TIME, Chain(stages))
 
 
+def mode(frequency: float, damping: float) -> TransferFunction:
+    w = 2 * np.pi * frequency
+    return TransferFunction([w**2], [1.0, 2 * damping * w, w**2])
+
+
 def excitation(seed: int, scale: float = 1.0) -> np.ndarray:
     """A step, slow loops, and loops up to 400 Hz at several amplitudes, each from and back to 0 V, with rests between."""
     rng = np.random.default_rng(seed)
@@ -52,6 +58,28 @@ def record(model: Model, seed: int, scale: float = 1.0, sigma: float = SIGMA) ->
     command = excitation(seed, scale)
     noise = np.random.default_rng(seed + 1000).normal(0.0, sigma, command.shape)
     return sampled_record(f"record {seed}", command, simulate(model, command) + noise, SAMPLE_TIME, ("x",), "um", start="settled")
+
+
+def test_a_slow_pair_that_all_rows_do_not_tell_is_left_out():
+    """Creep as long as the record: a pole at the record's length would only share the static gain with the session's drift."""
+    rng, rate, count = np.random.default_rng(2), 4000.0, 12_000
+    time = np.arange(count) / rate
+    frequency = np.geomspace(0.7, 150.0, 12)[:, None]
+    waves = np.sin(2 * np.pi * frequency * time + rng.uniform(0, 2 * np.pi, (12, 1))) / (1 + frequency / 8)
+    wave = waves.sum(axis=0) * np.minimum(time / 0.5, 1)
+    command = np.abs(50.0 * wave / np.abs(wave).max())[:, None]
+    thresholds, weights = np.sort(rng.uniform(1, 49, 8)), rng.uniform(0.0035, 0.007, 8)
+    plays = PrandtlIshlinskii(thresholds, weights, w0=0.066)
+    moved = simulate(
+        Model("plant", ("x",), {"command": "V", "measurement": "um"}, 1 / rate, Chain((plays, Delay(1 / rate), mode(420.0, 0.03)))),
+        command,
+    )
+    left = np.exp(-1 / rate / 3.0)
+    creep = 0.05 * lfilter([1 - left], [1, -left], moved, axis=0)
+    noisy = moved + creep + 0.002 * rng.normal(size=moved.shape)
+    found = identify([sampled_record("creep", command, noisy, 1 / rate, ("x",), "um")], "hapi", "joint")
+    poles = np.concatenate([np.roots(stage.den) for stage in found.model.chain.stages if isinstance(stage, TransferFunction)])
+    assert np.abs(poles).min() > 10.0
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])

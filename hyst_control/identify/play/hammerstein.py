@@ -96,6 +96,11 @@ def fit_dynamic(problem: Problem, structure: Structure | None) -> tuple[Solution
     chosen = choose_structure(selection, structure, tried.append)
     chosen = solve(selection, chosen.structure, chosen.parameters, chosen.theta, passes=20)
     final = solve(problem, chosen.structure, chosen.parameters, chosen.theta, passes=3, everything=True)
+    if structure is None and chosen.structure.slow_pair and not _is_determined(problem, final):
+        # All rows together know the slow pair no more: it would only share the static gain with the session's drift.
+        plainer = replace(chosen.structure, slow_pair=False)
+        chosen = solve(selection, plainer, chosen.structure.without_slow_pair(chosen.parameters), chosen.theta, passes=20)
+        final = solve(problem, plainer, chosen.parameters, chosen.theta, passes=3, everything=True)
     return final, chosen.held_out, tried
 
 

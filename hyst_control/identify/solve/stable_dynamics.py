@@ -137,6 +137,10 @@ class Structure:
         parts["modes"][-1] = np.log(2 * np.pi * frequency), np.log(damping)
         return np.concatenate([part.ravel() for part in parts.values()])
 
+    def without_slow_pair(self, parameters: Array) -> Annotated[Array, "P"]:
+        """Parameters of the same structure without its slow pair."""
+        return np.concatenate([part.ravel() for name, part in self.split(parameters).items() if name != "slow_pair"])
+
     def split(self, parameters: Annotated[Array, "P"]) -> dict[str, Array]:
         """Split a parameter vector by factor."""
         counts = [2 * self.modes, self.lags, self.zeros, 2 * self.slow_pair, int(self.delay)]
