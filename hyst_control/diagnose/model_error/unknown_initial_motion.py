@@ -50,7 +50,7 @@ def without_initial_motion(problem: Problem) -> Problem:
         states = _states(dynamics, piece, error)
         if states is not None:
             moved = np.einsum("ina,ia->na", _motion(dynamics, piece), states)
-            piece = replace(piece, measurement=piece.measurement - moved)
+            piece = replace(piece, measurement=piece.measurement - moved, read=piece.readings)
         pieces.append(piece)
     return problem if all(a is b for a, b in zip(pieces, problem.pieces, strict=True)) else replace(problem, pieces=tuple(pieces))
 

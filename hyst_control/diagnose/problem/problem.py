@@ -37,7 +37,8 @@ class Piece:
 
     others, driven_beside: measurement and command (N, B) of the plant's other axes, which a simulation of these axes alone does not
     give. foreseen: whether it is a run to come, whose session is not known. recorded: command (N, A) as it was recorded, where `command` is
-    without a roughness that the plant did not receive; None: the same.
+    without a roughness that the plant did not receive; None: the same. read: measurement (N, A) as the sensor gave it, where
+    `measurement` is without a motion from before the record; None: the same.
     """
 
     command: Array
@@ -47,6 +48,12 @@ class Piece:
     foreseen: bool = False
     driven_beside: Array | None = None
     recorded: Array | None = None
+    read: Array | None = None
+
+    @property
+    def readings(self) -> Array:
+        """Measurement as the sensor gave it, on the value grid of its converter."""
+        return self.measurement if self.read is None else self.read
 
     def counted(self, values: Array) -> Array:
         """Select the rows that count."""

@@ -53,13 +53,13 @@ def record_evidence(
     modelled = lattice is not None and any(stage.name == lattice.name for stage in problem.model.chain.stages)
     found = []
     for axis in range(len(problem.model.axes)):
-        values = np.concatenate([piece.counted(piece.measurement)[:, axis] for piece in problem.pieces])
+        values = np.concatenate([piece.counted(piece.readings)[:, axis] for piece in problem.pieces])
         noise = noise_of([residuals[:, axis]], settings=noise_settings)
         step = lattice_of(values, settings)
         share, count = repeated_samples(values, step, noise, settings)
         rms = float(np.sqrt(share * np.mean(np.abs(np.diff(values)) ** 2)))
         rough = problem.roughness[axis] if problem.roughness else None
-        rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.measurement)[:, axis]) for piece in problem.pieces]
+        rows = [(piece.counted(piece.command)[:, axis], piece.counted(piece.readings)[:, axis]) for piece in problem.pieces]
         simulated = np.split(values - residuals[:, axis], np.cumsum([len(measured) for _, measured in rows])[:-1])
         passages = level_crossings([(one, measured) for one, (_, measured) in zip(simulated, rows, strict=True)], step, noise)
         stuck = max(stuck_stretches(rows, step, noise), passages)

@@ -68,7 +68,7 @@ def white_noise(
 
 def with_noise(problem: Problem, residuals: Annotated[Array, "M A"], configuration: Configuration) -> Problem:
     """Estimate the noise from the upper end of the residuals' spectrum."""
-    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    measured = np.concatenate([piece.readings for piece in problem.pieces])
     stated, sigma = stated_noise(problem.model), []
     for axis in range(residuals.shape[1]):
         lattice = lattice_of(measured[:, axis], configuration.checks)
@@ -210,7 +210,7 @@ def _beside_usual(record: Sequence[RecordEvidence], clean: Problem, configuratio
             # Repeats that are few enough for chance are normal as well.
             usual_repeated=old.repeated
             if old.step
-            else max(float(np.mean(np.diff(piece.counted(piece.measurement)[:, axis]) == 0.0)) for piece in clean.pieces),
+            else max(float(np.mean(np.diff(piece.counted(piece.readings)[:, axis]) == 0.0)) for piece in clean.pieces),
             usual_step=old.step,
             usual_roughness=0.0 if old.roughness is None else old.roughness.rms,
             usual_stuck=old.stuck,
@@ -227,7 +227,7 @@ def is_used(check: RecordCheck, without: Sequence[str]) -> bool:
 
 def _floor(problem: Problem, stated: Array, configuration: Configuration) -> float:
     """Least rms that matters in practice, in units of the noise."""
-    measured = np.concatenate([piece.measurement for piece in problem.pieces])
+    measured = np.concatenate([piece.readings for piece in problem.pieces])
     steps = np.array([lattice_of(column, configuration.checks) for column in measured.T])
     # Whitened vectors are measured by own error and noise together.
     unit = problem.sigma if problem.own_spectrum is None else problem.own_spectrum.rms(problem.sigma)
