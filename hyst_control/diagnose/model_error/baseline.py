@@ -37,6 +37,7 @@ from hyst_control.diagnose.model_error.plant_response import lacking_response
 from hyst_control.diagnose.model_error.same_command import Match, matching, period_differences, repeating_rows
 from hyst_control.diagnose.model_error.uncertain_change import relative_error
 from hyst_control.diagnose.model_error.unknown_initial_memory import has_whole_loop, initial_memory, is_new_ground, wiped_out
+from hyst_control.diagnose.model_error.unknown_initial_motion import without_initial_motion
 from hyst_control.diagnose.noise.denoised_error import white_noise, without_noise
 from hyst_control.diagnose.noise.white import noise_between_periods
 from hyst_control.diagnose.problem.per_record_stages import CarriedError, LackingResponse, SessionZero
@@ -293,7 +294,8 @@ def _as_the_plant_answers(problem: Problem, clean: Problem, matches: Sequence[Se
     """Both problems with what the model's linear dynamics lack on the matching baseline records."""
     used = {next(i for i, one in enumerate(clean.pieces) if one is match.clean) for found in matches for match in found}
     outputs = {index: simulated_rows(clean, index, clean.pieces[index]) for index in used}
-    errors = {index: clean.pieces[index].measurement - output for index, output in outputs.items()}
+    still = without_initial_motion(clean)  # what goes on from before is no answer to the command
+    errors = {index: still.pieces[index].measurement - output for index, output in outputs.items()}
     counted = [[clean.pieces[index].counted(rows[index]) for index in used] for rows in (outputs, errors)]
     taps = lacking_response(*counted)
     if not taps.any():

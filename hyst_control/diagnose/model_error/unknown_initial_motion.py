@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion of the dynamics that goes on from before a record, such as the ringing of a mode in a part cut out of a longer run.
 
-Where the nominal dynamics ringing freely explain most of what differs, their states are free in every hypothesis. Beside baseline records,
-which may begin amid a motion as well, it is taken off all of them before.
+Where the nominal dynamics ringing freely explain most of what differs, their states are free in every hypothesis. Baseline records may
+begin amid a motion as well. Those of the same command carry it over with all else that the model lacks, and the states are those of the
+difference. Beside others it is subtracted from all records before: a state that is fitted to one record with an effect takes a part of it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import numpy as np
 
 from hyst_control.base.arrays import Array
 from hyst_control.chain.linear.linear_filter import LinearFilter
+from hyst_control.diagnose.configuration import BaselineSettings
+from hyst_control.diagnose.model_error.same_command import matching
 from hyst_control.diagnose.problem.per_record_stages import ErrorBasis, LearnedError
 from hyst_control.diagnose.problem.problem import Piece, Problem
 from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
@@ -21,12 +24,28 @@ from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free
 SMALLEST = 1e-6  # Size of a direction, in that of the largest one, under which it is left out
 
 
-def with_initial_motion(problem: Problem) -> Problem:
-    """The problem with the free motion of each record that begins amid one as a session effect."""
+def beside_clean(problem: Problem, clean: Problem, settings: BaselineSettings) -> tuple[Problem, Problem]:
+    """Both problems with the motions that their records begin amid as something known, or as a session effect."""
+    if all(_begin_together(piece, clean, settings) for piece in problem.pieces):
+        return with_initial_motion(problem, without_initial_motion(clean) is not clean), clean
+    return without_initial_motion(problem), without_initial_motion(clean)
+
+
+def _begin_together(piece: Piece, clean: Problem, settings: BaselineSettings) -> bool:
+    """True where a baseline record has the same command from the first row on."""
+    found = matching(piece.command, clean.pieces, settings.same_command, settings.overlap)
+    return any(match.shift == 0 for match in found)
+
+
+def with_initial_motion(problem: Problem, everywhere: bool = False) -> Problem:
+    """The problem with the free motion of each record that begins amid one, or of every record, as a session effect."""
     dynamics = ending_dynamics(problem.model, problem.sample_time, problem.hold)
     if dynamics is None:
         return problem
-    columns = [_directions(dynamics, piece, error) for piece, error in zip(problem.pieces, _errors(problem), strict=True)]
+    columns = [
+        _directions(dynamics, piece, None if everywhere else error)
+        for piece, error in zip(problem.pieces, _errors(problem), strict=True)
+    ]
     count = sum(each.shape[2] for each in columns)
     if not count:
         return problem
@@ -78,9 +97,9 @@ def _motion(dynamics: LinearFilter, piece: Piece) -> Array:
     return motion
 
 
-def _directions(dynamics: LinearFilter, piece: Piece, error: Array) -> Array:
-    """Free motions (N, A, K) of a record, each as large as its measurement's range; none where it begins at rest."""
-    if _states(dynamics, piece, error) is None:
+def _directions(dynamics: LinearFilter, piece: Piece, error: Array | None) -> Array:
+    """Free motions (N, A, K) of a record, each as large as its measurement's range; none where its error says that it begins at rest."""
+    if error is not None and _states(dynamics, piece, error) is None:
         return np.zeros((*piece.measurement.shape, 0))
     motion = _motion(dynamics, piece)
     flat = motion.reshape(len(motion), -1)

@@ -21,7 +21,7 @@ from hyst_control.diagnose.model_error.baseline import Baseline, no_model, with_
 from hyst_control.diagnose.model_error.between_periods import by_periods, gain_over_time
 from hyst_control.diagnose.model_error.same_command import as_clean_command
 from hyst_control.diagnose.model_error.uncertain_change import with_uncertain_change
-from hyst_control.diagnose.model_error.unknown_initial_motion import with_initial_motion, without_initial_motion
+from hyst_control.diagnose.model_error.unknown_initial_motion import beside_clean, with_initial_motion
 from hyst_control.diagnose.problem.coefficient_prior import idle_tolerances
 from hyst_control.diagnose.problem.problem import Piece, Problem, check_unit, split
 from hyst_control.diagnose.record_checks.command_roughness import as_recorded, roughness_evidence, with_commands
@@ -173,10 +173,12 @@ def with_clean(
             part = _without_roughness(part, configuration)
             if clean is not None:
                 part = as_clean_command(part, clean[index], configuration.baseline)
-        if clean is not None:
-            clean[index] = without_initial_motion(clean[index])
-        if (moving := with_initial_motion(part) if clean is None else without_initial_motion(part)) is not part:
-            part = moving
+        known = part
+        if clean is None:
+            part = with_initial_motion(part)
+        else:
+            part, clean[index] = beside_clean(part, clean[index], configuration.baseline)
+        if part is not known:
             notes.append(
                 f"{', '.join(part.model.axes)}: a record begins amid a motion: the state of the dynamics is estimated along"
             )
