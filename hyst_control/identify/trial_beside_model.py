@@ -9,6 +9,7 @@ import numpy as np
 from hyst_control.base.arrays import Array
 from hyst_control.base.errors import InputError
 from hyst_control.chain.linear.linear_stages import Delay, LinearStage
+from hyst_control.identify.assess.free_motion import ROWS, ending_dynamics, free_motion, moves_already, states_of
 from hyst_control.model_file import Model, simulate
 from hyst_control.records.validity.findings import Simulation, Trial
 
@@ -19,9 +20,20 @@ def trial_beside(model: Model, name: str, command: Array, measurement: Array, sa
     """A record of command and measurement (N, A) with what a model makes of its command."""
     simulate_at = simulation(model, hold)
     simulated = simulate_at(command, sample_time)
-    shown = simulated if np.isfinite(simulated).all() else None
+    shown = simulated + _from_before(model, measurement - simulated, sample_time, hold) if np.isfinite(simulated).all() else None
     unit = model.units["measurement"]
     return Trial(name, command, measurement, sample_time, tuple(model.axes), shown, unit, simulate_at, *modes_and_delay(model))
+
+
+def _from_before(model: Model, error: Array, sample_time: float, hold: str | None) -> Array:
+    """Motion (N, A) of the model's dynamics that goes on from before the record, where that is most of the error; else none."""
+    dynamics, found = ending_dynamics(model, sample_time, hold or model.hold), np.zeros_like(error)
+    if dynamics is not None:
+        early, coupled = error[:ROWS], len(dynamics.a) == 1
+        motion = free_motion(dynamics, len(early))
+        if moves_already(motion, early, coupled):
+            found[:ROWS] = np.einsum("ina,ia->na", motion, states_of(motion, early, coupled))
+    return found
 
 
 def simulation(model: Model, hold: str | None) -> Simulation:

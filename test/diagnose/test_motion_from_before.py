@@ -56,3 +56,9 @@ def test_another_motion_from_before_is_no_effect(tank):
     other = level(command, 93.0)
     assert np.ptp(other - levels) > 10.0 * NOISE
     assert hc.diagnose(measured(command, other, 1), model, baseline=[measured(command, levels, 2)]).verdict == "no_gap"
+
+
+def test_a_slow_motion_from_before_is_no_turned_sign(tank):
+    command, _, model = tank
+    gap = hc.diagnose(measured(command, level(command, 40.0), 1), model)
+    assert "sign" not in str(gap) and gap.document["gap"]["rms"] is not None
