@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 from hyst_control.base.config_files import config_path
@@ -41,3 +44,8 @@ def test_doctor_looks_at_a_folder_that_is_a_link_to_itself(tmp_path):
     (tmp_path / "loop").symlink_to("loop")
     found = disk(tmp_path / "loop")
     assert found.verdict is Verdict.FAULT and str(tmp_path / "loop") in found.found
+
+
+def test_the_command_line_runs_without_its_script_on_the_path(tmp_path):
+    said = subprocess.run([sys.executable, "-m", "hyst_control", "check", "nowhere"], cwd=tmp_path, capture_output=True, text=True)
+    assert (said.returncode, said.stderr) == (2, "hyst check: nowhere: does not exist: give the path of a bag\n")
