@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted(path for package in ("hyst_control", "hyst_plant_sim", "evaluation") for path in (ROOT / package).rglob("*.py"))
 ROS = {"rclpy", "std_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces"}
 ROOMS = (  # from the top of the house down: a room imports from itself and from those below it
+    "__main__",
     "cli",
     "api",
     "labs",
